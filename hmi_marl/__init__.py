@@ -1,0 +1,53 @@
+"""hmi-marl: a distractible driver and the HMI that may alert them, as two agents in one car.
+
+>>> from hmi_marl import merge_v0
+>>> env = merge_v0.env(driver="homer")
+>>> env.possible_agents
+['driver', 'vehicle_ai']
+
+Importing this package registers ``hmi_marl/merge-v0`` with PettingZoo (AEC and parallel) and
+``hmi_marl/MergeDriver-v0`` and ``hmi_marl/MergeHMI-v0`` with Gymnasium. It imports no torch.
+"""
+
+import gymnasium
+import pettingzoo
+
+from hmi_marl.envs import merge_v0
+from hmi_marl.envs.drivers import (
+    DRIVERS,
+    Choice,
+    Driver,
+    DriverList,
+    TraitDistributions,
+    Uniform,
+)
+from hmi_marl.envs.rewards import RewardWeights
+from hmi_marl.envs.scene import Scene
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "DRIVERS",
+    "Choice",
+    "Driver",
+    "DriverList",
+    "RewardWeights",
+    "Scene",
+    "TraitDistributions",
+    "Uniform",
+    "__version__",
+    "merge_v0",
+]
+
+
+def _register() -> None:
+    merge = "hmi_marl/merge-v0"
+    if merge not in pettingzoo.aec_registry:
+        pettingzoo.register("aec", merge, "hmi_marl.envs.merge_v0:env")
+        pettingzoo.register("parallel", merge, "hmi_marl.envs.merge_v0:parallel_env")
+    for seat, make in (("MergeDriver", "merge_driver"), ("MergeHMI", "merge_hmi")):
+        if f"hmi_marl/{seat}-v0" not in gymnasium.registry:
+            gymnasium.register(f"hmi_marl/{seat}-v0", f"hmi_marl.agents.partners:{make}")
+
+
+_register()

@@ -1,0 +1,98 @@
+"""HMIs and drivers by name, as the command line and the ``partner=`` keyword take them."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
+from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Driver, get_driver
+from hmi_marl.envs.seats import Policy
+
+HMI_NAMES = MappingProxyType(
+    {
+        "never": "no alerts (NoHMI)",
+        "always": "an alert in every step",
+        "random": "alerts at a rate: random is random:0.5",
+        "when-distracted": "alerts exactly when the driver was distracted in the last step",
+        "optimal": "the exact optimum for the driver at the wheel, or optimal:NAME for another "
+        "driver model; on the Bayes belief if attention is hidden",
+        "average": "the exact optimum for the average driver (AvgHMI), optimal:average",
+        "belief": "keeps the Bayes belief over distraction from what the car does, never looking "
+        "at the driver; belief:NAME for another driver model",
+    }
+)
+DRIVER_POLICY_NAMES = MappingProxyType(
+    {
+        "rule": "keeps lane and gap by what its lidar perceives",
+        "random": "any action, evenly",
+    }
+)
+_ALIASES = {
+    "none": "never",
+    "nohmi": "never",
+    "own": "optimal",
+    "average": "optimal:average",
+    "avghmi": "optimal:average",
+}
+
+
+def _known(names: MappingProxyType[str, str]) -> str:
+    return "; ".join(f"{name} ({meaning})" for name, meaning in names.items())
+
+
+def make_hmi(name: str, config: TeamConfig) -> Policy:
+    """The HMI of this name for teams set up by ``config``.
+
+    Raises:
+        ValueError: unknown name (the message lists the known ones), or one that does not fit the
+            configuration.
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"an HMI's name is a string, not {name!r}")
+    kind, _, argument = _ALIASES.get(name.lower(), name.lower()).partition(":")
+    if kind in ("never", "always", "when-distracted") and argument:
+        raise ValueError(f"HMI {kind!r} takes no argument, but got {name!r}")
+    if kind in ("never", "always"):
+        return RandomAlert(rate=float(kind == "always"))
+    if kind == "random":
+        return RandomAlert(_rate(argument or "0.5"))
+    if kind == "when-distracted":
+        return AlertWhenDistracted(config)
+    if kind in ("optimal", "belief"):
+        model = get_driver(argument) if argument else _driver_at_the_wheel(config, kind)
+        if kind == "optimal" and config.ai_sees_attention:
+            return OptimalAlert(model, config)
+        return BeliefAlert(model, config)
+    raise ValueError(f"unknown HMI {name!r}; known HMIs: {_known(HMI_NAMES)}")
+
+
+def make_driver_policy(name: str, config: TeamConfig) -> Policy:
+    """The policy of this name for the driver's seat.
+
+    Raises:
+        ValueError: unknown name; the message lists the known ones.
+    """
+    if name == "rule":
+        return RuleBasedDriver(config)
+    if name == "random":
+        return RandomDriver()
+    raise ValueError(f"unknown driver policy {name!r}; known: {_known(DRIVER_POLICY_NAMES)}")
+
+
+def _rate(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"random:RATE takes a number in [0, 1], not {text!r}") from None
+
+
+def _driver_at_the_wheel(config: TeamConfig, kind: str) -> Driver:
+    driver = config.only_driver
+    if driver is None:
+        raise ValueError(
+            f"HMI {kind!r} means the optimum for the driver at the wheel, but driver= is a "
+            f"population; name a driver model, for example {kind}:average"
+        )
+    return driver

@@ -1,0 +1,61 @@
+"""The Gymnasium seats with a partner given by name, as a Policy, or as a plain function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.memory import Memoryless
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.views import MergeDriver, MergeHMI
+
+Partner = str | Policy | Callable[[NDArray[np.float32]], Any]
+
+
+class FunctionPolicy(Memoryless):
+    """A plain function from one observation, shape (D,), to an action, in a seat."""
+
+    def __init__(self, function: Callable[[NDArray[np.float32]], Any]) -> None:
+        self._function = function
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See :meth:`hmi_marl.envs.seats.Policy.act`."""
+        return np.array([self._function(one) for one in observations], np.int64).reshape(-1)
+
+
+def _as_policy(
+    partner: Partner, by_name: Callable[[str, TeamConfig], Policy], settings: dict[str, Any]
+) -> Policy:
+    if isinstance(partner, str):
+        return by_name(partner, TeamConfig(**settings))
+    if isinstance(partner, Policy):
+        return partner
+    if callable(partner):
+        return FunctionPolicy(partner)
+    raise TypeError(f"partner= takes a name, a Policy or a function, not {partner!r}")
+
+
+def merge_driver(
+    partner: Partner = "never",
+    world: str = "highway",
+    render_mode: str | None = None,
+    **settings: Any,
+) -> MergeDriver:
+    """The driver's seat with an HMI given: "hmi_marl/MergeDriver-v0"."""
+    return MergeDriver(_as_policy(partner, make_hmi, settings), world, render_mode, **settings)
+
+
+def merge_hmi(
+    partner: Partner = "rule",
+    world: str = "highway",
+    render_mode: str | None = None,
+    **settings: Any,
+) -> MergeHMI:
+    """The vehicle AI's seat with a driver given: "hmi_marl/MergeHMI-v0"."""
+    driver = _as_policy(partner, make_driver_policy, settings)
+    return MergeHMI(driver, world, render_mode, **settings)

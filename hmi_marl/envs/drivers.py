@@ -1,0 +1,245 @@
+"""Driver traits: the four drivers of the paper, the average one, and populations to draw from.
+
+Four numbers describe a driver (the paper's driver table): how easily they become distracted
+(``beta``), how easily they recover (``alpha``), how much an accepted alert helps (``eta``) and
+how much larger than life they perceive other vehicles (``inflation``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.envs.streams import Stream, uniform
+
+TRAIT_NAMES = ("beta", "alpha", "eta", "inflation")
+MAX_INFLATION = 20.0
+TRAIT_RANGES = MappingProxyType(
+    {"beta": (0.0, 1.0), "alpha": (0.0, 1.0), "eta": (0.0, 1.0), "inflation": (1.0, MAX_INFLATION)}
+)
+
+
+def _check_trait(trait: str, value: float, owner: str) -> float:
+    low, high = TRAIT_RANGES[trait]
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
+        raise TypeError(f"{owner}: {trait} is a number, not {value!r}")
+    if not (math.isfinite(value) and low <= value <= high):
+        raise ValueError(f"{owner}: {trait} lies in [{low:g}, {high:g}], but got {value}")
+    return float(value)
+
+
+@dataclass(frozen=True)
+class Driver:
+    """One driver's traits.
+
+    Raises:
+        ValueError: a trait is NaN, infinite or out of its range.
+        TypeError: a trait is not a number.
+    """
+
+    name: str
+    beta: float
+    """Probability per step of becoming distracted, p(d_t = 1 | d_{t-1} = 0), without help."""
+    alpha: float
+    """Probability per step of becoming attentive again, p(d_t = 0 | d_{t-1} = 1), without help."""
+    eta: float
+    """Intervention effectiveness: how much an accepted alert moves both probabilities."""
+    inflation: float
+    """Factor on the length and width of every other object in the driver's perception."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise TypeError(f"a driver's name is a non-empty string, not {self.name!r}")
+        for trait in TRAIT_NAMES:
+            checked = _check_trait(trait, getattr(self, trait), f"driver {self.name!r}")
+            object.__setattr__(self, trait, checked)
+
+    def __str__(self) -> str:
+        return f"β {self.beta:g}, α {self.alpha:g}, η {self.eta:g}, inflation {self.inflation:g}"
+
+    @property
+    def traits(self) -> tuple[float, float, float, float]:
+        """(beta, alpha, eta, inflation)."""
+        return self.beta, self.alpha, self.eta, self.inflation
+
+
+DRIVERS: Mapping[str, Driver] = MappingProxyType(
+    {
+        driver.name: driver
+        for driver in (
+            Driver("lisa", beta=0.2, alpha=0.8, eta=0.01, inflation=3.0),
+            Driver("marge", beta=0.2, alpha=0.8, eta=1.0, inflation=9.0),
+            Driver("bart", beta=0.8, alpha=0.2, eta=0.01, inflation=3.0),
+            Driver("homer", beta=0.8, alpha=0.2, eta=1.0, inflation=9.0),
+            Driver("average", beta=0.5, alpha=0.5, eta=0.505, inflation=6.0),
+        )
+    }
+)
+"""The paper's four drivers, and the average one that AvgHMI is tuned to."""
+
+
+def known_name(beta: float, alpha: float, eta: float, inflation: float) -> str | None:
+    """The name of the known driver who has exactly these traits, if there is one."""
+    traits = beta, alpha, eta, inflation
+    return next((name for name, driver in DRIVERS.items() if driver.traits == traits), None)
+
+
+PAPER_DRIVERS = ("lisa", "marge", "bart", "homer")
+
+
+def get_driver(driver: str | Driver) -> Driver:
+    """Look a driver up by name (case does not matter), or pass a :class:`Driver` through."""
+    if isinstance(driver, Driver):
+        return driver
+    if not isinstance(driver, str):
+        raise TypeError(f"expected a driver's name or a Driver, not {driver!r}")
+    if driver.lower() not in DRIVERS:
+        raise ValueError(
+            f"unknown driver {driver!r}; known drivers: {', '.join(DRIVERS)}. "
+            "For another one pass Driver(name, beta=..., alpha=..., eta=..., inflation=...)"
+        )
+    return DRIVERS[driver.lower()]
+
+
+@dataclass(frozen=True)
+class Traits:
+    """The traits of N drivers. Each field is a float64 array of shape (N,)."""
+
+    beta: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    eta: NDArray[np.float64]
+    inflation: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, drivers: Iterable[Driver]) -> Traits:
+        """Stack single drivers."""
+        return cls.from_array(np.array([driver.traits for driver in drivers], np.float64))
+
+    @classmethod
+    def from_array(cls, traits: ArrayLike) -> Traits:
+        """From an array of shape (N, 4), columns as in ``TRAIT_NAMES``."""
+        table = np.asarray(traits, np.float64)
+        if table.ndim != 2 or table.shape[1] != len(TRAIT_NAMES):
+            raise ValueError(f"traits have shape (N, 4), not {table.shape}")
+        return cls(*(np.ascontiguousarray(column) for column in table.T))
+
+    def as_array(self) -> NDArray[np.float64]:
+        """Shape (N, 4), columns as in ``TRAIT_NAMES``."""
+        return np.stack([getattr(self, trait) for trait in TRAIT_NAMES], axis=1)
+
+    def __len__(self) -> int:
+        return len(self.beta)
+
+
+@runtime_checkable
+class Population(Protocol):
+    """Anything that drivers can be drawn from, one for each episode."""
+
+    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
+        """The drivers of episodes with these seeds; shape (N,) gives N drivers."""
+        ...
+
+
+@dataclass(frozen=True)
+class DriverList:
+    """A finite population, drawn from evenly. A single driver is a list of one."""
+
+    drivers: tuple[Driver, ...]
+
+    def __post_init__(self) -> None:
+        if not self.drivers:
+            raise ValueError("a population needs at least one driver")
+        object.__setattr__(self, "drivers", tuple(get_driver(driver) for driver in self.drivers))
+
+    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
+        """See :meth:`Population.draw`."""
+        which = (uniform(seeds, Stream.TRAITS) * len(self.drivers)).astype(np.int64)
+        return Traits.from_array(Traits.of(self.drivers).as_array()[which])
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Evenly between ``low`` and ``high``; a constant when they are equal."""
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.high:  # also refuses NaN
+            raise ValueError(f"Uniform needs low <= high, but got low={self.low}, high={self.high}")
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Smallest and largest value that can be drawn."""
+        return self.low, self.high
+
+    def quantile(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The inverse distribution function at ``u`` in [0, 1)."""
+        return self.low + (self.high - self.low) * u
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of ``values``, evenly."""
+
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.values:
+            raise ValueError("Choice needs at least one value")
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Smallest and largest value that can be drawn."""
+        return min(self.values), max(self.values)
+
+    def quantile(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The inverse distribution function at ``u`` in [0, 1)."""
+        return np.asarray(self.values, np.float64)[(u * len(self.values)).astype(np.int64)]
+
+
+@dataclass(frozen=True)
+class TraitDistributions:
+    """A continuous population: independent distributions over the four traits."""
+
+    beta: Uniform | Choice = Uniform(0.0, 1.0)
+    alpha: Uniform | Choice = Uniform(0.0, 1.0)
+    eta: Uniform | Choice = Uniform(0.0, 1.0)
+    inflation: Uniform | Choice = Uniform(1.0, 9.0)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            for end in getattr(self, field.name).support:
+                _check_trait(field.name, end, "TraitDistributions")
+
+    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
+        """See :meth:`Population.draw`."""
+        return Traits(
+            *(
+                getattr(self, trait).quantile(uniform(seeds, Stream.TRAITS, counter))
+                for counter, trait in enumerate(TRAIT_NAMES)
+            )
+        )
+
+
+def as_population(drivers: str | Driver | Iterable[str | Driver] | Population) -> Population:
+    """What the ``driver=`` keyword of every environment accepts, as a population.
+
+    A name or a :class:`Driver` is a population of one; a list of them is drawn from evenly; a
+    :class:`Population` (such as :class:`TraitDistributions`) is taken as it is.
+    """
+    if isinstance(drivers, (str, Driver)):
+        return DriverList((get_driver(drivers),))
+    if isinstance(drivers, Population):
+        return drivers
+    if isinstance(drivers, Iterable):
+        return DriverList(tuple(get_driver(driver) for driver in drivers))
+    raise TypeError(
+        f"driver= takes a name, a Driver, a list of them or a Population, not {drivers!r}"
+    )

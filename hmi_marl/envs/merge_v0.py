@@ -1,0 +1,279 @@
+"""# merge_v0: a distractible driver and the HMI that may alert them
+
+| Agents | `driver`, `vehicle_ai` |
+| --- | --- |
+| Actions | `Discrete(5)`, `Discrete(2)` |
+| Observations | flat `Box`, float32, one for each seat |
+| State | flat `Box`, float32, for centralised critics |
+| Import | `from hmi_marl import merge_v0` |
+
+HMIway-env of "Learning Latent Traits for Simulated Cooperative Driving Tasks": a human driver
+steers a car past a highway merge among other vehicles, and may be distracted; the vehicle's AI
+may alert them. `env()` is the PettingZoo AEC environment, in which the two take turns and the AI
+sees what the driver is about to do, π(a^A | a^H, s, z). `parallel_env()` lets both act at once;
+the AI then sees the driver's *last* action. It is written natively, since PettingZoo's
+conversion would hide a^H from the AI (and `is_parallelizable` is therefore False).
+
+## Actions
+
+`driver`, a^H: 0 move_left, 1 keep_speed, 2 move_right, 3 speed_up, 4 slow_down (highway-env's
+LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER). `vehicle_ai`, a^A: 0 no_alert, 1 alert.
+
+## One step
+
+1. `driver` acts, then `vehicle_ai`.
+2. The counter c, the acceptance i and the distraction d are updated, in this order. An alert is
+   in effect for `alert_window` steps, in which becoming distracted is less likely by η and
+   becoming attentive more likely by η.
+3. The applied action is v_t = v_{t-1} if d_t = 1, else a^H_t; v_0 = a^H_0.
+4. The world moves by one policy step (1/5 s in three simulator steps).
+5. Both agents get their rewards.
+
+An episode is truncated after `duration` (20 s, 100 steps) and terminated by a crash, for both
+agents at once; each gets the rewards of the last step.
+
+## Observations
+
+Ask for a part by name: `env.unwrapped.layout("vehicle_ai")["distracted"]` is its slice, and
+`print(env.unwrapped.layout("driver").table())` shows them all. With the defaults:
+
+`driver` (52): `lidar` 16 x (distance, relative radial speed) as perceived with inflated
+obstacles, `speed`, `target_speed`, `heading`, `lateral`, `lane` (one-hot), `position`,
+`applied_action` (one-hot v_{t-1}), `alerted` (a^A_{t-1}), `time`, `traits` (β, α, η, inflation).
+
+`vehicle_ai` (65): the same with true sizes in `lidar`, and `intended_action` (one-hot; taking
+turns a^H_t, at once a^H_{t-1}), `previous_intended_action` (a^H_{t-1}), and, with
+`ai_sees_attention`, `distracted`, `accepted`, `counter` (d, i, c of the last step).
+
+`state()`: both lidars and everything that either seat could see, attention and traits included.
+
+## Rewards
+
+| Term | Value |
+| --- | --- |
+| `collision` | -5 if crashed |
+| `speed_reward` | 5 speed / 30 m/s |
+| `right_lane` | 0.1 in the rightmost main lane |
+| `merging` | -0.1 Σ (target - current) / target speed over vehicles in the merging lane |
+| `lane_change` | -0.1 if a^H is a lane change |
+| `distraction` | -10 if d_t = 1 |
+| `alert` | 10 if no alert and d_{t-1} = 0 |
+| `accept_alert` | 30 if alert, d_{t-1} = 1 and d_t = 0 |
+
+`info` of both agents carries each term, `distracted`, `accepted`, `counter`, `applied_action`,
+`crashed`, `speed`, `time_headway` and the driver's traits: the truth, for evaluation.
+
+## Arguments
+
+```python
+merge_v0.env(
+    driver="homer",          # a name, a Driver, a list of them or a Population drawn at each reset
+    world="highway",         # highway-env itself
+    observe_traits=True,     # both seats see β, α, η, inflation
+    ai_sees_attention=True,  # the AI sees d, i, c of the last step
+    reward="team",           # or "individual" (driving and distraction to the driver, alert terms
+                             # to the AI) or "driving" (the five driving terms to both)
+    alert_window=7,          # N, in steps
+    duration=20.0,           # s
+    end_at_crash=True,       # False: the crashed car stands until the time is over
+    scene=Scene(),           # lanes, vehicles=(1, 20), lengths, frequencies, lidar
+    weights=RewardWeights(),
+    render_mode=None,        # or "rgb_array", "human"
+)
+```
+
+`reset(seed=...)` starts an episode that is a pure function of the seed (and of the actions);
+`reset()` without one goes on to the next episode of the same series.
+
+## Version history
+
+* v0: first version.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils import wrappers
+
+from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.info import team_info
+from hmi_marl.envs.observations import Layout
+from hmi_marl.envs.single import RENDER_MODES, SingleTeam
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+NAME = "hmi_marl/merge_v0"
+
+
+def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], int]:
+    """The AEC environment, with PettingZoo's checks on the order of calls.
+
+    For keywords see the module's documentation.
+    """
+    return wrappers.OrderEnforcingWrapper(raw_env(**kwargs))
+
+
+class _TwoSeats:
+    """What the two PettingZoo interfaces share: spaces, layouts, state and pictures."""
+
+    possible_agents: list[str]
+
+    def __init__(
+        self, world: str = "highway", render_mode: str | None = None, **settings: Any
+    ) -> None:
+        self.config = TeamConfig(**settings)
+        self.team = SingleTeam(self.config, world, render_mode)
+        self.render_mode = render_mode
+        self.possible_agents = list(AGENTS)
+        self.observation_spaces = {
+            agent: layout.space() for agent, layout in self.team.teaming.layouts.items()
+        }
+        self.action_spaces = {
+            DRIVER: spaces.Discrete(len(VEHICLE_ACTIONS)),
+            VEHICLE_AI: spaces.Discrete(2),
+        }
+        self.state_space = self.team.teaming.state_layout.space()
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The same space object at each call."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """The same space object at each call."""
+        return self.action_spaces[agent]
+
+    def layout(self, agent: str) -> Layout:
+        """Which columns of this agent's observation mean what."""
+        return self.team.teaming.layouts[agent]
+
+    @property
+    def state_layout(self) -> Layout:
+        """Which columns of :meth:`state` mean what."""
+        return self.team.teaming.state_layout
+
+    def state(self) -> NDArray[np.float32]:
+        """The whole team's state."""
+        return self.team.teaming.state()[0]
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        return {agent: team_info(self.team.teaming, self.team.result) for agent in AGENTS}
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of shape (height, width, 3), or None after drawing in the window."""
+        return self.team.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.team.close()
+
+
+class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
+    """Taking turns, without PettingZoo's wrapper. For keywords see the module's documentation."""
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
+        "name": "merge_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 5,
+        "is_parallelizable": False,
+    }
+
+    def __init__(self, **kwargs: Any) -> None:
+        AECEnv.__init__(self)
+        _TwoSeats.__init__(self, **kwargs)
+        self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
+        self.agents: list[str] = []
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin the episode of this seed, or the next one; ``options`` are not used."""
+        self.team.reset(seed)
+        self.agents = list(AGENTS)
+        self.agent_selection = DRIVER
+        self._skip_agent_selection = None
+        self.rewards: dict[str, float] = dict.fromkeys(AGENTS, 0.0)
+        self._cumulative_rewards = dict.fromkeys(AGENTS, 0.0)
+        self.terminations = dict.fromkeys(AGENTS, False)
+        self.truncations = dict.fromkeys(AGENTS, False)
+        self.infos = self._infos()
+
+    def observe(self, agent: str) -> NDArray[np.float32]:
+        """What this agent sees now."""
+        return self.team.teaming.observe(agent)[0]
+
+    def step(self, action: int | None) -> None:
+        """The selected agent's action; None when its episode is over."""
+        if not self.agents:
+            raise RuntimeError("the episode is over: call reset() before stepping again")
+        agent = self.agent_selection
+        if self.terminations[agent] or self.truncations[agent]:
+            self._was_dead_step(action)
+            return
+        self._cumulative_rewards[agent] = 0.0
+        if agent == DRIVER:
+            self.team.intend(action)
+            self._clear_rewards()
+            self.agent_selection = VEHICLE_AI
+            return
+        result = self.team.alert(action)
+        for name in AGENTS:
+            self.rewards[name] = float(result.rewards[name][0])
+            self.terminations[name] = bool(result.terminated[0])
+            self.truncations[name] = bool(result.truncated[0])
+        self.infos = self._infos()
+        self.agent_selection = DRIVER
+        self._accumulate_rewards()
+        self.team.show()
+
+
+class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
+    """Both at once: the AI sees a^H of the last step. Keywords as for :func:`env`."""
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
+        "name": "merge_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 5,
+    }
+
+    def __init__(self, **kwargs: Any) -> None:
+        _TwoSeats.__init__(self, **kwargs)
+        self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
+        self.agents: list[str] = []
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
+        """Begin the episode of this seed, or the next one; ``options`` are not used."""
+        self.team.reset(seed)
+        self.agents = list(AGENTS)
+        return self._observations(), self._infos()
+
+    def step(
+        self, actions: dict[str, int]
+    ) -> tuple[
+        dict[str, NDArray[np.float32]],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """One step of the team, from both agents' actions."""
+        if not self.agents:
+            raise RuntimeError("the episode is over: call reset() before stepping again")
+        if set(actions) != set(AGENTS):
+            raise ValueError(f"actions are needed for {AGENTS}, but got {tuple(actions)}")
+        self.team.check_alert(actions[VEHICLE_AI])  # before the driver's counts as taken
+        self.team.intend(actions[DRIVER])
+        result = self.team.alert(actions[VEHICLE_AI])
+        self.team.show()
+        rewards = {agent: float(result.rewards[agent][0]) for agent in AGENTS}
+        terminations = dict.fromkeys(AGENTS, bool(result.terminated[0]))
+        truncations = dict.fromkeys(AGENTS, bool(result.truncated[0]))
+        if result.terminated[0] or result.truncated[0]:
+            self.agents = []
+        return self._observations(), rewards, terminations, truncations, self._infos()
+
+    def _observations(self) -> dict[str, NDArray[np.float32]]:
+        return {agent: self.team.teaming.observe(agent)[0] for agent in AGENTS}

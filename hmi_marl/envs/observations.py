@@ -1,0 +1,189 @@
+"""What each seat sees: flat float32 boxes whose parts code can ask for by name.
+
+>>> from hmi_marl.envs.config import TeamConfig
+>>> layout = vehicle_ai_layout(TeamConfig(driver="bart"))
+>>> layout["distracted"]
+slice(61, 62, None)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import MAX_INFLATION
+from hmi_marl.envs.scene import LANE_WIDTH, Scene
+from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego
+
+FASTEST = 40.0
+"""Speed that highway-env brings every vehicle back to [m/s]; scales all speeds."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One named part of an observation."""
+
+    name: str
+    size: int
+    low: float
+    high: float
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which columns of an observation mean what."""
+
+    parts: tuple[Part, ...]
+
+    @cached_property
+    def slices(self) -> Mapping[str, slice]:
+        """Where each part lies."""
+        ends = np.cumsum([part.size for part in self.parts])
+        return {
+            part.name: slice(int(end) - part.size, int(end))
+            for part, end in zip(self.parts, ends, strict=True)
+        }
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return sum(part.size for part in self.parts)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.slices
+
+    def __getitem__(self, name: str) -> slice:
+        if name not in self.slices:
+            raise KeyError(f"no part {name!r} in this observation; it has {', '.join(self.slices)}")
+        return self.slices[name]
+
+    def get(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float32]:
+        """The named part of observations of shape (..., size): shape (..., part's size)."""
+        return observation[..., self[name]]
+
+    def scalar(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float32]:
+        """The named part of size 1, without its own axis: shape (...)."""
+        return observation[..., self[name].start]
+
+    def chosen(self, observation: NDArray[np.float32], name: str) -> NDArray[np.int64]:
+        """Index of the 1 in the named one-hot part, -1 where there is none: shape (...)."""
+        one_hot = self.get(observation, name)
+        return np.where(one_hot.any(axis=-1), one_hot.argmax(axis=-1), -1)
+
+    def join(self, parts: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
+        """Put parts of shape (N, part's size) together, kept within the bounds: (N, size)."""
+        joined = np.concatenate([parts[part.name] for part in self.parts], axis=1)
+        return np.clip(joined.astype(np.float32), self._low, self._high)
+
+    @cached_property
+    def _low(self) -> NDArray[np.float32]:
+        return np.repeat([p.low for p in self.parts], [p.size for p in self.parts]).astype("f4")
+
+    @cached_property
+    def _high(self) -> NDArray[np.float32]:
+        return np.repeat([p.high for p in self.parts], [p.size for p in self.parts]).astype("f4")
+
+    def space(self) -> spaces.Box:
+        """The box of all observations."""
+        return spaces.Box(self._low, self._high, dtype=np.float32)
+
+    def table(self) -> str:
+        """The layout as text, a line for each part."""
+        rows = []
+        for part in self.parts:
+            where = self.slices[part.name]
+            rows.append(f"{where.start:>4}:{where.stop:<4} {part.name:<26} {part.meaning}")
+        return "\n".join(rows)
+
+
+def _lidar(name: str, scene: Scene, whose: str) -> Part:
+    bound = max(1.0, 2 * FASTEST * 1.05 / scene.lidar_range)
+    meaning = f"(distance, relative radial speed) per ray over {scene.lidar_range:g}, {whose}"
+    return Part(name, 2 * scene.lidar_cells, -bound, bound, meaning)
+
+
+def _motion(scene: Scene) -> tuple[Part, ...]:
+    return (
+        Part("speed", 1, -2.0, 2.0, f"speed over {FASTEST:g} m/s"),
+        Part("target_speed", 1, 0.0, 1.0, f"speed being brought to, over {FASTEST:g} m/s"),
+        Part("heading", 1, -1.0, 1.0, "heading over π"),
+        Part("lateral", 1, -5.0, 5.0, "distance from the middle of the lane over its width"),
+        Part("lane", scene.lanes + 1, 0.0, 1.0, "one-hot: main lanes from the left, then the ramp"),
+        Part("position", 1, -1.0, 2.0, "x over the length of the road"),
+    )
+
+
+_ACTIONS = len(VEHICLE_ACTIONS)
+_INTENDED = Part(
+    "intended_action",
+    _ACTIONS,
+    0.0,
+    1.0,
+    "one-hot a^H: taking turns of this step, at once of the last; zeros if none yet",
+)
+_PREVIOUS = Part("previous_intended_action", _ACTIONS, 0.0, 1.0, "one-hot a^H of the last step")
+_APPLIED = Part("applied_action", _ACTIONS, 0.0, 1.0, "one-hot v of the last step")
+_ALERTED = Part("alerted", 1, 0.0, 1.0, "a^A of the last step")
+_TIME = Part("time", 1, 0.0, 1.0, "share of the episode's steps that are over")
+_ATTENTION = (
+    Part("distracted", 1, 0.0, 1.0, "d of the last step"),
+    Part("accepted", 1, 0.0, 1.0, "i of the last step"),
+    Part("counter", 1, 0.0, 1.0, "c of the last step over the alert window"),
+)
+_TRAITS = Part("traits", 4, 0.0, 1.0, f"β, α, η, inflation over {MAX_INFLATION:g}")
+
+
+def driver_layout(config: TeamConfig) -> Layout:
+    """The driver's observation: lidar as perceived, own motion, what was applied and heard."""
+    traits = (_TRAITS,) if config.observe_traits else ()
+    lidar = _lidar("lidar", config.scene, "others inflated")
+    return Layout((lidar, *_motion(config.scene), _APPLIED, _ALERTED, _TIME, *traits))
+
+
+def vehicle_ai_layout(config: TeamConfig) -> Layout:
+    """The vehicle AI's observation: true lidar, motion, a^H and v, attention if it is seen."""
+    lidar = _lidar("lidar", config.scene, "true sizes")
+    attention = _ATTENTION if config.ai_sees_attention else ()
+    traits = (_TRAITS,) if config.observe_traits else ()
+    actions = (_INTENDED, _PREVIOUS, _APPLIED, _ALERTED)
+    return Layout((lidar, *_motion(config.scene), *actions, _TIME, *attention, *traits))
+
+
+def state_layout(config: TeamConfig) -> Layout:
+    """The whole team's state: both lidars and everything that either seat could see."""
+    true_lidar = _lidar("lidar", config.scene, "true sizes")
+    perceived = _lidar("perceived_lidar", config.scene, "others inflated")
+    actions = (_INTENDED, _PREVIOUS, _APPLIED, _ALERTED)
+    return Layout(
+        (true_lidar, perceived, *_motion(config.scene), *actions, _TIME, *_ATTENTION, _TRAITS)
+    )
+
+
+def motion_parts(ego: Ego, scene: Scene) -> dict[str, NDArray[np.float64]]:
+    """The parts about the car's own motion, each of shape (N, part's size)."""
+    return {
+        "speed": ego.speed[:, None] / FASTEST,
+        "target_speed": ego.target_speed[:, None] / FASTEST,
+        "heading": ego.heading[:, None] / np.pi,
+        "lateral": ego.lateral[:, None] / LANE_WIDTH,
+        "lane": one_hot(ego.lane, scene.lanes + 1),
+        "position": ego.x[:, None] / scene.length,
+    }
+
+
+def lidar_part(grid: NDArray[np.float32], scene: Scene) -> NDArray[np.float32]:
+    """Lidar of shape (N, cells, 2) as highway-env normalises it, flat: (N, 2 cells)."""
+    return (grid / np.float32(scene.lidar_range)).reshape(len(grid), -1)
+
+
+def one_hot(index: NDArray[np.int64], size: int) -> NDArray[np.float64]:
+    """Shape (N, size); a row of zeros where the index is -1."""
+    return (index[:, None] == np.arange(size)).astype(np.float64)

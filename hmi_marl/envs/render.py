@@ -1,0 +1,248 @@
+"""Pictures of a team: highway-env's viewer, with the driver's attention and the HMI below it.
+
+A picture is made from a :class:`Snapshot`, so that any world's teams can be drawn, one of
+thousands as well as a single one.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pygame
+from highway_env.envs.common.graphics import EnvViewer
+from highway_env.road.graphics import WorldSurface
+from highway_env.vehicle.graphics import VehicleGraphics
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Obstacle
+from numpy.typing import NDArray
+
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import known_name
+from hmi_marl.envs.scene import LANE_WIDTH
+from hmi_marl.envs.teaming import NO_ACTION, Teaming
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Snapshot
+from hmi_marl.envs.worlds.highway import MergeScene
+
+PANEL_HEIGHT = 74
+PIXELS_PER_METRE = 5.5
+GREEN, RED, AMBER, BLUE = (50, 170, 60), (205, 60, 60), (240, 170, 30), (90, 170, 230)
+DARK, GREY, LIGHT, PANEL = (40, 44, 52), (150, 155, 165), (232, 234, 238), (250, 250, 252)
+GHOST = (200, 60, 160, 45)
+
+
+@dataclass(frozen=True)
+class TeamStatus:
+    """What the panel under the road shows about one team."""
+
+    driver: str
+    inflation: float
+    distracted: bool
+    alert: bool
+    steps_left: int
+    """Steps for which the accepted alert still is in effect, 0 when none is."""
+    window: int
+    intended: str
+    applied: str
+    speed: float
+    time: float
+    crashed: bool
+
+
+def team_status(teaming: Teaming, team: int) -> TeamStatus:
+    """The status of one of the teams, after its last step."""
+    traits, attention = teaming.traits, teaming.attention
+    window = teaming.config.alert_window
+    own = [float(column) for column in traits.as_array()[team]]
+    return TeamStatus(
+        driver=known_name(*own) or "driver",
+        inflation=own[3],
+        distracted=bool(attention.distracted[team]),
+        alert=bool(teaming.alerted[team]),
+        steps_left=int(attention.accepted[team] * (window - attention.counter[team])),
+        window=window,
+        intended=_action_name(teaming.intended[team]),
+        applied=_action_name(teaming.applied[team]),
+        speed=float(teaming.ego.speed[team]),
+        time=float(teaming.steps[team] / teaming.config.scene.policy_frequency),
+        crashed=bool(teaming.ego.crashed[team]),
+    )
+
+
+def _action_name(action: int) -> str:
+    return "-" if action == NO_ACTION else VEHICLE_ACTIONS[action]
+
+
+def between(before: Snapshot, after: Snapshot, fraction: float) -> Snapshot:
+    """A moment between two snapshots of the same episode, for smooth clips."""
+    if len(before.position) != len(after.position):
+        return after
+    blend = {
+        name: (1 - fraction) * getattr(before, name) + fraction * getattr(after, name)
+        for name in ("time", "position", "heading", "speed")
+    }
+    return replace(before if fraction < 0.5 else after, **blend)
+
+
+class Viewer:
+    """Draws snapshots of teams that drive in the same scene.
+
+    Args:
+        config: of the teams.
+        window: also show each picture in a window, in real time.
+        perceived: draw the other objects' perceived sizes around them.
+        width: of the picture [px].
+
+    Raises:
+        RuntimeError: ``window`` where there is no display.
+    """
+
+    def __init__(
+        self, config: TeamConfig, window: bool = False, perceived: bool = False, width: int = 880
+    ) -> None:
+        if window and not has_display():
+            raise RuntimeError(
+                "there is no display to open a window on; record a clip instead "
+                '(hmi-marl watch --out clip.gif, or render_mode="rgb_array")'
+            )
+        self._perceived = perceived
+        self._window: pygame.Surface | None = None
+        self._stage = MergeScene(config.scene)
+        road_height = int((config.scene.lanes * LANE_WIDTH + 16.0) * PIXELS_PER_METRE) // 2 * 2
+        self._size = (width // 2 * 2, road_height + PANEL_HEIGHT)
+        middle = (config.scene.lanes + 1) * LANE_WIDTH / 2
+        self._stage.config.update(
+            screen_width=self._size[0],
+            screen_height=road_height,
+            scaling=PIXELS_PER_METRE,
+            centering_position=[0.35, 0.5],
+            offscreen_rendering=True,
+        )
+        self._across = middle
+        if not has_display():
+            os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or SDL complains on stderr
+        self._viewer = EnvViewer(self._stage)
+        self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver
+        self._font, self._small = pygame.font.Font(None, 24), pygame.font.Font(None, 19)
+        self._canvas = pygame.Surface(self._size)
+        if window:
+            self._window = pygame.display.set_mode(self._size)
+            self._clock = pygame.time.Clock()
+            self._frequency = config.scene.policy_frequency
+
+    def draw(self, snapshot: Snapshot, status: TeamStatus, frames: int = 1) -> NDArray[np.uint8]:
+        """A picture of shape (height, width, 3), uint8.
+
+        Args:
+            snapshot: of the team's world.
+            status: what to show below the road.
+            frames: pictures made for each policy step, which paces a window.
+        """
+        self._place(snapshot, status)
+        self._viewer.display()
+        road = self._viewer.sim_surface
+        if self._perceived and status.inflation > 1:
+            self._draw_perceived(road, status.inflation)
+        self._canvas.blit(road, (0, 0))
+        self._draw_panel(status, top=road.get_height())
+        if self._window is not None:
+            self._window.blit(self._canvas, (0, 0))
+            pygame.display.flip()
+            pygame.event.pump()
+            self._clock.tick(self._frequency * frames)
+        return np.moveaxis(pygame.surfarray.array3d(self._canvas), 0, 1)
+
+    def close(self) -> None:
+        """Close the window, if there is one; other viewers go on."""
+        if self._window is not None:
+            pygame.display.quit()
+            self._window = None
+
+    def _place(self, snapshot: Snapshot, status: TeamStatus) -> None:
+        """Put stand-ins for the snapshot's vehicles on the stage's road."""
+        road = self._stage.road
+        road.vehicles = [
+            _stand_in(*vehicle)
+            for vehicle in zip(
+                snapshot.position, snapshot.heading, snapshot.speed, snapshot.crashed, strict=True
+            )
+        ]
+        driven = road.vehicles[0]
+        if not driven.crashed:
+            driven.color = AMBER if status.distracted else GREEN
+        self._stage.vehicle = driven
+        road.objects = [Obstacle(None, position) for position in snapshot.obstacles]
+        focus = Vehicle(None, [driven.position[0], self._across])
+        self._viewer.observer_vehicle = focus  # follow along the road, not across it
+
+    def _draw_perceived(self, road: WorldSurface, inflation: float) -> None:
+        ghosts = pygame.Surface(road.get_size(), pygame.SRCALPHA)
+        for other in self._stage.road.vehicles[1:] + self._stage.road.objects:
+            cosine, sine = np.cos(other.heading), np.sin(other.heading)
+            half = inflation / 2 * np.array([other.LENGTH, other.WIDTH])
+            corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+            turned = corners @ np.array([[cosine, sine], [-sine, cosine]]) + other.position
+            pixels = [road.vec2pix(corner) for corner in turned]
+            pygame.draw.polygon(ghosts, GHOST, pixels)
+            pygame.draw.polygon(ghosts, (*GHOST[:3], 160), pixels, width=1)
+        road.blit(ghosts, (0, 0))
+
+    def _draw_panel(self, status: TeamStatus, top: int) -> None:
+        canvas, width = self._canvas, self._size[0]
+        pygame.draw.rect(canvas, PANEL, (0, top, width, PANEL_HEIGHT))
+        first, second = top + 10, top + 44
+        self._text(status.driver, (12, first + 3))
+        self._text(f"t = {status.time:4.1f} s   {status.speed:4.1f} m/s", (12, second), small=True)
+        state = ("DISTRACTED", AMBER) if status.distracted else ("ATTENTIVE", GREEN)
+        if status.crashed:
+            state = ("CRASHED", RED)
+        self._badge(*state, (190, first))
+        self._badge(
+            "ALERT" if status.alert else "no alert", RED if status.alert else None, (330, first)
+        )
+        self._text("alert in effect", (190, second), small=True)
+        for cell in range(status.window):
+            box = (300 + 16 * cell, second, 12, 13)
+            pygame.draw.rect(canvas, BLUE if cell < status.steps_left else LIGHT, box)
+        overridden = status.intended != status.applied
+        self._text(f"intended  {status.intended}", (480, first + 3))
+        self._text(
+            f"applied    {status.applied}", (480, second - 3), colour=RED if overridden else DARK
+        )
+        if self._perceived:
+            self._text(f"others perceived x {status.inflation:g}", (680, first + 3), small=True)
+
+    def _text(
+        self,
+        text: str,
+        position: tuple[int, int],
+        colour: tuple[int, int, int] = DARK,
+        small: bool = False,
+    ) -> None:
+        font = self._small if small else self._font
+        self._canvas.blit(font.render(text, True, colour), position)
+
+    def _badge(
+        self, text: str, colour: tuple[int, int, int] | None, position: tuple[int, int]
+    ) -> None:
+        box = pygame.Rect(*position, 126, 26)
+        pygame.draw.rect(self._canvas, colour or LIGHT, box, border_radius=6)
+        words = self._font.render(text, True, GREY if colour is None else (255, 255, 255))
+        self._canvas.blit(words, words.get_rect(center=box.center))
+
+
+def _stand_in(
+    position: NDArray[np.float64], heading: float, speed: float, crashed: bool
+) -> Vehicle:
+    vehicle = Vehicle(None, position, float(heading), float(speed))
+    vehicle.crashed = bool(crashed)
+    vehicle.color = VehicleGraphics.RED if crashed else VehicleGraphics.BLUE
+    return vehicle
+
+
+def has_display() -> bool:
+    """Can a window be opened here?"""
+    if os.name == "nt" or os.uname().sysname == "Darwin":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

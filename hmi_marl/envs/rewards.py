@@ -1,0 +1,139 @@
+"""The eight reward terms of the paper's reward table, a named term each, over N teams."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
+DRIVER_TERMS = (*DRIVING_TERMS, "distraction")
+ALERT_TERMS = ("alert", "accept_alert")
+ATTENTION_TERMS = ("distraction", *ALERT_TERMS)
+TERMS = (*DRIVER_TERMS, *ALERT_TERMS)
+
+Sharing = Literal["team", "individual", "driving"]
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """The coefficients of the reward table. The defaults are the paper's."""
+
+    collision: float = -5.0
+    """Each step in which the car is crashed."""
+    speed_reward: float = 5.0
+    """Times current speed over ``max_speed``."""
+    right_lane: float = 0.1
+    """Each step in the rightmost main lane."""
+    merging: float = -0.1
+    """Times the lack of speed, (target - current) / target, summed over the merging lane."""
+    lane_change: float = -0.1
+    """Each a^H that is a lane change."""
+    distraction: float = -10.0
+    """Each step with d_t = 1."""
+    alert: float = 10.0
+    """No alert while d_{t-1} = 0."""
+    accept_alert: float = 30.0
+    """An alert that turns d_{t-1} = 1 into d_t = 0."""
+    max_speed: float = 30.0
+    """Speed that earns the whole speed reward [m/s]."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not math.isfinite(value):
+                raise ValueError(f"reward weight {field.name} is a finite number, not {value}")
+        if self.max_speed <= 0:
+            raise ValueError(f"max_speed is positive, but got {self.max_speed}")
+
+
+def driving_terms(
+    weights: RewardWeights,
+    *,
+    crashed: NDArray[np.bool_],
+    speed: NDArray[np.float64],
+    in_right_lane: NDArray[np.bool_],
+    merging_slowness: NDArray[np.float64],
+    changes_lane: NDArray[np.bool_],
+) -> dict[str, NDArray[np.float64]]:
+    """The five terms about the world.
+
+    Args:
+        weights: the coefficients.
+        crashed: whether the car is crashed after the step. All arrays have shape (N,).
+        speed: after the step [m/s].
+        in_right_lane: whether the car is in the rightmost main lane after the step.
+        merging_slowness: sum of (target - current) / target over vehicles in the merging lane.
+        changes_lane: whether a^H_t is move_left or move_right.
+
+    Returns:
+        One array of shape (N,) for each of ``DRIVING_TERMS``.
+    """
+    return {
+        "collision": np.where(crashed, weights.collision, 0.0),
+        "speed_reward": weights.speed_reward * speed / weights.max_speed,
+        "right_lane": np.where(in_right_lane, weights.right_lane, 0.0),
+        "merging": weights.merging * merging_slowness + 0.0,  # no -0.0
+        "lane_change": np.where(changes_lane, weights.lane_change, 0.0),
+    }
+
+
+def attention_terms(
+    weights: RewardWeights,
+    *,
+    alert: NDArray[np.int64],
+    distracted_before: NDArray[np.int64],
+    distracted: NDArray[np.int64],
+) -> dict[str, NDArray[np.float64]]:
+    """The three terms about the driver's attention.
+
+    Args:
+        weights: the coefficients.
+        alert: a^A_t. All arrays are broadcast against each other.
+        distracted_before: d_{t-1}.
+        distracted: d_t.
+
+    Returns:
+        One array for each of ``ATTENTION_TERMS``.
+    """
+    alert, before, now = np.broadcast_arrays(alert, distracted_before, distracted)
+    return {
+        "distraction": np.where(now == 1, weights.distraction, 0.0),
+        "alert": np.where((alert == 0) & (before == 0), weights.alert, 0.0),
+        "accept_alert": np.where(
+            (alert == 1) & (before == 1) & (now == 0), weights.accept_alert, 0.0
+        ),
+    }
+
+
+def check_sharing(sharing: str) -> Sharing:
+    """Return ``sharing`` if it is one of the known ways to share rewards, else raise."""
+    for known in get_args(Sharing):
+        if sharing == known:
+            return known
+    known_ways = ", ".join(repr(known) for known in get_args(Sharing))
+    raise ValueError(f"reward= is one of {known_ways}, not {sharing!r}")
+
+
+_SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "team": (TERMS, TERMS),
+    "individual": (DRIVER_TERMS, ALERT_TERMS),
+    "driving": (DRIVING_TERMS, DRIVING_TERMS),
+}
+
+
+def share(
+    terms: dict[str, NDArray[np.float64]], sharing: Sharing
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What the driver and the vehicle AI each receive, shapes (N,).
+
+    ``team``: the sum of all eight to both. ``individual``: driving and distraction to the driver,
+    alert and accept to the AI. ``driving``: the five driving terms to both.
+    """
+    driver, vehicle_ai = (
+        np.sum([terms[name] for name in names], axis=0) for names in _SHARES[sharing]
+    )
+    return driver, vehicle_ai

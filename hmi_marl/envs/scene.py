@@ -1,0 +1,212 @@
+"""The merge scene: road, traffic, frequencies, lidar; and where everybody starts.
+
+The road is highway-env's generic merge: ``lanes`` main lanes in the x direction with a ramp that
+joins them from the right. The scene of an episode is a pure function of (Scene, seed), whichever
+world drives it::
+
+    ======================================================================  lane 0
+    ----------------------------------------------------------------------  ...
+    ======================================================================  lane lanes - 1
+                           /  ______________/
+    ______________________/  /
+    ________________________/
+    |<----- before ------>|<-converge->|<-parallel->|<------ after ------->|
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.envs.streams import Stream, uniform
+
+LANE_WIDTH = 4.0
+EGO_START = 30.0
+EGO_START_SPEED = 30.0
+MERGING_START = 60.0
+MERGING_START_SPEED = 20.0
+MERGING_TARGET_SPEED = 30.0
+TRAFFIC_SPEED = 30.0
+TRAFFIC_SPEED_SPREAD = 2.0
+SAFE_DISTANCE = 15.0
+SPAWN_TRIES = 10
+MIN_AFTER = 90.0
+"""Shortest road after the merge that highway-env accepts [m]."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Road, traffic and sensing of an episode. Lengths in m, frequencies in Hz.
+
+    Raises:
+        ValueError: a value out of its range, with what to use instead.
+    """
+
+    lanes: int = 3
+    """Main lanes, 1 to 5; the ramp comes on top."""
+    vehicles: int | tuple[int, int] = (1, 20)
+    """Other vehicles on the main lanes, 1 to 50: a fixed number, or a range that each episode
+    draws from evenly. The one vehicle on the ramp comes on top. As in highway-env, a vehicle that
+    finds no free place in ten tries is left out."""
+    before: float = 150.0
+    """Road before the ramp starts to converge, at least 60."""
+    converge: float = 80.0
+    """Where the ramp approaches the highway."""
+    parallel: float = 80.0
+    """Where the ramp runs beside the highway and vehicles can merge."""
+    after: float | None = None
+    """Road after the merge, at least 90. None: as long as the episode needs."""
+    policy_frequency: int = 5
+    """Decisions per second."""
+    simulation_frequency: int = 15
+    """Simulator steps per second, a multiple of ``policy_frequency``."""
+    lidar_cells: int = 16
+    """Number of lidar rays, evenly around the car."""
+    lidar_range: float = 60.0
+    """How far the lidar sees."""
+    target_speeds: tuple[float, ...] = (20.0, 25.0, 30.0)
+    """Speeds [m/s] that speed_up and slow_down choose from: evenly spaced, increasing, at most
+    40."""
+
+    def __post_init__(self) -> None:
+        _check_whole("lanes", self.lanes, 1, 5)
+        low, high = self.vehicle_range
+        _check_whole("vehicles", low, 1, 50)
+        _check_whole("vehicles", high, 1, 50)
+        if low > high:
+            raise ValueError(f"scene.vehicles: the range {self.vehicles} runs backwards")
+        _check_length("before", self.before, MERGING_START)
+        _check_length("converge", self.converge, 1.0)
+        _check_length("parallel", self.parallel, 1.0)
+        if self.after is not None:
+            _check_length("after", self.after, MIN_AFTER)
+        _check_whole("policy_frequency", self.policy_frequency, 1, 1000)
+        _check_whole("simulation_frequency", self.simulation_frequency, 1, 1000)
+        if self.simulation_frequency % self.policy_frequency:
+            raise ValueError(
+                f"scene.policy_frequency = {self.policy_frequency} does not divide "
+                f"simulation_frequency = {self.simulation_frequency}; try 5 and 15"
+            )
+        _check_whole("lidar_cells", self.lidar_cells, 4, 360)
+        _check_length("lidar_range", self.lidar_range, 1.0)
+        object.__setattr__(self, "target_speeds", _check_speeds(self.target_speeds))
+
+    @property
+    def vehicle_range(self) -> tuple[int, int]:
+        """Least and most other vehicles."""
+        if isinstance(self.vehicles, (tuple, list)):
+            if len(self.vehicles) != 2:
+                raise ValueError(
+                    f"scene.vehicles is a number or a (least, most) pair, not {self.vehicles}"
+                )
+            return self.vehicles[0], self.vehicles[1]
+        return self.vehicles, self.vehicles
+
+    @property
+    def merge_end(self) -> float:
+        """Where the merging lane ends [m]; traffic starts anywhere before."""
+        return self.before + self.converge + self.parallel
+
+    @property
+    def length(self) -> float:
+        """Length of the whole road [m], once ``after`` is known (see :meth:`fitted`)."""
+        if self.after is None:
+            raise ValueError("scene.after is still open; use scene.fitted(duration) first")
+        return self.merge_end + self.after
+
+    def fitted(self, duration: float) -> Scene:
+        """This scene with a road on which nobody reaches the end within ``duration`` seconds.
+
+        Raises:
+            ValueError: ``after`` was given and is too short for the driver's car.
+        """
+        fastest = max(self.target_speeds)
+        if self.after is None:
+            way = duration * max(fastest, TRAFFIC_SPEED + TRAFFIC_SPEED_SPREAD)
+            return replace(self, after=max(MIN_AFTER, way + self.lidar_range))
+        needed = EGO_START + duration * fastest - self.merge_end
+        if self.after < needed:
+            raise ValueError(
+                f"scene.after = {self.after:g} m is too short for {duration:g} s at "
+                f"{fastest:g} m/s: use at least {math.ceil(needed)}, or None to have it fitted"
+            )
+        return self
+
+
+def _check_whole(name: str, value: int, low: int, high: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"scene.{name} is a whole number, not {value!r}")
+    if not low <= value <= high:
+        raise ValueError(f"scene.{name} lies in {low} to {high}, but got {value}")
+
+
+def _check_length(name: str, value: float, low: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
+        raise TypeError(f"scene.{name} is a number of metres, not {value!r}")
+    if not (math.isfinite(value) and value >= low):
+        raise ValueError(f"scene.{name} is at least {low:g} m, but got {value}")
+
+
+def _check_speeds(speeds: tuple[float, ...]) -> tuple[float, ...]:
+    checked = tuple(float(speed) for speed in speeds)
+    steps = np.diff(checked)
+    if (
+        len(checked) < 2
+        or not np.all(np.isfinite(checked))
+        or np.any(steps <= 0)
+        or not np.allclose(steps, steps[0])
+        or checked[0] <= 0
+        or checked[-1] > 40
+    ):
+        raise ValueError(
+            "scene.target_speeds are at least two evenly spaced, increasing speeds in (0, 40] m/s, "
+            f"but got {speeds}"
+        )
+    return checked
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the traffic of one episode starts, one entry for each vehicle on the main lanes.
+
+    The driver's car and the vehicle on the ramp always start alike (constants of this module).
+    """
+
+    lane: NDArray[np.int64]
+    longitudinal: NDArray[np.float64]
+    """Along the lane [m]."""
+    speed: NDArray[np.float64]
+    """[m/s], which is also the speed that the vehicle wants."""
+
+
+def draw_start(scene: Scene, seed: int) -> Start:
+    """Place the traffic by the rule of highway-env's generic merge, from one seed.
+
+    The number of vehicles is drawn evenly from the scene's range; each tries up to ten random
+    places on the main lanes up to the end of the merging lane and takes the first that is more
+    than 15 m from everybody in its lane.
+
+    Draw number 0 of the scene stream gives the count; vehicle k's try j uses the draws
+    1 + 3 (10 k + j) + (0: lane, 1: place, 2: speed), so any single draw can be made on its own.
+    """
+    low, high = scene.vehicle_range
+    draws = uniform(seed, Stream.SCENE, np.arange(1 + 3 * SPAWN_TRIES * high))
+    count = low + int(draws[0] * (high - low + 1))
+    tries = draws[1:].reshape(high, SPAWN_TRIES, 3)[:count]
+    taken: list[list[float]] = [[] for _ in range(scene.lanes)]
+    taken[scene.lanes - 1].append(EGO_START)
+    placed: list[tuple[int, float, float]] = []
+    for vehicle_tries in tries:
+        for u_lane, u_place, u_speed in vehicle_tries:
+            lane = int(u_lane * scene.lanes)
+            longitudinal = float(u_place * scene.merge_end)
+            if all(abs(longitudinal - other) > SAFE_DISTANCE for other in taken[lane]):
+                speed = TRAFFIC_SPEED + (2 * float(u_speed) - 1) * TRAFFIC_SPEED_SPREAD
+                taken[lane].append(longitudinal)
+                placed.append((lane, longitudinal, speed))
+                break
+    lanes, longitudinals, speeds = zip(*placed, strict=True) if placed else ((), (), ())
+    return Start(np.array(lanes, np.int64), np.array(longitudinals), np.array(speeds))

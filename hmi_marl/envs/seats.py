@@ -1,0 +1,28 @@
+"""What may sit in a seat: anything that maps a batch of observations to a batch of actions."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A policy for one seat of N teams at once.
+
+    In a single-team environment pass ``observation[None]`` and take element 0 of the answer.
+    """
+
+    def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
+        """Begin new episodes in the teams marked in ``which`` (all by default).
+
+        Args:
+            seeds: of the episodes, shape (N,); a random policy draws from them alone.
+            which: shape (N,). With None, N may differ from the last call's.
+        """
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions of shape (N,) for observations of shape (N, D); once per step and episode."""
+        ...

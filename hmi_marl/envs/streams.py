@@ -1,0 +1,76 @@
+"""Counter-based random numbers: what happens to a team depends on its own seed alone.
+
+A draw is a pure function of (seed, stream, counter), so it does not matter how many teams
+share a batch, in which order or on which thread they run, or which world carries them. The
+mixing function is SplitMix64's finaliser (Steele, Lea & Flood 2014), chained over the three
+words. It needs only 64-bit integer arithmetic, works element by element on NumPy arrays of any
+shape, and can be compiled as it stands.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_TO_UNIT = 2.0**-53
+
+
+class Stream(IntEnum):
+    """Independent purposes that draw from the same seed."""
+
+    EPISODE = 1
+    TRAITS = 2
+    SCENE = 3
+    ATTENTION = 4
+    DRIVER_POLICY = 5
+    HMI_POLICY = 6
+
+
+def _scramble(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    word = (word ^ (word >> np.uint64(30))) * _MIX_1
+    word = (word ^ (word >> np.uint64(27))) * _MIX_2
+    return word ^ (word >> np.uint64(31))
+
+
+def mix(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.uint64]:
+    """Hash (seed, stream, counter) to 64 random bits.
+
+    Args:
+        seed: uint64, any shape.
+        stream: which purpose the bits serve, a :class:`Stream`.
+        counter: uint64, broadcast against ``seed``.
+
+    Returns:
+        uint64 array of the broadcast shape.
+    """
+    with np.errstate(over="ignore"):  # arithmetic modulo 2^64 is the point
+        word = _scramble(np.asarray(seed, np.uint64) + _GOLDEN)
+        word = _scramble(word + np.uint64(stream) * _GOLDEN)
+        return _scramble(word + (np.asarray(counter, np.uint64) + np.uint64(1)) * _GOLDEN)
+
+
+def uniform(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.float64]:
+    """Uniform draws in [0, 1) with 53 random bits; see :func:`mix` for the arguments."""
+    bits = mix(seed, stream, counter)
+    return (bits >> np.uint64(11)).astype(np.float64) * _TO_UNIT
+
+
+def episode_seed(seed: ArrayLike, episode: ArrayLike) -> NDArray[np.uint64]:
+    """The seed of a team's ``episode``-th episode: the team's own seed for the first (0)."""
+    seed, episode = np.asarray(seed, np.uint64), np.asarray(episode, np.uint64)
+    return np.where(episode == 0, seed, mix(seed, Stream.EPISODE, episode))
+
+
+def check_seed(seed: Any) -> int:
+    """Return ``seed`` as an int in [0, 2^64), or raise ``ValueError``/``TypeError`` saying why."""
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"a seed is an integer, not {seed!r}")
+    if not 0 <= int(seed) < 2**64:
+        raise ValueError(f"a seed lies in [0, 2^64), but got {seed}")
+    return int(seed)

@@ -1,0 +1,226 @@
+"""The one place where a step of a team is put together, for N teams over any world.
+
+Taking turns, a step is: :meth:`Teaming.observe` the driver's seat, :meth:`Teaming.intend` a^H,
+observe the vehicle AI's seat (which now holds a^H_t), :meth:`Teaming.step` with a^A. At once,
+both seats are observed before ``intend``, so that the AI's seat still holds a^H_{t-1}.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.envs import attention as attention_model
+from hmi_marl.envs import observations as obs
+from hmi_marl.envs.attention import Attention
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits
+from hmi_marl.envs.rewards import attention_terms, driving_terms, share
+from hmi_marl.envs.streams import Stream, uniform
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
+
+NO_ACTION = -1
+_LANE_CHANGES = (VEHICLE_ACTIONS.index("move_left"), VEHICLE_ACTIONS.index("move_right"))
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one step gave each of N teams. Every array has shape (N,)."""
+
+    rewards: dict[str, NDArray[np.float64]]
+    """By agent."""
+    terms: dict[str, NDArray[np.float64]]
+    """By reward term."""
+    terminated: NDArray[np.bool_]
+    """The episode ended by a crash."""
+    truncated: NDArray[np.bool_]
+    """The episode's time is over."""
+
+
+class Teaming:
+    """N teams of driver and vehicle AI, step by step.
+
+    What happens to team k depends on seed k and team k's actions alone.
+    """
+
+    def __init__(self, config: TeamConfig, num_teams: int = 1, world: str | World = "highway"):
+        if num_teams < 1:
+            raise ValueError(f"there is at least one team, but got num_teams = {num_teams}")
+        self.config = config
+        self.num_teams = num_teams
+        self.world = make_world(world, config.scene, num_teams) if isinstance(world, str) else world
+        self.layouts = {
+            DRIVER: obs.driver_layout(config),
+            VEHICLE_AI: obs.vehicle_ai_layout(config),
+        }
+        self.state_layout = obs.state_layout(config)
+        nobody = np.zeros(num_teams, np.int64)
+        self.seeds = np.zeros(num_teams, np.uint64)
+        self.traits = Traits.from_array(np.zeros((num_teams, len(TRAIT_NAMES))))
+        self.attention = Attention.initial(num_teams)
+        self.steps = nobody.copy()
+        """Steps taken in each team's episode."""
+        self.intended = nobody + NO_ACTION
+        """The latest a^H of each team, -1 before the first."""
+        self.previous_intended = nobody + NO_ACTION
+        self.applied = nobody + NO_ACTION
+        """The latest v."""
+        self.alerted = nobody.copy()
+        """The latest a^A."""
+        self.over = np.ones(num_teams, np.bool_)
+        """Teams whose episode has ended, or has not begun."""
+        self.ego: Ego = self.world.ego()
+        self._intent_given = False
+
+    def reset(self, seeds: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
+        """Begin new episodes in the teams marked in ``which`` (shape (N,), all by default).
+
+        Args:
+            seeds: of the episodes, uint64 of shape (N,); those of unmarked teams are not read.
+        """
+        seeds = np.asarray(seeds, np.uint64)
+        if seeds.shape != (self.num_teams,):
+            raise ValueError(f"seeds have shape ({self.num_teams},), not {seeds.shape}")
+        fresh = np.ones(self.num_teams, np.bool_) if which is None else which
+        self.seeds = np.where(fresh, seeds, self.seeds)
+        drawn = self.config.population.draw(self.seeds).as_array()
+        self.traits = Traits.from_array(np.where(fresh[:, None], drawn, self.traits.as_array()))
+        self.attention = Attention.initial(self.num_teams).where(fresh, self.attention)
+        for name in ("intended", "previous_intended", "applied"):
+            setattr(self, name, np.where(fresh, NO_ACTION, getattr(self, name)))
+        for name in ("steps", "alerted"):
+            setattr(self, name, np.where(fresh, 0, getattr(self, name)))
+        self.over = self.over & ~fresh
+        self._intent_given = False
+        self.world.reset(self.seeds, self.traits.inflation, fresh)
+        self.ego = self.world.ego()
+
+    def intend(self, driver_actions: ArrayLike) -> None:
+        """The drivers' a^H_t, shape (N,), integers 0 to 4. Those of ended teams are not read.
+
+        Raises:
+            ValueError: an action out of range, or a second intent in the same step.
+        """
+        if self._intent_given:
+            raise ValueError("the drivers have already acted in this step; now alert with step()")
+        actions = self._checked(driver_actions, len(VEHICLE_ACTIONS), "driver")
+        self.previous_intended = np.where(self.over, self.previous_intended, self.intended)
+        self.intended = np.where(self.over, self.intended, actions)
+        self._intent_given = True
+
+    def step(self, alerts: ArrayLike) -> StepResult:
+        """The HMIs' a^A_t, shape (N,), integers 0 or 1: attention, then the world, then rewards.
+
+        Ended teams stay as they are and get zeros.
+
+        Raises:
+            ValueError: an action out of range, or no :meth:`intend` before.
+        """
+        if not self._intent_given:
+            raise ValueError("the driver acts first: call intend() with the driver's action")
+        alerts = self._checked(alerts, 2, "vehicle_ai")
+        self._intent_given = False
+        config, active, before = self.config, ~self.over, self.attention
+        draws = uniform(self.seeds, Stream.ATTENTION, self.steps.astype(np.uint64))
+        after = attention_model.step(before, alerts, self.traits, config.alert_window, draws)
+        self.attention = after.where(active, before)
+        keeps = (self.attention.distracted == 1) & (self.applied != NO_ACTION)
+        applied = np.where(keeps, self.applied, self.intended)
+        self.applied = np.where(active, applied, self.applied)
+        self.alerted = np.where(active, alerts, self.alerted)
+        self._move_world(active)
+        terms = {
+            name: np.where(active, values, 0.0)
+            for name, values in self._terms(before, alerts).items()
+        }
+        self.steps = self.steps + active
+        terminated = active & self.ego.crashed & config.end_at_crash
+        truncated = active & ~terminated & (self.steps >= config.horizon)
+        self.over = self.over | terminated | truncated
+        rewards = dict(zip((DRIVER, VEHICLE_AI), share(terms, config.reward), strict=True))
+        return StepResult(rewards, terms, terminated, truncated)
+
+    def _move_world(self, active: NDArray[np.bool_]) -> None:
+        standing = self.ego.crashed
+        newly_standing = active & standing & (self.ego.speed != 0.0)
+        if newly_standing.any():
+            self.world.halt(newly_standing)
+        self.world.step(self.applied, active & ~standing)
+        self.ego = self.world.ego()
+
+    def _terms(
+        self, before: Attention, alerts: NDArray[np.int64]
+    ) -> dict[str, NDArray[np.float64]]:
+        weights, ego = self.config.weights, self.ego
+        driving = driving_terms(
+            weights,
+            crashed=ego.crashed,
+            speed=ego.speed,
+            in_right_lane=ego.lane == self.config.scene.lanes - 1,
+            merging_slowness=ego.merging_slowness,
+            changes_lane=np.isin(self.intended, _LANE_CHANGES),
+        )
+        return driving | attention_terms(
+            weights,
+            alert=alerts,
+            distracted_before=before.distracted,
+            distracted=self.attention.distracted,
+        )
+
+    def observe(self, agent: str) -> NDArray[np.float32]:
+        """What the seat sees now, shape (N, layout's size); see :mod:`observations`."""
+        parts = self._common_parts()
+        parts["lidar"] = self._lidar(inflated=agent == DRIVER)
+        return self.layouts[agent].join(parts)
+
+    def state(self) -> NDArray[np.float32]:
+        """The whole team's state, shape (N, state_layout.size), for centralised critics."""
+        parts = self._common_parts()
+        parts["lidar"] = self._lidar(inflated=False)
+        parts["perceived_lidar"] = self._lidar(inflated=True)
+        return self.state_layout.join(parts)
+
+    def time_headway(self) -> NDArray[np.float64]:
+        """Seconds to whatever is ahead in the lane, shape (N,); inf if nothing is, or standing."""
+        moving = self.ego.speed > 0
+        speed = np.where(moving, self.ego.speed, 1.0)
+        return np.where(moving, np.maximum(self.ego.gap, 0.0) / speed, np.inf)
+
+    def _lidar(self, inflated: bool) -> NDArray[np.float32]:
+        return obs.lidar_part(self.world.lidar(inflated), self.config.scene)
+
+    def _common_parts(self) -> dict[str, NDArray[Any]]:
+        actions, now = len(VEHICLE_ACTIONS), self.attention
+        # Before intend() the latest a^H already is the last step's.
+        previous = self.previous_intended if self._intent_given else self.intended
+        traits = self.traits.as_array()
+        traits[:, TRAIT_NAMES.index("inflation")] /= MAX_INFLATION
+        return obs.motion_parts(self.ego, self.config.scene) | {
+            "intended_action": obs.one_hot(self.intended, actions),
+            "previous_intended_action": obs.one_hot(previous, actions),
+            "applied_action": obs.one_hot(self.applied, actions),
+            "alerted": self.alerted[:, None],
+            "time": self.steps[:, None] / self.config.horizon,
+            "distracted": now.distracted[:, None],
+            "accepted": now.accepted[:, None],
+            "counter": now.counter[:, None] / self.config.alert_window,
+            "traits": traits,
+        }
+
+    def _checked(self, actions: ArrayLike, count: int, agent: str) -> NDArray[np.int64]:
+        given = np.asarray(actions)
+        if given.shape != (self.num_teams,):
+            raise ValueError(
+                f"{agent} actions have shape ({self.num_teams},), but got {given.shape}"
+            )
+        if not np.issubdtype(given.dtype, np.integer):
+            raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
+        wrong = ~self.over & ((given < 0) | (given >= count))
+        if wrong.any():
+            raise ValueError(
+                f"{agent} action {given[wrong][0]} is out of range: it is one of 0 to {count - 1}"
+            )
+        return given.astype(np.int64)

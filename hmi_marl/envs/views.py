@@ -1,0 +1,128 @@
+"""Gymnasium environments for one seat, the other seat's partner given.
+
+``gymnasium.make("hmi_marl/MergeDriver-v0", partner="never")`` is the driver's seat, with an HMI
+as part of the world; ``gymnasium.make("hmi_marl/MergeHMI-v0", partner="rule")`` is the vehicle
+AI's seat, with a driver inside. Both take turns, so that the HMI sees what the driver is about to
+do, and take every keyword of :mod:`hmi_marl.envs.merge_v0`.
+
+The classes here take the partner as a :class:`hmi_marl.envs.seats.Policy`;
+:mod:`hmi_marl.agents.partners`, which ``gymnasium.make`` goes through, also takes a known
+policy's name or a plain function from one observation to an action.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.info import team_info
+from hmi_marl.envs.observations import Layout
+from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.single import RENDER_MODES, SingleTeam
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+
+class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
+    """What both seats share."""
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's)
+    seat: str
+    other_seat: str
+    actions: int
+
+    def __init__(
+        self,
+        partner: Policy,
+        world: str = "highway",
+        render_mode: str | None = None,
+        **settings: Any,
+    ) -> None:
+        self.config = TeamConfig(**settings)
+        self.team = SingleTeam(self.config, world, render_mode)
+        self.render_mode = render_mode
+        self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
+        self.partner = partner
+        self.observation_space: spaces.Box = self.layout.space()  # type: ignore[assignment]
+        self.action_space = spaces.Discrete(self.actions)
+
+    @property
+    def layout(self) -> Layout:
+        """Which columns of the observation mean what."""
+        return self.team.teaming.layouts[self.seat]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin the episode of this seed, or the next one; ``options`` are not used."""
+        super().reset(seed=seed)
+        self.team.reset(seed)
+        self.partner.reset(self.team.teaming.seeds)
+        self._before_observing()
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One step of the team from this seat's action; the reward is this seat's."""
+        if self.team.teaming.over.all():
+            raise RuntimeError("the episode is over: call reset() before stepping again")
+        self._act(action)
+        result = self.team.result
+        assert result is not None
+        self.team.show()
+        terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
+        if not (terminated or truncated):
+            self._before_observing()
+        reward = float(result.rewards[self.seat][0])
+        return self._observation(), reward, terminated, truncated, self._info()
+
+    @abstractmethod
+    def _act(self, action: Any) -> None:
+        """Take the step, with the partner's action where it is due."""
+
+    def _before_observing(self) -> None:
+        """Let a partner act who comes before this seat in a turn."""
+
+    def _partner_action(self) -> int:
+        observation = self.team.teaming.observe(self.other_seat)
+        return int(self.partner.act(observation)[0])
+
+    def _observation(self) -> NDArray[np.float32]:
+        return self.team.teaming.observe(self.seat)[0]
+
+    def _info(self) -> dict[str, Any]:
+        return team_info(self.team.teaming, self.team.result)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of shape (height, width, 3), or None after drawing in the window."""
+        return self.team.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.team.close()
+
+
+class MergeDriver(_OneSeat):
+    """The driver's seat; the HMI is given."""
+
+    seat, other_seat, actions = DRIVER, VEHICLE_AI, len(VEHICLE_ACTIONS)
+
+    def _act(self, action: Any) -> None:
+        self.team.intend(action)
+        self.team.alert(self._partner_action())
+
+
+class MergeHMI(_OneSeat):
+    """The vehicle AI's seat; the driver is given, and has always acted before the AI observes."""
+
+    seat, other_seat, actions = VEHICLE_AI, DRIVER, 2
+
+    def _act(self, action: Any) -> None:
+        self.team.alert(action)
+
+    def _before_observing(self) -> None:
+        self.team.intend(self._partner_action())

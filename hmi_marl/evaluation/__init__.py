@@ -1,0 +1,1 @@
+"""Playing episodes, statistics, tables, figures and reports."""

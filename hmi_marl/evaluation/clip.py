@@ -1,0 +1,153 @@
+"""Clips and live windows: one episode, watched."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.render import TeamStatus, Viewer, between, team_status
+from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.worlds import Snapshot
+from hmi_marl.evaluation.files import write_atomically
+
+Pictures = Iterator[NDArray[np.uint8]]
+"""Each of shape (height, width, 3)."""
+
+SUFFIXES = (".gif", ".mp4")
+GIF_COLOURS = 64
+
+
+def episode(
+    config: TeamConfig, hmi: str, driver_policy: str, seed: int, world: str = "highway"
+) -> Iterator[tuple[Snapshot, TeamStatus]]:
+    """Play one episode, taking turns; yields each moment, the first included.
+
+    Args:
+        config: of the team.
+        hmi: a name that the catalogue knows.
+        driver_policy: a name that the catalogue knows.
+        seed: of the episode.
+        world: which world to drive in.
+
+    Raises:
+        ValueError: an unknown name or a bad seed; at once, before the first moment.
+    """
+    driver, ai = make_driver_policy(driver_policy, config), make_hmi(hmi, config)
+    teaming = Teaming(config, 1, world)
+    seeds = np.array([check_seed(seed)], np.uint64)
+    for seat in (teaming, driver, ai):
+        seat.reset(seeds)
+    return _moments(teaming, driver, ai)
+
+
+def _moments(teaming: Teaming, driver: Policy, ai: Policy) -> Iterator[tuple[Snapshot, TeamStatus]]:
+    yield teaming.world.snapshot(0), team_status(teaming, 0)
+    while not teaming.over[0]:
+        teaming.intend(driver.act(teaming.observe(DRIVER)))
+        teaming.step(ai.act(teaming.observe(VEHICLE_AI)))
+        yield teaming.world.snapshot(0), team_status(teaming, 0)
+
+
+def frames(
+    moments: Iterator[tuple[Snapshot, TeamStatus]], viewer: Viewer, per_step: int
+) -> Pictures:
+    """Pictures of an episode, ``per_step`` for each policy step, with positions in between."""
+    before, status = next(moments)
+    yield viewer.draw(before, status, per_step)
+    for after, status in moments:
+        for k in range(1, per_step + 1):
+            yield viewer.draw(between(before, after, k / per_step), status, per_step)
+        before = after
+
+
+def show(
+    config: TeamConfig,
+    moments: Iterator[tuple[Snapshot, TeamStatus]],
+    per_step: int,
+    perceived: bool = False,
+) -> None:
+    """Play an episode in a window, in real time.
+
+    Raises:
+        RuntimeError: there is no display.
+    """
+    viewer = Viewer(config, window=True, perceived=perceived)
+    for _ in frames(moments, viewer, per_step):
+        pass
+    viewer.close()
+
+
+def record(
+    path: Path,
+    config: TeamConfig,
+    moments: Iterator[tuple[Snapshot, TeamStatus]],
+    per_step: int,
+    perceived: bool = False,
+    progress: Callable[[Pictures], Pictures] = iter,
+) -> None:
+    """Write an episode as a clip.
+
+    Args:
+        path: a .gif, or an .mp4 with the video extra.
+        config: of the team.
+        moments: from :func:`episode`.
+        per_step: pictures for each policy step.
+        perceived: draw the other objects' perceived sizes.
+        progress: is handed the pictures and hands them on, one by one.
+    """
+    check_suffix(path)
+    pictures = frames(moments, Viewer(config, perceived=perceived), per_step)
+    write_clip(path, progress(pictures), config.scene.policy_frequency * per_step)
+
+
+def check_suffix(path: Path) -> Path:
+    """Return ``path`` if it names a clip that can be written, else raise."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"a clip is a {' or '.join(SUFFIXES)} file, not {path.name!r}")
+    if path.suffix.lower() == ".mp4":
+        try:
+            import imageio_ffmpeg  # noqa: F401
+        except ImportError:
+            raise RuntimeError(
+                "mp4 needs the video extra: pip install 'hmi-marl[video]'; or write a .gif"
+            ) from None
+    return path
+
+
+def write_clip(path: Path, pictures: Pictures, frequency: float) -> None:
+    """Write pictures of shape (height, width, 3) as GIF or MP4, by the file's suffix."""
+    write = _write_gif if check_suffix(path).suffix.lower() == ".gif" else _write_mp4
+    write_atomically(path, partial(write, pictures=pictures, frequency=frequency))
+
+
+def _write_gif(path: Path, pictures: Pictures, frequency: float) -> None:
+    first, *rest = (
+        Image.fromarray(picture).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
+        for picture in pictures
+    )
+    pause = 10 * round(100 / frequency)  # GIF counts in hundredths of a second
+    first.save(path, save_all=True, append_images=rest, duration=pause, loop=0, optimize=True)
+
+
+def _write_mp4(path: Path, pictures: Pictures, frequency: float) -> None:
+    import imageio_ffmpeg
+
+    first = next(pictures)
+    height, width, _ = first.shape
+    writer = imageio_ffmpeg.write_frames(
+        str(path), (width, height), fps=frequency, macro_block_size=2
+    )
+    writer.send(None)
+    for picture in itertools.chain([first], pictures):
+        writer.send(np.ascontiguousarray(picture))
+    writer.close()

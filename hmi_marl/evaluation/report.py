@@ -1,0 +1,194 @@
+"""A table as text, CSV, JSON and a self-contained HTML page with its figure and a clip."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import asdict
+from html import escape
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import hmi_marl
+from hmi_marl.evaluation.figures import table_figure
+from hmi_marl.evaluation.files import write_bytes, write_json, write_text
+from hmi_marl.evaluation.statistics import Estimate
+from hmi_marl.evaluation.table import Cell, TableConfig
+
+METRICS: tuple[tuple[str, str, str], ...] = (
+    ("speed_return", "Speed return", ".0f"),
+    ("distraction_return", "Distraction return (in brackets: exact, same number of steps)", ".0f"),
+    ("alerts", "Alerts per minute", ".0f"),
+    ("crash_rate", "Crash rate", ".2f"),
+    ("min_time_headway", "Shortest time headway [s]", ".2f"),
+)
+NOTE = (
+    "Means over seeded episodes with 95 % intervals (Student's t; Wilson's for the crash rate). "
+    "The exact distraction return is the expectation of the attention chain under that HMI, over "
+    "as many steps as the episodes had; a crash may end an episode before its time. "
+    "A shortest headway is of the episodes in which somebody was ahead."
+)
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
+
+
+def _entry(cell: Cell, metric: str, form: str) -> str:
+    estimate: Estimate = getattr(cell, metric)
+    text = _number(estimate.mean, form)
+    if math.isfinite(estimate.low):
+        text += f" [{_number(estimate.low, form)}, {_number(estimate.high, form)}]"
+    if metric == "distraction_return" and cell.exact_distraction_return_same_steps is not None:
+        text += f" ({_number(cell.exact_distraction_return_same_steps, form)})"
+    return text
+
+
+def _rows(config: TableConfig, cells: list[Cell], metric: str, form: str) -> list[list[str]]:
+    found = {(cell.hmi, cell.driver): cell for cell in cells}
+    return [
+        [hmi, *(_entry(found[hmi, driver], metric, form) for driver in config.drivers)]
+        for hmi in config.hmis
+    ]
+
+
+def as_text(config: TableConfig, cells: list[Cell]) -> str:
+    """A block for each metric, HMIs in rows and drivers in columns."""
+    blocks = []
+    for metric, title, form in METRICS:
+        rows = [["", *config.drivers], *_rows(config, cells, metric, form)]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+        lines = (
+            "  ".join(entry.ljust(width) for entry, width in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        )
+        blocks.append("\n".join([title, *(f"  {line}" for line in lines)]))
+    return "\n\n".join(blocks)
+
+
+def as_json(config: TableConfig, cells: list[Cell]) -> dict[str, Any]:
+    """Everything that the table knows, with what it takes to make it again."""
+    return {
+        "hmi_marl_version": hmi_marl.__version__,
+        "config": asdict(config),
+        "cells": [cell.as_json() for cell in cells],
+    }
+
+
+def as_csv(cells: list[Cell]) -> str:
+    """A line for each cell; estimates take three columns."""
+    lines = []
+    for cell in cells:
+        line: dict[str, Any] = {}
+        for name, value in vars(cell).items():
+            if isinstance(value, Estimate):
+                known = value.as_json()
+                line |= {
+                    name: known["mean"],
+                    f"{name}_low": known["low"],
+                    f"{name}_high": known["high"],
+                }
+            elif isinstance(value, tuple):
+                line |= {f"{name}_least": value[0], f"{name}_most": value[1]}
+            else:
+                line[name] = value
+        lines.append(line)
+    text = StringIO()
+    writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return text.getvalue()
+
+
+def as_html(
+    config: TableConfig, cells: list[Cell], figure: bytes, clip: bytes | None, command: str
+) -> str:
+    """One page that needs nothing besides itself.
+
+    Args:
+        config: what is in the table.
+        cells: all of it.
+        figure: a PNG.
+        clip: a GIF, if there is one.
+        command: that makes the page again.
+    """
+    tables = "".join(
+        f"<h2>{escape(title)}</h2>{_html_table(config, _rows(config, cells, metric, form))}"
+        for metric, title, form in METRICS
+    )
+    moving = (
+        f'<h2>One episode</h2><img alt="clip of one episode" src="{_data("gif", clip)}">'
+        if clip
+        else ""
+    )
+    settings = ", ".join(f"{name} = {value}" for name, value in asdict(config).items())
+    return f"""<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>hmi-marl: HMIs and drivers</title>
+<style>
+ body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto;
+        padding: 0 1rem; color: #222; }}
+ table {{ border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }}
+ th, td {{ padding: .35rem .6rem; border-bottom: 1px solid #ddd; text-align: left; }}
+ img {{ max-width: 100%; }} h2 {{ font-size: 1.1rem; margin-top: 2rem; }}
+ code, .small {{ font-size: .85rem; color: #555; }}
+</style>
+<h1>HMIs and drivers</h1>
+<p>{len(cells)} cells of {config.episodes} episodes each. {escape(NOTE)}</p>
+<img alt="bars of each metric by driver and HMI" src="{_data("png", figure)}">
+{moving}{tables}
+<p class="small">Made by hmi-marl {hmi_marl.__version__}: <code>{escape(command)}</code><br>
+{escape(settings)}</p>
+</html>
+"""
+
+
+def _html_table(config: TableConfig, rows: list[list[str]]) -> str:
+    head = "".join(f"<th>{escape(driver)}</th>" for driver in config.drivers)
+    body = "".join(
+        "<tr>"
+        + f"<th>{escape(row[0])}</th>"
+        + "".join(f"<td>{escape(e)}</td>" for e in row[1:])
+        + "</tr>"
+        for row in rows
+    )
+    return f"<table><tr><th></th>{head}</tr>{body}</table>"
+
+
+def _data(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def write_report(
+    out: Path,
+    config: TableConfig,
+    cells: list[Cell],
+    record_clip: Callable[[Path], None] | None,
+    command: str,
+) -> Path:
+    """Write table.txt, table.csv, table.json, table.png, clip.gif and index.html into ``out``.
+
+    Args:
+        out: the folder.
+        config: what is in the table.
+        cells: all of it.
+        record_clip: writes a GIF to the path it is given; None for a page without a clip.
+        command: that makes the page again.
+
+    Returns:
+        The page's path.
+    """
+    figure = table_figure(config, cells)
+    write_text(out / "table.txt", as_text(config, cells) + "\n")
+    write_text(out / "table.csv", as_csv(cells))
+    write_json(out / "table.json", as_json(config, cells))
+    write_bytes(out / "table.png", figure)
+    clip = None
+    if record_clip is not None:
+        record_clip(out / "clip.gif")
+        clip = (out / "clip.gif").read_bytes()
+    page = out / "index.html"
+    write_text(page, as_html(config, cells, figure, clip, command))
+    return page

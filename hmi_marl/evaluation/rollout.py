@@ -1,0 +1,89 @@
+"""Playing seeded episodes and keeping what they were worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
+from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.teaming import Teaming
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """What E episodes came to. Arrays have shape (E,)."""
+
+    seeds: NDArray[np.uint64]
+    length: NDArray[np.int64]
+    """Steps."""
+    crashed: NDArray[np.bool_]
+    alerts: NDArray[np.int64]
+    distracted: NDArray[np.int64]
+    """Steps with d = 1."""
+    min_time_headway: NDArray[np.float64]
+    """[s], inf if nobody was ever ahead."""
+    returns: dict[str, NDArray[np.float64]]
+    """Sum of each reward term."""
+
+    def attention_return(self) -> NDArray[np.float64]:
+        """Distraction, alert and accept-alert terms together."""
+        return np.sum([self.returns[name] for name in ATTENTION_TERMS], axis=0)
+
+    @classmethod
+    def join(cls, several: Sequence[Episodes]) -> Episodes:
+        """Put episodes together, in order."""
+        joined: dict[str, Any] = {
+            field.name: np.concatenate([getattr(episodes, field.name) for episodes in several])
+            for field in fields(cls)
+            if field.name != "returns"
+        }
+        returns = {
+            name: np.concatenate([episodes.returns[name] for episodes in several]) for name in TERMS
+        }
+        return cls(**joined, returns=returns)
+
+
+def play(
+    config: TeamConfig, driver: Policy, hmi: Policy, seeds: ArrayLike, world: str = "highway"
+) -> Episodes:
+    """Play one episode for each seed, taking turns, side by side until the last has ended.
+
+    Args:
+        config: of the teams.
+        driver: policy for the driver's seat.
+        hmi: policy for the vehicle AI's seat.
+        seeds: shape (E,).
+        world: which world to drive in.
+    """
+    seeds = np.asarray(seeds, np.uint64)
+    teaming = Teaming(config, len(seeds), world)
+    for seat in (teaming, driver, hmi):
+        seat.reset(seeds)
+    count = len(seeds)
+    returns = {name: np.zeros(count) for name in TERMS}
+    alerts, distracted = np.zeros((2, count), np.int64)
+    headway = np.full(count, np.inf)
+    while not teaming.over.all():
+        active = ~teaming.over
+        teaming.intend(driver.act(teaming.observe(DRIVER)))
+        result = teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
+        for name, values in result.terms.items():
+            returns[name] += values
+        alerts += active & (teaming.alerted == 1)
+        distracted += active & (teaming.attention.distracted == 1)
+        headway = np.where(active, np.minimum(headway, teaming.time_headway()), headway)
+    return Episodes(
+        seeds,
+        teaming.steps.copy(),
+        teaming.ego.crashed.copy(),
+        alerts,
+        distracted,
+        headway,
+        returns,
+    )
