@@ -3,7 +3,7 @@
 >>> from hmi_marl.envs.config import TeamConfig
 >>> layout = vehicle_ai_layout(TeamConfig(driver="bart"))
 >>> layout["distracted"]
-slice(61, 62, None)
+slice(58, 59, None)
 """
 
 from __future__ import annotations

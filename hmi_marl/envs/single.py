@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,10 +69,18 @@ class SingleTeam:
             raise RuntimeError(
                 f"nothing to draw on: make the environment with render_mode= one of {RENDER_MODES}"
             )
-        from hmi_marl.envs.render import Viewer, team_status  # pulls in pygame
+        from hmi_marl.envs.render import Viewer, has_display, team_status  # pulls in pygame
 
         if self._viewer is None:
-            self._viewer = Viewer(self.teaming.config, window=self._render_mode == "human")
+            window = self._render_mode == "human"
+            if window and not has_display():
+                warnings.warn(
+                    'render_mode="human" on a machine without a display: nothing will be seen; '
+                    'render_mode="rgb_array" gives pictures',
+                    stacklevel=3,
+                )
+                window = False
+            self._viewer = Viewer(self.teaming.config, window)
         picture = self._viewer.draw(self.teaming.world.snapshot(0), team_status(self.teaming, 0))
         return picture if self._render_mode == "rgb_array" else None
 

@@ -1,0 +1,166 @@
+import itertools
+
+import numpy as np
+import pytest
+from standing_world import standing_teams
+
+from hmi_marl.agents import BeliefAlert, oracle
+from hmi_marl.agents.belief import correct, predict, solve_belief
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
+from hmi_marl.envs.rewards import RewardWeights
+
+PAPER = RewardWeights()
+
+
+def posterior(driver, accepted, intended, applied):
+    """p(d_t = 1 | everything seen), by enumerating every hidden sequence d_0 .. d_t.
+
+    The driving rule: v_0 = a^H_0, later v_t = v_{t-1} if d_t = 1, else a^H_t.
+    """
+    beta, alpha, eta = driver.traits[:3]
+    weight = np.zeros(2)
+    for hidden in itertools.product((0, 1), repeat=len(intended)):
+        probability, d = 1.0, 0
+        for t, new_d in enumerate(hidden):
+            help_given = eta * accepted[t]
+            p = max(0.0, beta - help_given) if d == 0 else 1 - min(1.0, alpha + help_given)
+            probability *= p if new_d else 1 - p
+            would_apply = applied[t - 1] if new_d and t > 0 else intended[t]
+            probability *= would_apply == applied[t]
+            d = new_d
+        weight[d] += probability
+    return weight[1] / weight.sum()
+
+
+@pytest.mark.parametrize("name", PAPER_DRIVERS)
+def test_the_filter_equals_the_posterior_over_all_hidden_sequences(name):
+    config = TeamConfig(driver=name, duration=2.0, ai_sees_attention=False)
+    for seed in range(12):
+        teams = standing_teams(1, driver=name, duration=2.0, ai_sees_attention=False)
+        hmi = BeliefAlert(name, config)
+        seeds = np.array([seed], np.uint64)
+        teams.reset(seeds)
+        hmi.reset(seeds)
+        rng = np.random.default_rng(seed)
+        accepted, intended, applied = [], [], []
+        for t in range(10):
+            wants = int(rng.choice([1, 1, 3]))
+            teams.intend([wants])
+            alert = hmi.act(teams.observe("vehicle_ai"))
+            if t:
+                expected = posterior(DRIVERS[name], accepted, intended, applied)
+                assert hmi.belief[0] == pytest.approx(expected, abs=1e-12)
+            teams.step(alert)
+            accepted.append(int(teams.attention.accepted[0]))
+            intended.append(wants)
+            applied.append(int(teams.applied[0]))
+
+
+def test_predict_and_correct_by_hand():
+    bart = DRIVERS["bart"]
+    assert predict(0.5, 0, bart) == pytest.approx(0.5 * 0.8 + 0.5 * 0.8)
+    assert predict(0.25, 1, bart) == pytest.approx(0.25 * 0.79 + 0.75 * 0.79)
+    belief = correct(
+        np.full(4, 0.3),
+        intended=np.array([1, 3, 3, 3]),
+        applied_before=np.array([1, 1, 1, -1]),
+        applied=np.array([1, 1, 3, 3]),
+    )
+    assert belief.tolist() == [0.3, 1.0, 0.0, 0.3]
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_if_every_step_reveals_the_rule_is_worth_the_optimum_with_attention_seen(name):
+    # Then the last d is always known, and the present step's is told before the next alert.
+    solution = solve_belief(DRIVERS[name], 7, 100, PAPER, revealing=1.0)
+    exact = oracle.solve_alerts(name, 7, 100)
+    assert solution.total_return == pytest.approx(exact.total_return, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["bart", "homer", "lisa"])
+def test_if_no_step_reveals_the_rule_is_the_best_fixed_sequence(name):
+    driver, window, horizon = DRIVERS[name], 2, 8
+    best = -np.inf
+    for alerts in itertools.product((0, 1), repeat=horizon):
+        value, b, i, c = 0.0, 0.0, 0, 0
+        for alert in alerts:
+            if alert:
+                i, c = 1, 0
+            elif i:
+                i, c = int(c < window - 1), (c + 1) % window
+            recovers = min(1.0, driver.alpha + driver.eta * i)
+            value += 30 * b * recovers if alert else 10 * (1 - b)
+            b = b * (1 - recovers) + (1 - b) * max(0.0, driver.beta - driver.eta * i)
+            value -= 10 * b
+        best = max(best, value)
+    solution = solve_belief(driver, window, horizon, PAPER, revealing=0.0)
+    assert solution.total_return == pytest.approx(best, abs=0.02)  # the grid's error
+
+
+@pytest.mark.parametrize("sees_intent", [True, False])
+@pytest.mark.parametrize("name", PAPER_DRIVERS)
+def test_the_rule_earns_in_play_what_it_promises(name, sees_intent):
+    count, horizon, revealing = 4000, 100, 0.3
+    teams = standing_teams(count, driver=name, ai_sees_attention=False)
+    hmi = BeliefAlert(name, teams.config, revealing, taking_turns=sees_intent)
+    seeds = np.arange(count, dtype=np.uint64)
+    teams.reset(seeds)
+    hmi.reset(seeds)
+    rng = np.random.default_rng(1)
+    earned = np.zeros(count)
+    for t in range(horizon):
+        differs = (rng.random(count) < revealing) & (t > 0)
+        last = np.maximum(teams.applied, 0)
+        intended = np.where(differs, (last + 1) % 5, last)
+        if not sees_intent:
+            alert = hmi.act(teams.observe("vehicle_ai"))
+        teams.intend(intended)
+        if sees_intent:
+            alert = hmi.act(teams.observe("vehicle_ai"))
+        terms = teams.step(alert).terms
+        earned += terms["distraction"] + terms["alert"] + terms["accept_alert"]
+    promised = solve_belief(DRIVERS[name], 7, horizon, PAPER, revealing, sees_intent).total_return
+    # The first step reveals nothing (v_0 = a^H_0), which costs at most a little of one step.
+    tolerance = 4 * earned.std() / np.sqrt(count) + 3.0
+    assert abs(earned.mean() - promised) < tolerance
+
+
+def test_knowing_the_driver_is_worth_what_the_exact_analysis_says():
+    # Attention return with 70 % uninformative steps: Bart about -224, Lisa about 751.
+    values = {
+        name: solve_belief(DRIVERS[name], 7, 100, PAPER).total_return for name in PAPER_DRIVERS
+    }
+    assert values["bart"] == pytest.approx(-224, abs=3)
+    assert values["lisa"] == pytest.approx(751, abs=3)
+
+
+def test_seeing_the_intent_never_harms_and_is_worth_something_to_marge():
+    for name in PAPER_DRIVERS:
+        with_intent, without = (
+            solve_belief(DRIVERS[name], 7, 100, PAPER, 0.3, sees).total_return
+            for sees in (True, False)
+        )
+        assert with_intent >= without - 1e-9
+        if name == "marge":
+            assert with_intent > without + 1
+
+
+def test_a_partial_reset_forgets_those_teams_alone():
+    teams = standing_teams(2, driver="bart", ai_sees_attention=False)
+    hmi = BeliefAlert("bart", teams.config)
+    seeds = np.arange(2, dtype=np.uint64)
+    teams.reset(seeds)
+    hmi.reset(seeds)
+    for _ in range(3):
+        teams.intend([1, 1])
+        teams.step(hmi.act(teams.observe("vehicle_ai")))
+    assert np.all(hmi.belief > 0)
+    kept = hmi.belief[0]
+    hmi.reset(seeds, np.array([False, True]))
+    assert hmi.belief.tolist() == [kept, 0.0]
+
+
+def test_a_share_out_of_range_is_refused():
+    with pytest.raises(ValueError, match="revealing"):
+        solve_belief(DRIVERS["bart"], 7, 10, PAPER, revealing=1.5)

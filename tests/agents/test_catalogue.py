@@ -1,0 +1,88 @@
+import pytest
+
+from hmi_marl.agents import (
+    DRIVER_POLICY_NAMES,
+    HMI_NAMES,
+    AlertWhenDistracted,
+    BeliefAlert,
+    OptimalAlert,
+    RandomAlert,
+    make_driver_policy,
+    make_hmi,
+)
+from hmi_marl.envs.config import TeamConfig
+
+SEEN = TeamConfig(driver="bart")
+HIDDEN = TeamConfig(driver="bart", ai_sees_attention=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "model"),
+    [
+        ("never", RandomAlert, None),
+        ("NoHMI", RandomAlert, None),
+        ("always", RandomAlert, None),
+        ("random", RandomAlert, None),
+        ("when-distracted", AlertWhenDistracted, None),
+        ("optimal", OptimalAlert, "bart"),
+        ("own", OptimalAlert, "bart"),
+        ("optimal:Homer", OptimalAlert, "homer"),
+        ("average", OptimalAlert, "average"),
+        ("AvgHMI", OptimalAlert, "average"),
+        ("belief", BeliefAlert, "bart"),
+        ("belief:lisa", BeliefAlert, "lisa"),
+    ],
+)
+def test_hmis_by_name(name, kind, model):
+    hmi = make_hmi(name, SEEN)
+    assert type(hmi) is kind
+    if model:
+        assert hmi.model.name == model
+
+
+def test_rates_by_name():
+    assert [make_hmi(name, SEEN).rate for name in ("never", "always", "random", "random:0.2")] == [
+        0.0,
+        1.0,
+        0.5,
+        0.2,
+    ]
+
+
+def test_with_attention_hidden_the_optimum_is_on_the_belief():
+    assert isinstance(make_hmi("own", HIDDEN), BeliefAlert)
+    assert make_hmi("AvgHMI", HIDDEN).model.name == "average"
+
+
+def test_every_listed_name_can_be_made():
+    for name in HMI_NAMES:
+        make_hmi(name, SEEN)
+    for name in DRIVER_POLICY_NAMES:
+        make_driver_policy(name, SEEN)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("hal", "unknown HMI 'hal'; known HMIs: never .*always .*random .*when-distracted"),
+        ("optimal:ned", "unknown driver 'ned'"),
+        ("random:often", r"takes a number in \[0, 1\], not 'often'"),
+        ("random:1.5", "rate lies in"),
+        ("never:3", "takes no argument"),
+    ],
+)
+def test_a_bad_hmi_is_refused(name, message):
+    with pytest.raises(ValueError, match=message):
+        make_hmi(name, SEEN)
+
+
+def test_a_bad_driver_policy_is_refused():
+    with pytest.raises(ValueError, match=r"unknown driver policy 'hal'; known: rule .*random"):
+        make_driver_policy("hal", SEEN)
+
+
+def test_the_own_optimum_of_a_population_is_refused():
+    with pytest.raises(ValueError, match="name a driver model, for example optimal:average"):
+        make_hmi("own", TeamConfig(driver=["lisa", "bart"]))
+    with pytest.raises(TypeError, match="HMI's name is a string"):
+        make_hmi(3, SEEN)

@@ -1,0 +1,230 @@
+import numpy as np
+import pytest
+from standing_world import standing_teams
+
+from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+ALWAYS = Driver("always", beta=1.0, alpha=0.0, eta=0.0, inflation=1.0)
+NEVER = Driver("never", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
+
+
+def seeds(count, first=0):
+    return np.arange(first, first + count, dtype=np.uint64)
+
+
+def test_a_distracted_driver_repeats_the_last_applied_action():
+    teams = standing_teams(1, driver=ALWAYS)
+    teams.reset(seeds(1))
+    for intended in (3, 0, 4):
+        teams.intend([intended])
+        teams.step([0])
+        assert teams.attention.distracted[0] == 1
+    assert [int(actions[0]) for actions in teams.world.actions] == [3, 3, 3]  # v_0 = a^H_0
+
+
+def test_an_attentive_driver_does_what_they_intend():
+    teams = standing_teams(1, driver=NEVER)
+    teams.reset(seeds(1))
+    for intended in (3, 0, 4):
+        teams.intend([intended])
+        teams.step([0])
+    assert [int(actions[0]) for actions in teams.world.actions] == [3, 0, 4]
+
+
+def test_v_follows_the_papers_rule_whatever_happens():
+    teams = standing_teams(300, driver=["bart", "homer", "average"])
+    teams.reset(seeds(300))
+    rng = np.random.default_rng(0)
+    for step in range(30):
+        before, intended = teams.applied.copy(), rng.integers(0, 5, 300)
+        teams.intend(intended)
+        teams.step(rng.integers(0, 2, 300))
+        distracted = (teams.attention.distracted == 1) & (step > 0)
+        assert np.array_equal(teams.applied, np.where(distracted, before, intended))
+
+
+def test_rewards_of_a_step_by_hand():
+    teams = standing_teams(1, driver=ALWAYS, reward="individual")
+    teams.reset(seeds(1))
+    teams.intend([VEHICLE_ACTIONS.index("move_right")])
+    result = teams.step([0])
+    terms = {name: float(value[0]) for name, value in result.terms.items()}
+    assert terms == pytest.approx(
+        {
+            "collision": 0.0,
+            "speed_reward": 5.0 * 15 / 30,
+            "right_lane": 0.1,
+            "merging": -0.1 * 0.25,
+            "lane_change": -0.1,
+            "distraction": -10.0,
+            "alert": 10.0,  # d_0 = 0 and no alert
+            "accept_alert": 0.0,
+        }
+    )
+    assert result.rewards["driver"][0] == pytest.approx(2.5 + 0.1 - 0.025 - 0.1 - 10.0)
+    assert result.rewards["vehicle_ai"][0] == 10.0
+
+
+def test_time_ends_an_episode_by_truncation():
+    teams = standing_teams(2, duration=0.6)
+    teams.reset(seeds(2))
+    for step in range(3):
+        teams.intend([1, 1])
+        result = teams.step([0, 0])
+        assert result.truncated.tolist() == [step == 2] * 2
+        assert not result.terminated.any()
+    assert teams.over.all()
+
+
+def test_a_crash_ends_an_episode_by_termination_even_in_the_last_step():
+    teams = standing_teams(2, duration=0.2)
+    teams.reset(seeds(2))
+    teams.world.crash_next[0] = True
+    teams.intend([1, 1])
+    result = teams.step([0, 0])
+    assert result.terminated.tolist() == [True, False]
+    assert result.truncated.tolist() == [False, True]
+    assert result.terms["collision"].tolist() == [-5.0, 0.0]
+
+
+def test_ended_teams_stay_as_they_are_and_earn_nothing():
+    teams = standing_teams(2, driver="bart")
+    teams.reset(seeds(2))
+    teams.world.crash_next[0] = True
+    teams.intend([3, 3])
+    teams.step([1, 1])
+    ended = teams.state()[0].copy()
+    for _ in range(5):
+        teams.intend([99, 4])  # an ended team's action is not even read
+        result = teams.step([99, 0])
+        assert result.terms["speed_reward"].tolist() == [0.0, 2.5]
+        assert float(result.rewards["driver"][0]) == 0.0
+    np.testing.assert_array_equal(teams.state()[0], ended)
+    assert teams.steps.tolist() == [1, 6]
+
+
+def test_without_an_end_at_the_crash_the_car_stands_and_the_rest_goes_on():
+    teams = standing_teams(2, driver=ALWAYS, duration=1.0, end_at_crash=False)
+    teams.reset(seeds(2))
+    teams.world.crash_next[0] = True
+    results = []
+    for _ in range(5):
+        teams.intend([1, 1])
+        results.append(teams.step([1, 0]))
+    assert [bool(moved[0]) for moved in teams.world.moved] == [True] + 4 * [False]
+    assert [float(r.terms["collision"][0]) for r in results] == [-5.0] * 5
+    assert [float(r.terms["speed_reward"][0]) for r in results] == [2.5, 0, 0, 0, 0]
+    assert [float(r.terms["distraction"][0]) for r in results] == [-10.0] * 5
+    assert teams.steps.tolist() == [5, 5]
+    assert results[-1].truncated.tolist() == [True, True]
+    assert not results[-1].terminated.any()
+
+
+def test_team_k_is_the_same_alone_and_among_many():
+    drivers = ["lisa", "marge", "bart", "homer"]
+    many, settings = 257, {"driver": drivers, "duration": 4.0}
+    actions = np.random.default_rng(1).integers(0, 5, (20, many))
+    alerts = np.random.default_rng(2).integers(0, 2, (20, many))
+
+    def play(which):
+        teams = standing_teams(len(which), **settings)
+        teams.reset(seeds(many)[which])
+        states = []
+        for step in range(20):
+            teams.intend(actions[step, which])
+            teams.step(alerts[step, which])
+            states.append(teams.state())
+        return np.array(states)
+
+    together = play(np.arange(many))
+    np.testing.assert_array_equal(play(np.array([13])), together[:, [13]])
+    np.testing.assert_array_equal(play(np.array([200, 7, 99])), together[:, [200, 7, 99]])
+
+
+def test_some_teams_can_start_anew_while_others_go_on():
+    teams = standing_teams(3, driver="bart", duration=4.0)
+    teams.reset(seeds(3))
+    for _ in range(4):
+        teams.intend([3, 3, 3])
+        teams.step([1, 1, 1])
+    kept = teams.state()[[0, 2]]
+    teams.reset(seeds(3, first=50), np.array([False, True, False]))
+    np.testing.assert_array_equal(teams.state()[[0, 2]], kept)
+    fresh = standing_teams(1, driver="bart", duration=4.0)
+    fresh.reset(np.array([51], np.uint64))
+    np.testing.assert_array_equal(teams.state()[1], fresh.state()[0])
+    assert teams.seeds.tolist() == [0, 51, 2]
+
+
+def test_the_ai_sees_intent_in_its_turn_and_one_step_late_otherwise():
+    teams = standing_teams(1, driver=NEVER)
+    layout = teams.layouts["vehicle_ai"]
+    teams.reset(seeds(1))
+
+    def intents():
+        seen = teams.observe("vehicle_ai")
+        return tuple(
+            int(layout.chosen(seen, part)[0])
+            for part in ("intended_action", "previous_intended_action", "applied_action")
+        )
+
+    assert intents() == (-1, -1, -1)
+    teams.intend([3])
+    assert intents() == (3, -1, -1)
+    teams.step([0])
+    assert intents() == (3, 3, 3)  # before the next turn the latest a^H is the last step's
+    teams.intend([4])
+    assert intents() == (4, 3, 3)
+
+
+def test_seats_and_state_agree_on_what_they_share():
+    teams = standing_teams(4, driver=["bart", "homer"])
+    teams.reset(seeds(4))
+    teams.intend([0, 1, 2, 3])
+    teams.step([0, 1, 0, 1])
+    state, whole = teams.state(), teams.state_layout
+    for agent, layout in teams.layouts.items():
+        seen = teams.observe(agent)
+        for part in layout.slices:
+            if part != "lidar":
+                np.testing.assert_array_equal(layout.get(seen, part), whole.get(state, part))
+    traits = whole.get(state, "traits")
+    np.testing.assert_allclose(traits[:, 0], teams.traits.beta)
+    np.testing.assert_allclose(traits[:, 3] * 20, teams.traits.inflation, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("act", "error", "message"),
+    [
+        (lambda teams: teams.intend([0, 5]), ValueError, "driver action 5 is out of range"),
+        (lambda teams: teams.intend([-1, 0]), ValueError, "driver action -1 is out of range"),
+        (lambda teams: teams.intend([0]), ValueError, r"shape \(2,\), but got \(1,\)"),
+        (lambda teams: teams.intend([0.5, 1.0]), TypeError, "integers"),
+        (lambda teams: teams.step([0, 0]), ValueError, "the driver acts first"),
+        (lambda teams: teams.reset(seeds(3)), ValueError, r"shape \(2,\), not \(3,\)"),
+    ],
+)
+def test_bad_calls_are_refused(act, error, message):
+    teams = standing_teams(2)
+    teams.reset(seeds(2))
+    with pytest.raises(error, match=message):
+        act(teams)
+
+
+def test_acting_twice_or_alerting_out_of_range_is_refused():
+    teams = standing_teams(1)
+    teams.reset(seeds(1))
+    teams.intend([0])
+    with pytest.raises(ValueError, match="already acted"):
+        teams.intend([0])
+    with pytest.raises(ValueError, match="vehicle_ai action 2 is out of range"):
+        teams.step([2])
+    teams.step([1])  # the failed call changed nothing
+    assert teams.steps.tolist() == [1]
+
+
+def test_there_is_at_least_one_team():
+    with pytest.raises(ValueError, match="at least one team"):
+        Teaming(standing_teams(1).config, 0)

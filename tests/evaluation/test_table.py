@@ -1,0 +1,234 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hmi_marl.agents import oracle
+from hmi_marl.envs.rewards import TERMS
+from hmi_marl.evaluation.files import write_json
+from hmi_marl.evaluation.rollout import Episodes
+from hmi_marl.evaluation.table import Cell, TableConfig, make_cell, make_table, play_cell
+
+ESTIMATES = ("steps", "speed_return", "distraction_return", "attention_return", "min_time_headway")
+
+
+def tiny(**settings: Any) -> TableConfig:
+    small = {"drivers": ("homer",), "hmis": ("own",), "episodes": 1}
+    return TableConfig(**{**small, "duration": 2.0, "vehicles": (1, 3), **settings})
+
+
+def some_episodes(length: list[int], **given: list[float]) -> Episodes:
+    count = len(length)
+    return Episodes(
+        seeds=np.arange(count, dtype=np.uint64),
+        length=np.array(length),
+        crashed=np.array(given.get("crashed", [False] * count), np.bool_),
+        alerts=np.array(given.get("alerts", [0] * count)),
+        distracted=np.zeros(count, np.int64),
+        min_time_headway=np.array(given.get("headway", [1.0] * count)),
+        returns={name: np.array(given.get(name, [0.0] * count)) for name in TERMS},
+    )
+
+
+@pytest.fixture(scope="module")
+def config() -> TableConfig:
+    return tiny(drivers=("homer", "lisa"), hmis=("NoHMI", "AvgHMI", "own"), episodes=5)
+
+
+@pytest.fixture(scope="module")
+def progress_seen() -> list[int]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def cells(config: TableConfig, progress_seen: list[int]) -> list[Cell]:
+    return make_table(config, workers=1, progress=progress_seen.append)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"drivers": ("homer", "moe")}, "unknown driver 'moe'; known drivers: lisa, marge"),
+        ({"hmis": ("own", "siren")}, r"unknown HMI 'siren'; known HMIs: never .*belief"),
+        ({"driver_policy": "autopilot"}, r"unknown driver policy 'autopilot'; known: rule"),
+        ({"episodes": 0}, "at least one episode, but got 0"),
+        ({"seed": -1}, r"a seed lies in \[0, 2\^64\), but got -1"),
+        ({"seed": 2**64 - 2, "episodes": 5}, "a seed lies in"),
+        ({"drivers": ()}, "at least one driver and one HMI"),
+        ({"hmis": ()}, "at least one driver and one HMI"),
+        ({"hmis": ("random:2",)}, r"an alert rate lies in \[0, 1\], but got 2"),
+        ({"hmis": ("random:often",)}, "takes a number"),
+        ({"hmis": ("optimal:moe",)}, "unknown driver 'moe'"),
+        ({"hmis": ("when-distracted",), "ai_sees_attention": False}, "use 'belief'"),
+        ({"alert_window": 0}, "alert_window is at least 1 step"),
+        ({"duration": 0.3}, "not a whole number of steps"),
+        ({"vehicles": (5, 1)}, "runs backwards"),
+    ],
+)
+def test_errors_are_told_at_the_door(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        TableConfig(**settings)
+
+
+@pytest.mark.xfail(strict=True, reason="only found out once the episodes are played")
+def test_a_world_that_is_not_known_is_told_at_the_door() -> None:
+    with pytest.raises(ValueError, match="unknown world 'moon'; known worlds: highway"):
+        TableConfig(world="moon")
+
+
+@pytest.mark.parametrize("workers", [0, -3])
+def test_no_workers_are_refused(workers: int) -> None:
+    with pytest.raises(ValueError, match=f"at least one worker, but got {workers}"):
+        make_table(tiny(), workers=workers)
+
+
+def test_the_default_table_is_the_papers() -> None:
+    config = TableConfig()
+    assert config.drivers == ("lisa", "marge", "bart", "homer")
+    assert {"NoHMI", "AvgHMI", "own"} <= set(config.hmis)
+    assert config.team("bart").horizon == 100
+    assert config.team("bart").alert_window == 7
+
+
+def test_the_result_does_not_depend_on_the_number_of_workers(
+    config: TableConfig, cells: list[Cell]
+) -> None:
+    assert make_table(config, workers=2) == cells
+
+
+def test_cells_come_row_by_row(cells: list[Cell]) -> None:
+    assert [(cell.hmi, cell.driver) for cell in cells] == [
+        (hmi, driver) for hmi in ("NoHMI", "AvgHMI", "own") for driver in ("homer", "lisa")
+    ]
+
+
+def test_progress_sums_up_to_all_episodes(
+    config: TableConfig, cells: list[Cell], progress_seen: list[int]
+) -> None:
+    assert sum(progress_seen) == config.episodes * len(cells)
+    assert min(progress_seen) >= 1
+
+
+def test_a_table_counts_its_seeds_on_from_the_first() -> None:
+    config = tiny(seed=7, episodes=6)
+    (cell,) = make_table(config, workers=1)
+    episodes = play_cell(config, "homer", "own", range(7, 13))
+    assert episodes.seeds.tolist() == [7, 8, 9, 10, 11, 12]
+    assert cell == make_cell(config, "homer", "own", episodes)
+    (other,) = make_table(tiny(seed=107, episodes=6), workers=1)
+    assert other != cell
+
+
+@pytest.mark.xfail(strict=True, reason="its episodes are joined to themselves")
+def test_an_hmi_named_twice_does_not_count_its_episodes_twice() -> None:
+    try:
+        config = tiny(hmis=("own", "own"), episodes=2)
+    except ValueError:
+        return  # to refuse it is as good
+    assert {cell.episodes for cell in make_table(config, workers=1)} == {2}
+
+
+@pytest.mark.parametrize("driver", ["homer", "lisa"])
+def test_exact_returns_are_the_oracles(cells: list[Cell], driver: str) -> None:
+    exact = {c.hmi: c.exact_distraction_return for c in cells if c.driver == driver}
+    optimum = oracle.solve_alerts(driver, 7, 10)
+    averaged = oracle.solve_alerts("average", 7, 10).policy
+    assert exact["own"] == oracle.evaluate(optimum.policy, driver, 7, 10).distraction_return
+    assert exact["AvgHMI"] == oracle.evaluate(averaged, driver, 7, 10).distraction_return
+    assert exact["NoHMI"] == oracle.evaluate(0.0, driver, 7, 10).distraction_return
+    for cell in cells:
+        if cell.driver == driver:
+            assert cell.optimal_distraction_return == optimum.distraction_return
+            assert cell.reachable_distraction_return == oracle.reachable(driver, 7, 10)
+
+
+def test_the_window_and_the_duration_reach_the_exact_returns() -> None:
+    config = tiny(alert_window=2, duration=3.0)
+    cell = make_cell(config, "marge", "own", some_episodes([15]))
+    own = oracle.solve_alerts("marge", window=2, horizon=15)
+    assert cell.exact_distraction_return == own.distraction_return
+    assert own.distraction_return != oracle.solve_alerts("marge", 7, 15).distraction_return
+
+
+def test_without_help_homer_loses_eight_a_step() -> None:
+    # p(d = 1) is 0.8 after one step, and stays there: 0.8 (1 - 0.2) + 0.2 0.8
+    cell = make_cell(tiny(), "homer", "NoHMI", some_episodes([10, 5]))
+    assert cell.exact_distraction_return == pytest.approx(-80.0)
+    assert cell.exact_distraction_return_same_steps == pytest.approx(-60.0)
+
+
+@pytest.mark.parametrize(
+    ("hmi", "sees"), [("belief", True), ("belief:lisa", True), ("belief", False), ("own", False)]
+)
+def test_an_hmi_on_the_belief_has_no_exact_return(hmi: str, sees: bool) -> None:
+    config = tiny(hmis=(hmi,), ai_sees_attention=sees)
+    cell = make_cell(config, "homer", hmi, some_episodes([10]))
+    assert cell.exact_distraction_return is None
+    assert cell.exact_distraction_return_same_steps is None
+    assert cell.optimal_distraction_return == pytest.approx(-18.959998976)
+
+
+def test_a_cell_sums_up_its_episodes_by_hand() -> None:
+    episodes = some_episodes(
+        [10, 5],
+        crashed=[False, True],
+        alerts=[3, 1],
+        headway=[1.5, np.inf],
+        speed_reward=[50.0, 20.0],
+        distraction=[-20.0, -40.0],
+        alert=[10.0, 20.0],
+        accept_alert=[30.0, 60.0],
+    )
+    cell = make_cell(tiny(), "homer", "own", episodes)
+    assert cell.episodes == 2
+    assert cell.steps.mean == 7.5
+    assert cell.speed_return.mean == 35.0
+    assert cell.distraction_return.mean == -30.0
+    assert cell.attention_return.mean == (20.0 + 40.0) / 2
+    # 3 alerts in 2 s are 90 a minute, 1 in 1 s is 60
+    assert cell.alerts.mean == pytest.approx(75.0)
+    assert cell.crash_rate.mean == 0.5
+    assert cell.min_time_headway.mean == 1.5
+
+
+def test_a_cell_as_json_has_the_promised_keys(cells: list[Cell]) -> None:
+    for cell in cells:
+        content = json.loads(json.dumps(cell.as_json(), allow_nan=False))
+        assert content["driver"] == cell.driver
+        assert content["hmi"] == cell.hmi
+        assert content["episodes"] == 5
+        for name in ESTIMATES:
+            assert content[name].keys() == {"mean", "low", "high"}
+        assert content["speed_return"] == vars(cell.speed_return)
+        assert content["distraction_return"] == vars(cell.distraction_return)
+        assert content["alerts"] == cell.alerts.mean
+        assert content["alerts_interval"] == [cell.alerts.low, cell.alerts.high]
+        assert content["crash_rate"] == cell.crash_rate.mean
+        assert content["crash_rate_interval"] == [cell.crash_rate.low, cell.crash_rate.high]
+        assert content["exact_distraction_return"] == cell.exact_distraction_return
+
+
+def test_what_is_not_known_is_null_in_json(tmp_path: Path) -> None:
+    cell = make_cell(
+        tiny(hmis=("belief",)), "homer", "belief", some_episodes([10], headway=[np.inf])
+    )
+    write_json(tmp_path / "cell.json", cell.as_json())
+    content = json.loads((tmp_path / "cell.json").read_text())
+    assert content["min_time_headway"] == {"mean": None, "low": None, "high": None}
+    assert content["speed_return"] == {"mean": 0.0, "low": None, "high": None}
+    assert content["alerts"] == 0.0
+    assert content["alerts_interval"] == [None, None]
+    assert content["exact_distraction_return"] is None
+
+
+def test_alerts_and_crashes_of_a_played_table_make_sense(cells: list[Cell]) -> None:
+    found = {(cell.hmi, cell.driver): cell for cell in cells}
+    assert found["NoHMI", "homer"].alerts.mean == 0.0
+    assert found["own", "homer"].alerts.mean > 0.0
+    for cell in cells:
+        assert cell.steps.mean <= 10
+        assert 0.0 < cell.speed_return.mean <= 5.0 * 10
+        least, most = cell.reachable_distraction_return
+        assert least <= cell.optimal_distraction_return <= most
