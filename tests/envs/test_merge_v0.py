@@ -1,6 +1,7 @@
 import hashlib
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pettingzoo
@@ -61,7 +62,8 @@ def digest():
 
 def test_whole_episodes_are_equal_in_a_new_process():
     command = [sys.executable, "-c", DIGEST]
-    other = subprocess.run(command, cwd="tests/envs", capture_output=True, text=True, check=True)
+    here = Path(__file__).parent
+    other = subprocess.run(command, cwd=here, capture_output=True, text=True, check=True)
     assert other.stdout.strip().splitlines()[-1] == digest()
 
 

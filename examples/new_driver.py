@@ -1,0 +1,26 @@
+"""A driver of one's own, and a population: what is the best HMI worth to each?
+
+Run: python examples/new_driver.py
+"""
+
+import numpy as np
+
+from hmi_marl import Driver, TraitDistributions, Uniform, merge_v0
+from hmi_marl.agents import oracle
+
+mona = Driver("mona", beta=0.4, alpha=0.3, eta=0.5, inflation=2.0)
+without = oracle.evaluate(0.0, mona).distraction_return
+best = oracle.solve_alerts(mona)
+print(f"{mona.name} ({mona})")
+print(f"  distraction return without an HMI {without:8.2f}")
+print(f"  with the optimal one              {best.distraction_return:8.2f}")
+print(f"  alerts in an episode              {best.alerts:8.2f}")
+
+# Receptive drivers of every other kind; a new one at each reset.
+receptive = TraitDistributions(eta=Uniform(0.5, 1.0))
+env = merge_v0.parallel_env(driver=receptive, duration=2.0)
+etas = []
+for seed in range(5):
+    _, infos = env.reset(seed=seed)
+    etas.append(infos["driver"]["eta"])
+print(f"five drawn drivers have η = {np.round(etas, 2).tolist()}")

@@ -1,0 +1,327 @@
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pygame
+import pytest
+from numpy.typing import NDArray
+
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.render import (
+    PANEL_HEIGHT,
+    TeamStatus,
+    Viewer,
+    between,
+    has_display,
+    team_status,
+)
+from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.worlds import Snapshot
+
+CONFIG = TeamConfig(duration=2.0, scene=Scene(vehicles=2))
+STATUS = TeamStatus(
+    driver="homer",
+    inflation=9.0,
+    distracted=False,
+    alert=False,
+    steps_left=0,
+    window=7,
+    intended="keep_speed",
+    applied="keep_speed",
+    speed=30.0,
+    time=0.4,
+    crashed=False,
+)
+SNAPSHOT = Snapshot(
+    time=0.4,
+    position=np.array([[100.0, 8.0], [120.0, 4.0], [150.0, 18.5]]),
+    heading=np.array([0.0, 0.02, 0.0]),
+    speed=np.array([30.0, 28.0, 20.0]),
+    crashed=np.zeros(3, np.bool_),
+    obstacles=np.array([[170.0, 12.0]]),
+)
+Picture = NDArray[np.uint8]
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Viewer:
+    return Viewer(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def plain(viewer: Viewer) -> Picture:
+    return viewer.draw(SNAPSHOT, STATUS)
+
+
+@pytest.fixture
+def pretended_display(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """SDL's dummy driver, and a display by name only."""
+    pygame.display.quit()
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+def road(picture: Picture) -> Picture:
+    return picture[:-PANEL_HEIGHT]
+
+
+def panel(picture: Picture) -> Picture:
+    return picture[-PANEL_HEIGHT:]
+
+
+def differ(one: Picture, other: Picture) -> bool:
+    return bool((one != other).any())
+
+
+def test_a_picture_is_rgb_of_the_width_asked_for(plain: Picture) -> None:
+    # (three lanes of 4 m and 16 m around them) x 5.5 pixels, and the panel
+    assert plain.shape == (28 * 5.5 + PANEL_HEIGHT, 880, 3)
+    assert plain.dtype == np.uint8
+    narrow = Viewer(CONFIG, width=641).draw(SNAPSHOT, STATUS)
+    assert narrow.shape == (plain.shape[0], 640, 3), "video wants even numbers"
+
+
+def test_more_lanes_make_a_higher_picture(plain: Picture) -> None:
+    config = TeamConfig(duration=2.0, scene=Scene(lanes=5, vehicles=2))
+    assert Viewer(config).draw(SNAPSHOT, STATUS).shape[0] == plain.shape[0] + 2 * 4 * 5.5
+
+
+def test_pictures_are_not_black(plain: Picture) -> None:
+    assert road(plain).mean() > 60
+    assert panel(plain).mean() > 200
+    assert len(np.unique(road(plain).reshape(-1, 3), axis=0)) > 4, "road, lines and two cars"
+
+
+@pytest.mark.parametrize("driver", ["dummy", "offscreen", None])
+def test_pictures_do_not_depend_on_sdls_driver(driver: str | None, plain: Picture) -> None:
+    script = (
+        "import hashlib; from test_render import *;"
+        "print(hashlib.sha256(Viewer(CONFIG).draw(SNAPSHOT, STATUS).tobytes()).hexdigest())"
+    )
+    unwanted = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    surroundings = {name: value for name, value in os.environ.items() if name not in unwanted}
+    surroundings["PYTHONPATH"] = os.path.dirname(__file__)
+    if driver is not None:
+        surroundings["SDL_VIDEODRIVER"] = driver
+    drawn = subprocess.run(
+        [sys.executable, "-c", script], env=surroundings, capture_output=True, text=True, check=True
+    )
+    assert drawn.stdout.split()[-1] == hashlib.sha256(plain.tobytes()).hexdigest()
+
+
+def test_the_same_moment_is_drawn_the_same(viewer: Viewer, plain: Picture) -> None:
+    viewer.draw(replace(SNAPSHOT, position=SNAPSHOT.position + 50.0), replace(STATUS, alert=True))
+    np.testing.assert_array_equal(viewer.draw(SNAPSHOT, STATUS), plain)
+
+
+def test_a_picture_is_kept_when_the_next_is_drawn(viewer: Viewer) -> None:
+    first = viewer.draw(SNAPSHOT, STATUS)
+    kept = first.copy()
+    viewer.draw(SNAPSHOT, replace(STATUS, distracted=True, alert=True))
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_a_distracted_drivers_car_and_panel_look_different(viewer: Viewer, plain: Picture) -> None:
+    distracted = viewer.draw(SNAPSHOT, replace(STATUS, distracted=True))
+    assert differ(road(distracted), road(plain))
+    assert differ(panel(distracted), panel(plain))
+
+
+def test_a_crash_shows_on_the_road_and_in_the_panel(viewer: Viewer, plain: Picture) -> None:
+    crashed = replace(SNAPSHOT, crashed=np.array([True, False, False]))
+    picture = viewer.draw(crashed, replace(STATUS, crashed=True))
+    assert differ(road(picture), road(plain))
+    assert differ(panel(picture), panel(plain))
+    other = viewer.draw(replace(SNAPSHOT, crashed=np.array([False, True, False])), STATUS)
+    assert differ(road(other), road(plain))
+    assert not differ(panel(other), panel(plain))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"alert": True},
+        {"steps_left": 3},
+        {"window": 4},
+        {"intended": "move_left"},
+        {"applied": "slow_down"},
+        {"driver": "bart"},
+        {"time": 1.0},
+        {"speed": 20.0},
+    ],
+)
+def test_the_panel_shows_it_and_the_road_does_not(
+    viewer: Viewer, plain: Picture, change: dict[str, object]
+) -> None:
+    picture = viewer.draw(SNAPSHOT, replace(STATUS, **change))
+    assert differ(panel(picture), panel(plain))
+    assert not differ(road(picture), road(plain))
+
+
+def test_vehicles_are_drawn_where_they_are(viewer: Viewer, plain: Picture) -> None:
+    moved = SNAPSHOT.position + np.array([[0, 0], [10.0, 0], [0, 0]])
+    picture = viewer.draw(replace(SNAPSHOT, position=moved), STATUS)
+    changed = np.flatnonzero((road(picture) != road(plain)).any(axis=(0, 2)))
+    # the car was 20 m ahead of the driver's, who is at 35 % of the width, and now is 30 m ahead
+    ahead = (changed - 0.35 * 880) / 5.5
+    assert 20 - 3.5 < ahead.min() < 20
+    assert 30 < ahead.max() < 30 + 3.5
+
+
+def test_perceived_sizes_are_drawn_when_asked_for(plain: Picture) -> None:
+    perceived = Viewer(CONFIG, perceived=True)
+    drawn = perceived.draw(SNAPSHOT, STATUS)
+    assert differ(road(drawn), road(plain))
+    larger = (road(drawn) != road(plain)).any(axis=2).sum()
+    smaller = perceived.draw(SNAPSHOT, replace(STATUS, inflation=3.0))
+    assert (road(smaller) != road(plain)).any(axis=2).sum() < larger
+
+
+def test_perceived_sizes_without_inflation_are_the_true_ones(plain: Picture) -> None:
+    picture = Viewer(CONFIG, perceived=True).draw(SNAPSHOT, replace(STATUS, inflation=1.0))
+    np.testing.assert_array_equal(road(picture), road(plain))
+
+
+def test_inflation_does_not_show_when_not_asked_for(viewer: Viewer, plain: Picture) -> None:
+    np.testing.assert_array_equal(viewer.draw(SNAPSHOT, replace(STATUS, inflation=3.0)), plain)
+
+
+def test_a_window_without_a_display_is_refused_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "uname", lambda: os.uname_result(("Linux", "", "", "", "")))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(RuntimeError, match=r"no display .* --out clip\.gif, or render_mode="):
+        Viewer(CONFIG, window=True)
+    assert Viewer(CONFIG).draw(SNAPSHOT, STATUS).any(), "pictures need none"
+
+
+@pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY"])
+def test_either_kind_of_display_will_do(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setattr(os, "uname", lambda: os.uname_result(("Linux", "", "", "", "")))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert not has_display()
+    monkeypatch.setenv(name, ":0")
+    assert has_display()
+
+
+@pytest.mark.usefixtures("pretended_display")
+def test_a_window_shows_the_picture_that_is_returned(plain: Picture) -> None:
+    window = Viewer(CONFIG, window=True)
+    picture = window.draw(SNAPSHOT, STATUS, frames=50)
+    shown = pygame.surfarray.array3d(pygame.display.get_surface())
+    np.testing.assert_array_equal(np.moveaxis(shown, 0, 1), plain)
+    np.testing.assert_array_equal(picture, plain)
+    window.close()
+    assert not pygame.display.get_init()
+
+
+@pytest.mark.usefixtures("pretended_display")
+def test_closing_one_viewer_leaves_another_usable(plain: Picture) -> None:
+    pictures, window = Viewer(CONFIG), Viewer(CONFIG, window=True)
+    window.draw(SNAPSHOT, STATUS, frames=50)
+    window.close()
+    window.close()  # once more does no harm
+    np.testing.assert_array_equal(pictures.draw(SNAPSHOT, STATUS), plain)
+    pictures.close()
+    np.testing.assert_array_equal(Viewer(CONFIG).draw(SNAPSHOT, STATUS), plain)
+
+
+def test_between_goes_straight_from_one_moment_to_the_next() -> None:
+    after = replace(
+        SNAPSHOT,
+        time=0.6,
+        position=SNAPSHOT.position + np.array([6.0, 0.4]),
+        heading=SNAPSHOT.heading + 0.1,
+        speed=SNAPSHOT.speed - 2.0,
+        crashed=np.array([True, False, False]),
+    )
+    quarter = between(SNAPSHOT, after, 0.25)
+    assert quarter.time == pytest.approx(0.45)
+    np.testing.assert_allclose(quarter.position, SNAPSHOT.position + np.array([1.5, 0.1]))
+    np.testing.assert_allclose(quarter.heading, SNAPSHOT.heading + 0.025)
+    np.testing.assert_allclose(quarter.speed, SNAPSHOT.speed - 0.5)
+    assert not quarter.crashed.any()
+    assert between(SNAPSHOT, after, 0.75).crashed.tolist() == [True, False, False]
+    for fraction, end in ((0.0, SNAPSHOT), (1.0, after)):
+        reached = between(SNAPSHOT, after, fraction)
+        for name, value in vars(end).items():
+            np.testing.assert_array_equal(getattr(reached, name), value, err_msg=name)
+
+
+def test_between_moments_with_other_vehicles_is_the_later_one() -> None:
+    fewer = replace(
+        SNAPSHOT,
+        position=SNAPSHOT.position[:2],
+        heading=SNAPSHOT.heading[:2],
+        speed=SNAPSHOT.speed[:2],
+        crashed=SNAPSHOT.crashed[:2],
+    )
+    assert between(SNAPSHOT, fewer, 0.1) is fewer
+
+
+@pytest.fixture
+def alert_window() -> int:
+    return 3
+
+
+@pytest.fixture
+def teaming(alert_window: int) -> Teaming:
+    config = TeamConfig(
+        driver=["homer", "bart"], alert_window=alert_window, duration=2.0, scene=Scene(vehicles=1)
+    )
+    made = Teaming(config, 2)
+    made.reset(np.array([1, 2], np.uint64))
+    return made
+
+
+def test_the_status_counts_an_alerts_window_down(teaming: Teaming, alert_window: int) -> None:
+    assert team_status(teaming, 0).steps_left == 0
+    left, alerts, accepted = [], [], []
+    for alert in (0, 1, 0, 0, 0, 1, 0, 1, 0):
+        teaming.intend([1, 1])
+        teaming.step([alert, 0])
+        status = team_status(teaming, 0)
+        left.append(status.steps_left)
+        alerts.append(status.alert)
+        accepted.append(bool(teaming.attention.accepted[0]))
+        assert team_status(teaming, 1).steps_left == 0, "the other team was never alerted"
+    assert status.window == alert_window
+    assert left == [0, 3, 2, 1, 0, 3, 2, 3, 2]
+    assert alerts == [False, True, False, False, False, True, False, True, False]
+    assert accepted == [steps > 0 for steps in left]
+
+
+def test_the_status_is_the_teams_own(teaming: Teaming) -> None:
+    first = team_status(teaming, 1)
+    assert (first.intended, first.applied, first.time, first.speed) == ("-", "-", 0.0, 30.0)
+    teaming.intend([1, 0])
+    teaming.step([0, 1])
+    teaming.intend([1, 4])
+    teaming.step([0, 0])
+    one, other = team_status(teaming, 0), team_status(teaming, 1)
+    assert other.intended == "slow_down"
+    assert other.applied == ("move_left" if other.distracted else "slow_down")
+    assert (one.intended, one.applied) == ("keep_speed", "keep_speed")
+    assert one.time == other.time == pytest.approx(0.4)
+    for k, status in enumerate((one, other)):
+        assert status.distracted == bool(teaming.attention.distracted[k])
+        assert status.speed == teaming.ego.speed[k]
+        assert status.inflation == teaming.traits.inflation[k]
+        assert status.driver == {9.0: "homer", 3.0: "bart"}[status.inflation]
+
+
+def test_a_driver_of_no_name_is_called_driver() -> None:
+    from hmi_marl import Driver
+
+    stranger = Driver("moe", beta=0.3, alpha=0.3, eta=0.3, inflation=2.0)
+    made = Teaming(TeamConfig(driver=stranger, duration=2.0, scene=Scene(vehicles=1)), 1)
+    made.reset(np.array([1], np.uint64))
+    assert team_status(made, 0).driver == "driver"
