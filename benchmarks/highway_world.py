@@ -1,9 +1,10 @@
-"""What does a team's step cost on the highway world, beside plain highway-env's own step?
+"""What does a team's step cost on the highway world, beside highway-env's own step?
 
-Both drive the same scenes with the same actions, in turns, in one process; the world's physics is
-highway-env's in both. Writes JSON beside what it prints.
+Both drive the same scenes with the same actions, turn by turn, in one process. highway-env's step
+computes its own lidar and reward; a team's step the attention chain, the eight reward terms and
+both seats' observations, with a lidar each. Writes JSON beside what it prints.
 
-Run: python benchmarks/highway_world.py --steps 60 --vehicles 5 10 20
+Run: python benchmarks/highway_world.py --steps 100 --vehicles 5 10 20
 """
 
 import argparse
@@ -12,72 +13,89 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import gymnasium
-import highway_env  # noqa: F401 (registers its environments)
 import numpy as np
 
 from hmi_marl import Driver, Scene, merge_v0
-from hmi_marl.envs.worlds.highway import highway_config
+from hmi_marl.envs.scene import draw_start
+from hmi_marl.envs.worlds.highway import MergeScene
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=3.0)
+KEEP_SPEED = 1
+
+Step = Callable[[], bool]
+"""Takes one step and tells whether the car crashed."""
 
 
-def plain(scene: Scene) -> Callable[[int | None], None]:
-    """highway-env's own environment with its own lidar."""
-    config = highway_config(scene) | {
-        "vehicles_count": scene.vehicles,
-        "observation": {"type": "LidarObservation"},
-    }
-    env = gymnasium.make("merge-generic-v1", config=config).unwrapped
-    return lambda seed: env.step(1) if seed is None else env.reset(seed=seed)
+def highway_env_alone(scene: Scene) -> Callable[[int], Step]:
+    """highway-env's own ``step`` with its own lidar; call with a seed to start an episode."""
+    env = MergeScene(scene)
+    env.configure({"observation": {"type": "LidarObservation"}})
+    env.define_spaces()
+
+    def begin(seed: int) -> Step:
+        env.restart(draw_start(scene, seed))
+        env.define_spaces()
+        return lambda: bool(env.step(KEEP_SPEED)[2] and env.vehicle.crashed)
+
+    return begin
 
 
-def team(scene: Scene) -> Callable[[int | None], None]:
-    """Our parallel environment: chain, rewards, both observations."""
-    env = merge_v0.parallel_env(driver=ATTENTIVE, scene=scene, end_at_crash=False, duration=100.0)
-    actions = {"driver": 1, "vehicle_ai": 0}
-    return lambda seed: env.step(actions) if seed is None else env.reset(seed=seed)
+def team(scene: Scene) -> Callable[[int], Step]:
+    """The parallel environment; call with a seed to start an episode."""
+    env = merge_v0.parallel_env(driver=ATTENTIVE, scene=scene)
+    actions = {"driver": KEEP_SPEED, "vehicle_ai": 0}
+
+    def begin(seed: int) -> Step:
+        env.reset(seed=seed)
+        return lambda: env.step(actions)[4]["driver"]["crashed"]
+
+    return begin
 
 
-def seconds_per_step(run: Callable[[int | None], None], steps: int, seed: int) -> float:
-    run(seed)
+def seconds_per_step(begin: Callable[[int], Step], seed: int, steps: int) -> float:
+    """Mean over one episode of at most ``steps`` steps, resets left out."""
+    step, taken, crashed = begin(seed), 0, False
     start = time.perf_counter()
-    for _ in range(steps):
-        run(None)
-    return (time.perf_counter() - start) / steps
+    while taken < steps and not crashed:
+        crashed = step()
+        taken += 1
+    return (time.perf_counter() - start) / taken
 
 
 def main() -> None:
+    """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=60, help="timed in each turn")
-    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument(
+        "--steps", type=int, default=100, help="at most, in each episode (1 to 100)"
+    )
+    parser.add_argument("--episodes", type=int, default=5)
     parser.add_argument("--vehicles", type=int, nargs="+", default=[5, 10, 20])
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/highway_world.json"))
     args = parser.parse_args()
     rows = []
-    print(f"{'vehicles':>8}{'highway-env':>14}{'our team':>12}{'ratio':>8}")
+    print(f"{'vehicles':>8}{'highway-env':>16}{'team':>16}{'cost ratio':>12}")
     for vehicles in args.vehicles:
-        scene = Scene(vehicles=vehicles).fitted(100.0)
-        runs = [plain(scene), team(scene)]
-        for run in runs:
-            seconds_per_step(run, 5, 0)  # warm-up
+        scene = Scene(vehicles=vehicles).fitted(20.0)
+        both = highway_env_alone(scene), team(scene)
+        for begin in both:
+            seconds_per_step(begin, 0, 5)  # warm-up
         times = np.array(
             [
-                [seconds_per_step(run, args.steps, turn) for run in runs]
-                for turn in range(args.turns)
+                [seconds_per_step(begin, seed, args.steps) for begin in both]
+                for seed in range(args.episodes)
             ]
         )
-        ours, theirs = 1 / np.median(times[:, 1]), 1 / np.median(times[:, 0])
+        alone, with_team = 1 / np.median(times, axis=0)
         ratio = float(np.median(times[:, 1] / times[:, 0]))
         rows.append(
             {
                 "vehicles": vehicles,
-                "highway_env_steps_per_s": theirs,
-                "team_steps_per_s": ours,
+                "highway_env_steps_per_s": alone,
+                "team_steps_per_s": with_team,
                 "cost_ratio": ratio,
             }
         )
-        print(f"{vehicles:>8}{theirs:>10.0f} st/s{ours:>8.0f} st/s{ratio:>7.2f}x")
+        print(f"{vehicles:>8}{alone:>8.0f} steps/s{with_team:>8.0f} steps/s{ratio:>11.2f}x")
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(rows, indent=2) + "\n")
     print(f"written: {args.out}")

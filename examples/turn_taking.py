@@ -37,10 +37,8 @@ for agent in env.agent_iter():
     if agent == "vehicle_ai":
         steps += 1
         alerts += action
-        distracted += env.infos[agent]["distracted"] if env.infos else 0
+        distracted += env.infos[agent]["distracted"]
 
-print(
-    f"{args.driver} with {args.hmi!r}: distracted in {distracted} of {steps} steps, {alerts} alerts"
-)
+print(f"{args.driver} with {args.hmi!r}: {alerts} alerts, distracted {distracted} of {steps} steps")
 for agent, value in returns.items():
     print(f"  {agent:<11} return {value:8.2f}")

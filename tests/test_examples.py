@@ -28,7 +28,7 @@ def test_every_example_is_run():
 
 def test_the_benchmark_runs(tmp_path):
     script = ROOT / "benchmarks" / "highway_world.py"
-    arguments = ["--steps", "3", "--turns", "1", "--vehicles", "2"]
+    arguments = ["--steps", "3", "--episodes", "1", "--vehicles", "2"]
     command = [sys.executable, str(script), *arguments]
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr

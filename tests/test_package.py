@@ -90,7 +90,9 @@ def test_the_version_is_told_once_and_the_citation_agrees():
 
 def test_every_dependency_is_pinned():
     pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = [*pyproject["dependencies"], *sum(pyproject["optional-dependencies"].values(), [])]
+    wanted = list(pyproject["dependencies"])
+    for extra in pyproject["optional-dependencies"].values():
+        wanted += extra
     constraints = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = {line.split("==")[0].lower() for line in constraints if "==" in line}
     for requirement in wanted:

@@ -45,7 +45,7 @@ class TableConfig:
     optimal), optimal:DRIVER, belief[:DRIVER]."""
     driver_policy: str = "rule"
     """Who steers: rule or random."""
-    episodes: int = 12
+    episodes: int = 16
     """Episodes in each cell."""
     seed: int = 0
     """Seed of the first episode; the others count on from it."""
