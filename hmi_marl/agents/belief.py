@@ -8,7 +8,8 @@ b = p(d = 1) therefore moves by
 .. math::
     b' = b (1 - \min(1, \alpha + \eta i')) + (1 - b) \max(0, \beta - \eta i')
 
-in a silent step, and to the d that was seen in a revealing one. On (t, b, i, c) this is again a
+in a silent step, and to the d that was seen in a revealing one. The first step is always silent,
+since v_0 = a^H_0. On (t, b, i, c) this is again a
 Markov decision process, given how often steps reveal; it is solved here on a grid of beliefs.
 """
 
@@ -37,7 +38,8 @@ class BeliefSolution:
     window: int
     horizon: int
     revealing: float
-    """Assumed share of steps in which a^H differs from the last applied action."""
+    """Assumed share of steps, of those after the first, in which a^H differs from the last
+    applied action."""
     total_return: float
     """Expected attention return of the rule if the model is true."""
     advantage: NDArray[np.float32]
@@ -107,9 +109,9 @@ def solve_belief(
 ) -> BeliefSolution:
     """Dynamic programming over (t, b, i, c), with ``revealing`` of the steps showing d.
 
-    Each later step reveals d independently with that probability. Whether the present one will
-    is known when alerting if ``sees_intent``, that is, when taking turns (a^H_t and v_{t-1} are
-    both seen); at once it is not, and both cases are weighed.
+    Each step but the first reveals d independently with that probability. Whether the present one
+    will is known when alerting if ``sees_intent``, that is, when taking turns (a^H_t and v_{t-1}
+    are both seen); at once it is not, and both cases are weighed.
 
     Raises:
         ValueError: ``revealing`` outside [0, 1], or what :func:`oracle.solve_alerts` refuses.
@@ -126,16 +128,15 @@ def solve_belief(
         _Choice.of(alert, belief, accepted, counter, driver, window, weights) for alert in (0, 1)
     ]
     for t in reversed(range(horizon)):
+        share = revealing if t > 0 else 0.0
         silent = [choice.value_if_silent(value) for choice in choices]
         revealed = [choice.value_if_revealed(value) for choice in choices]
         if not sees_intent:
-            both = [
-                (1 - revealing) * s + revealing * r for s, r in zip(silent, revealed, strict=True)
-            ]
+            both = [(1 - share) * s + share * r for s, r in zip(silent, revealed, strict=True)]
             silent = revealed = both
         advantage[t, 0] = silent[1] - silent[0]
         advantage[t, 1] = revealed[1] - revealed[0]
-        value = (1 - revealing) * np.maximum(*silent) + revealing * np.maximum(*revealed)
+        value = (1 - share) * np.maximum(*silent) + share * np.maximum(*revealed)
     return BeliefSolution(driver, window, horizon, revealing, float(value[0, 0, 0]), advantage)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from hmi_marl.agents.belief import DEFAULT_REVEALING
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
 from hmi_marl.envs.config import TeamConfig
@@ -20,7 +21,8 @@ HMI_NAMES = MappingProxyType(
         "driver model; on the Bayes belief if attention is hidden",
         "average": "the exact optimum for the average driver (AvgHMI), optimal:average",
         "belief": "keeps the Bayes belief over distraction from what the car does, never looking "
-        "at the driver; belief:NAME for another driver model",
+        "at the driver; belief:NAME for another driver model, belief:NAME:SHARE to assume that "
+        f"such a share of steps shows d instead of {DEFAULT_REVEALING:g}",
     }
 )
 DRIVER_POLICY_NAMES = MappingProxyType(
@@ -42,8 +44,14 @@ def _known(names: MappingProxyType[str, str]) -> str:
     return "; ".join(f"{name} ({meaning})" for name, meaning in names.items())
 
 
-def make_hmi(name: str, config: TeamConfig) -> Policy:
+def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy:
     """The HMI of this name for teams set up by ``config``.
+
+    Args:
+        name: one of ``HMI_NAMES``, case does not matter.
+        config: of the teams.
+        taking_turns: False in a parallel environment, where the AI sees a^H one step late; an HMI
+            that goes by a^H must know.
 
     Raises:
         ValueError: unknown name (the message lists the known ones), or one that does not fit the
@@ -57,35 +65,42 @@ def make_hmi(name: str, config: TeamConfig) -> Policy:
     if kind in ("never", "always"):
         return RandomAlert(rate=float(kind == "always"))
     if kind == "random":
-        return RandomAlert(_rate(argument or "0.5"))
+        return RandomAlert(_number(argument or "0.5", "random:RATE"))
     if kind == "when-distracted":
         return AlertWhenDistracted(config)
     if kind in ("optimal", "belief"):
-        model = get_driver(argument) if argument else _driver_at_the_wheel(config, kind)
+        model_name, share = argument, ""
+        if kind == "belief":
+            model_name, _, share = argument.partition(":")
+        model = get_driver(model_name) if model_name else _driver_at_the_wheel(config, kind)
         if kind == "optimal" and config.ai_sees_attention:
             return OptimalAlert(model, config)
-        return BeliefAlert(model, config)
+        revealing = _number(share, "belief:DRIVER:SHARE") if share else DEFAULT_REVEALING
+        return BeliefAlert(model, config, revealing, taking_turns)
     raise ValueError(f"unknown HMI {name!r}; known HMIs: {_known(HMI_NAMES)}")
 
 
 def make_driver_policy(name: str, config: TeamConfig) -> Policy:
-    """The policy of this name for the driver's seat.
+    """The policy of this name for the driver's seat; case does not matter.
 
     Raises:
         ValueError: unknown name; the message lists the known ones.
     """
-    if name == "rule":
+    if not isinstance(name, str):
+        raise TypeError(f"a driver policy's name is a string, not {name!r}")
+    kind = name.lower()
+    if kind == "rule":
         return RuleBasedDriver(config)
-    if name == "random":
+    if kind == "random":
         return RandomDriver()
     raise ValueError(f"unknown driver policy {name!r}; known: {_known(DRIVER_POLICY_NAMES)}")
 
 
-def _rate(text: str) -> float:
+def _number(text: str, form: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"random:RATE takes a number in [0, 1], not {text!r}") from None
+        raise ValueError(f"{form} takes a number in [0, 1], not {text!r}") from None
 
 
 def _driver_at_the_wheel(config: TeamConfig, kind: str) -> Driver:

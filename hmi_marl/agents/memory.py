@@ -32,7 +32,13 @@ class Draws:
             self._steps = np.where(which, np.uint64(0), self._steps)
 
     def next(self) -> NDArray[np.float64]:
-        """The next draw of every team, shape (N,), in [0, 1)."""
+        """The next draw of every team, shape (N,), in [0, 1).
+
+        Raises:
+            RuntimeError: before the first :meth:`reset`.
+        """
+        if not len(self._seeds):
+            raise RuntimeError("a policy that draws needs seeds: call reset(seeds) first")
         drawn = uniform(self._seeds, self._stream, self._steps)
         self._steps += np.uint64(1)
         return drawn

@@ -8,7 +8,8 @@ of the paper's reward table, and nothing that the car does changes it. Dynamic p
 .. math::
     V_t(s) = \max_a \sum_{s'} P(s' | s, a) [ r(s, a, s') + V_{t+1}(s') ], \quad V_T = 0
 
-for an episode of T steps from d = i = c = 0.
+for an episode of T steps from d = i = c = 0. Since i and c move for sure, each state has two
+successors, and a step of it costs O(N).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs.attention import check_window, transition_matrix
+from hmi_marl.envs.attention import Successors, check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
 
@@ -58,8 +59,16 @@ class AlertReturns:
         return float(self.alert_rate.sum())
 
     def distraction_return_after(self, steps: ArrayLike) -> NDArray[np.float64]:
-        """Expected sum of R_distraction over the first ``steps`` steps, of any shape."""
-        return np.concatenate(([0.0], np.cumsum(self.rewards["distraction"])))[np.asarray(steps)]
+        """Expected sum of R_distraction over the first ``steps`` steps, of any shape.
+
+        Raises:
+            ValueError: not whole numbers from 0 to the horizon.
+        """
+        count = np.asarray(steps)
+        whole = np.issubdtype(count.dtype, np.integer)
+        if not whole or np.any((count < 0) | (count > self.horizon)):
+            raise ValueError(f"steps are whole numbers from 0 to {self.horizon}, but got {steps!r}")
+        return np.concatenate(([0.0], np.cumsum(self.rewards["distraction"])))[count]
 
 
 @dataclass(frozen=True)
@@ -88,14 +97,31 @@ def check_horizon(horizon: int) -> int:
     return int(horizon)
 
 
-def expected_rewards(
-    matrix: NDArray[np.float64], weights: RewardWeights
-) -> dict[str, NDArray[np.float64]]:
+def _expected_rewards(after: Successors, weights: RewardWeights) -> dict[str, NDArray[np.float64]]:
     """Expected reward of each attention term, each of shape (2, 2, 2, N) = [a, d, i, c]."""
     alert, before, now = np.indices((2, 2, 2))
     terms = attention_terms(weights, alert=alert, distracted_before=before, distracted=now)
-    p_now = matrix.sum(axis=(-2, -1))
+    p_now = np.stack([1.0 - after.distracted, after.distracted], axis=-1)
     return {name: np.einsum("adice,ade->adic", p_now, terms[name]) for name in ATTENTION_TERMS}
+
+
+def _expected_value(after: Successors, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of ``value`` [d, i, c] in the next step; shape (2, 2, 2, N) = [a, d, i, c]."""
+    attentive = value[0, after.accepted, after.counter]
+    distracted = value[1, after.accepted, after.counter]
+    return (1.0 - after.distracted) * attentive + after.distracted * distracted
+
+
+def _flow(after: Successors, joint: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probability of each [d, i, c] in the next step, from that of [a, d, i, c] in this one."""
+    window = joint.shape[-1]
+    place = (after.accepted * window + after.counter).ravel()
+    return np.stack(
+        [
+            np.bincount(place, (joint * p).ravel(), minlength=2 * window).reshape(2, window)
+            for p in (1.0 - after.distracted, after.distracted)
+        ]
+    )
 
 
 def solve_alerts(
@@ -119,12 +145,12 @@ def solve_alerts(
     """
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
     weights = weights or RewardWeights()
-    matrix = transition_matrix(driver, window)
-    reward = sum(expected_rewards(matrix, weights).values())
+    after = successors(driver, window)
+    reward = sum(_expected_rewards(after, weights).values())
     policy = np.zeros((horizon, 2, 2, window), np.int8)
     values = np.zeros((horizon + 1, 2, 2, window))
     for t in reversed(range(horizon)):
-        action_values = reward + np.tensordot(matrix, values[t + 1], axes=3)
+        action_values = reward + _expected_value(after, values[t + 1])
         policy[t] = action_values[1] > action_values[0] + _TIE
         values[t] = np.where(policy[t], action_values[1], action_values[0])
     returns = evaluate(policy, driver, window, horizon, weights)
@@ -159,8 +185,8 @@ def evaluate(
         ) from None
     if not np.all((probability >= 0) & (probability <= 1)):
         raise ValueError("every alert probability lies in [0, 1]")
-    matrix = transition_matrix(driver, window)
-    rewards = expected_rewards(matrix, weights or RewardWeights())
+    after = successors(driver, window)
+    rewards = _expected_rewards(after, weights or RewardWeights())
     by_step = {name: np.zeros(horizon) for name in rewards}
     alert_rate = np.zeros(horizon)
     occupancy = np.zeros((2, 2, window))
@@ -170,7 +196,7 @@ def evaluate(
         alert_rate[t] = joint[1].sum()
         for name, reward in rewards.items():
             by_step[name][t] = (joint * reward).sum()
-        occupancy = np.tensordot(joint, matrix, axes=4)
+        occupancy = _flow(after, joint)
     return AlertReturns(driver, window, horizon, by_step, alert_rate)
 
 
@@ -186,12 +212,12 @@ def reachable(
     since in a Markov decision process a Markov policy attains both ends.
     """
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    matrix = transition_matrix(driver, window)
-    reward = expected_rewards(matrix, weights or RewardWeights())["distraction"]
+    after = successors(driver, window)
+    reward = _expected_rewards(after, weights or RewardWeights())["distraction"]
     ends = []
     for choose in (np.min, np.max):
         value = np.zeros((2, 2, window))
         for _ in range(horizon):
-            value = choose(reward + np.tensordot(matrix, value, axes=3), axis=0)
+            value = choose(reward + _expected_value(after, value), axis=0)
         ends.append(float(value[0, 0, 0]))
     return Reachable(*ends)

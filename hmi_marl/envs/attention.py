@@ -13,6 +13,7 @@ All functions are pure, element by element, and know nothing of roads or agents.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -115,8 +116,31 @@ def step(
     return Attention((draws < probability).astype(np.int64), accepted, counter)
 
 
+class Successors(NamedTuple):
+    """Where every [a, d, i, c] leads: i and c for sure, d by chance. Shapes (2, 2, 2, N)."""
+
+    accepted: NDArray[np.int64]
+    """i_t."""
+    counter: NDArray[np.int64]
+    """c_t."""
+    distracted: NDArray[np.float64]
+    """p(d_t = 1)."""
+
+
+def successors(driver: Driver, window: int) -> Successors:
+    """The chain's transitions in the form that dynamic programming needs, O(N) in all."""
+    alert, distracted, accepted, counter = np.indices((2, 2, 2, check_window(window)))
+    next_i, next_c = next_acceptance(accepted, counter, alert, window)
+    p_distracted = distraction_probability(
+        distracted, next_i, driver.beta, driver.alpha, driver.eta
+    )
+    return Successors(next_i, next_c, p_distracted)
+
+
 def transition_matrix(driver: Driver, window: int) -> NDArray[np.float64]:
-    """P[a, d, i, c, d', i', c']: the chain's transition probabilities.
+    """P[a, d, i, c, d', i', c']: the chain's transition probabilities, for inspection.
+
+    It is O(N²) large; :func:`successors` says the same in O(N).
 
     Args:
         driver: whose traits.
@@ -125,13 +149,9 @@ def transition_matrix(driver: Driver, window: int) -> NDArray[np.float64]:
     Returns:
         float64 array of shape (2, 2, 2, N, 2, 2, N); the last three axes sum to 1.
     """
-    window = check_window(window)
-    alert, distracted, accepted, counter = np.indices((2, 2, 2, window))
-    next_i, next_c = next_acceptance(accepted, counter, alert, window)
-    p_distracted = distraction_probability(
-        distracted, next_i, driver.beta, driver.alpha, driver.eta
-    )
+    after = successors(driver, window)
     matrix = np.zeros((2, 2, 2, window, 2, 2, window))
-    matrix[alert, distracted, accepted, counter, 1, next_i, next_c] = p_distracted
-    matrix[alert, distracted, accepted, counter, 0, next_i, next_c] = 1.0 - p_distracted
+    now = tuple(np.indices((2, 2, 2, window)))
+    matrix[*now, 1, after.accepted, after.counter] = after.distracted
+    matrix[*now, 0, after.accepted, after.counter] = 1.0 - after.distracted
     return matrix

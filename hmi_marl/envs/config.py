@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import ParamSpec, TypeVar
+
+import numpy as np
 
 from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.drivers import Driver, DriverList, Population, as_population
@@ -23,7 +28,7 @@ class TeamConfig:
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
-    driver: str | Driver | Iterable[str | Driver] | Population = "homer"
+    driver: str | Driver | Sequence[str | Driver] | Population = "homer"
     """A known driver's name, a Driver, a list of them or a Population drawn from at each reset."""
     observe_traits: bool = True
     """Whether both observations carry the driver's four traits."""
@@ -46,9 +51,20 @@ class TeamConfig:
     def __post_init__(self) -> None:
         object.__setattr__(self, "driver", as_population(self.driver))
         check_sharing(self.reward)
-        check_window(self.alert_window)
+        object.__setattr__(self, "alert_window", check_window(self.alert_window))
+        for name in ("observe_traits", "ai_sees_attention", "end_at_crash"):
+            value = getattr(self, name)
+            if not isinstance(value, (bool, np.bool_)):
+                raise TypeError(f"{name} is True or False, not {value!r}")
+            object.__setattr__(self, name, bool(value))
         if not isinstance(self.scene, Scene):
             raise TypeError(f"scene= takes a Scene, not {self.scene!r}")
+        if not isinstance(self.weights, RewardWeights):
+            raise TypeError(f"weights= takes RewardWeights, not {self.weights!r}")
+        seconds = (int, float, np.floating, np.integer)
+        if isinstance(self.duration, bool) or not isinstance(self.duration, seconds):
+            raise TypeError(f"duration is a number of seconds, not {self.duration!r}")
+        object.__setattr__(self, "duration", float(self.duration))
         if not (math.isfinite(self.duration) and self.duration > 0):
             raise ValueError(f"duration is a positive number of seconds, but got {self.duration}")
         steps = self.duration * self.scene.policy_frequency
@@ -77,3 +93,35 @@ class TeamConfig:
         if isinstance(population, DriverList) and len(set(population.drivers)) == 1:
             return population.drivers[0]
         return None
+
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Show the fields of :class:`TeamConfig` in place of ``**settings``, and refuse other names.
+
+    ``help()`` and editors that look at the running program then list every keyword, and a typo is
+    told the known ones.
+    """
+    signature = inspect.signature(function)
+    own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+    settings = [
+        p.replace(kind=p.KEYWORD_ONLY) for p in inspect.signature(TeamConfig).parameters.values()
+    ]
+    signature = signature.replace(parameters=own + settings)
+    known = [name for name in signature.parameters if name != "self"]
+
+    @functools.wraps(function)
+    def checked(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        for name in kwargs:
+            if name not in known:
+                raise TypeError(
+                    f"{function.__qualname__}() takes no keyword {name!r}; it takes "
+                    f"{', '.join(known)}"
+                )
+        return function(*args, **kwargs)
+
+    checked.__signature__ = signature  # type: ignore[attr-defined]
+    return checked

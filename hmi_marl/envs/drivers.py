@@ -8,8 +8,8 @@ how much larger than life they perceive other vehicles (``inflation``).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -25,10 +25,15 @@ TRAIT_RANGES = MappingProxyType(
 )
 
 
+def _check_number(name: str, value: float, owner: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
+        raise TypeError(f"{owner}: {name} is a number, not {value!r}")
+    return float(value)
+
+
 def _check_trait(trait: str, value: float, owner: str) -> float:
     low, high = TRAIT_RANGES[trait]
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise TypeError(f"{owner}: {trait} is a number, not {value!r}")
+    _check_number(trait, value, owner)
     if not (math.isfinite(value) and low <= value <= high):
         raise ValueError(f"{owner}: {trait} lies in [{low:g}, {high:g}], but got {value}")
     return float(value)
@@ -137,6 +142,30 @@ class Traits:
         return len(self.beta)
 
 
+def check_traits(traits: Traits, count: int) -> Traits:
+    """Return ``traits`` if they are of ``count`` possible drivers, as a Population must draw them.
+
+    Raises:
+        TypeError: no Traits at all.
+        ValueError: a trait of another shape, NaN or out of its range, by name.
+    """
+    if not isinstance(traits, Traits):
+        raise TypeError(f"a Population draws Traits, not {traits!r}")
+    for trait, (low, high) in TRAIT_RANGES.items():
+        values = np.asarray(getattr(traits, trait))
+        if values.shape != (count,) or values.dtype.kind not in "fiu":
+            raise ValueError(
+                f"drawn traits: {trait} is an array of numbers of shape ({count},), but got "
+                f"{values.dtype} of shape {values.shape}"
+            )
+        wrong = ~((values >= low) & (values <= high))  # also finds NaN
+        if wrong.any():
+            raise ValueError(
+                f"drawn traits: {trait} lies in [{low:g}, {high:g}], but got {values[wrong][0]}"
+            )
+    return traits
+
+
 @runtime_checkable
 class Population(Protocol):
     """Anything that drivers can be drawn from, one for each episode."""
@@ -153,6 +182,8 @@ class DriverList:
     drivers: tuple[Driver, ...]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.drivers, (list, tuple)):
+            raise TypeError(f"DriverList takes a list or tuple of drivers, not {self.drivers!r}")
         if not self.drivers:
             raise ValueError("a population needs at least one driver")
         object.__setattr__(self, "drivers", tuple(get_driver(driver) for driver in self.drivers))
@@ -171,8 +202,12 @@ class Uniform:
     high: float
 
     def __post_init__(self) -> None:
-        if not self.low <= self.high:  # also refuses NaN
-            raise ValueError(f"Uniform needs low <= high, but got low={self.low}, high={self.high}")
+        for end in ("low", "high"):
+            object.__setattr__(self, end, _check_number(end, getattr(self, end), "Uniform"))
+        if not -math.inf < self.low <= self.high < math.inf:  # also refuses NaN
+            raise ValueError(
+                f"Uniform needs finite low <= high, but got low={self.low}, high={self.high}"
+            )
 
     @property
     def support(self) -> tuple[float, float]:
@@ -191,8 +226,14 @@ class Choice:
     values: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.values, (list, tuple)):
+            raise TypeError(f"Choice takes a tuple of numbers, not {self.values!r}")
         if not self.values:
             raise ValueError("Choice needs at least one value")
+        values = tuple(_check_number("each value", value, "Choice") for value in self.values)
+        if not all(math.isfinite(value) for value in values):
+            raise ValueError(f"Choice needs finite values, but got {self.values}")
+        object.__setattr__(self, "values", values)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -214,9 +255,15 @@ class TraitDistributions:
     inflation: Uniform | Choice = Uniform(1.0, 9.0)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            for end in getattr(self, field.name).support:
-                _check_trait(field.name, end, "TraitDistributions")
+        for trait in TRAIT_NAMES:
+            distribution = getattr(self, trait)
+            if not isinstance(distribution, (Uniform, Choice)):
+                raise TypeError(
+                    f"TraitDistributions: {trait} is a Uniform or a Choice, not {distribution!r}; "
+                    "a constant is a Choice of one value, such as Choice((0.5,))"
+                )
+            for end in distribution.support:
+                _check_trait(trait, end, "TraitDistributions")
 
     def draw(self, seeds: NDArray[np.uint64]) -> Traits:
         """See :meth:`Population.draw`."""
@@ -228,18 +275,19 @@ class TraitDistributions:
         )
 
 
-def as_population(drivers: str | Driver | Iterable[str | Driver] | Population) -> Population:
+def as_population(drivers: str | Driver | Sequence[str | Driver] | Population) -> Population:
     """What the ``driver=`` keyword of every environment accepts, as a population.
 
-    A name or a :class:`Driver` is a population of one; a list of them is drawn from evenly; a
-    :class:`Population` (such as :class:`TraitDistributions`) is taken as it is.
+    A name or a :class:`Driver` is a population of one; a list or tuple of them is drawn from
+    evenly; a :class:`Population` (such as :class:`TraitDistributions`) is taken as it is.
     """
     if isinstance(drivers, (str, Driver)):
         return DriverList((get_driver(drivers),))
-    if isinstance(drivers, Population):
+    if isinstance(drivers, Population) and not isinstance(drivers, type):
         return drivers
-    if isinstance(drivers, Iterable):
+    if isinstance(drivers, (list, tuple)):
         return DriverList(tuple(get_driver(driver) for driver in drivers))
     raise TypeError(
-        f"driver= takes a name, a Driver, a list of them or a Population, not {drivers!r}"
+        "driver= takes a name, a Driver, a list or tuple of them, or a Population (an object with "
+        f"draw()), not {drivers!r}"
     )

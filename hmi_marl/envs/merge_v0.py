@@ -68,7 +68,7 @@ turns a^H_t, at once a^H_{t-1}), `previous_intended_action` (a^H_{t-1}), and, wi
 ```python
 merge_v0.env(
     driver="homer",          # a name, a Driver, a list of them or a Population drawn at each reset
-    world="highway",         # highway-env itself
+    world="highway",         # highway-env itself; "batched": the same, compiled
     observe_traits=True,     # both seats see β, α, η, inflation
     ai_sees_attention=True,  # the AI sees d, i, c of the last step
     reward="team",           # or "individual" (driving and distraction to the driver, alert terms
@@ -100,21 +100,34 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import wrappers
 
-from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
 from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
-NAME = "hmi_marl/merge_v0"
+_OVER = "the episode is over: call reset() before stepping again"
 
 
-def env(**kwargs: Any) -> AECEnv[str, NDArray[np.float32], int]:
+class _InOrder(wrappers.OrderEnforcingWrapper):  # type: ignore[misc]
+    """PettingZoo's checks on the order of calls, with an error where it would only log one."""
+
+    def step(self, action: int | None) -> None:
+        """The selected agent's action; None when its episode is over."""
+        if self._has_reset and not self.agents:
+            raise RuntimeError(_OVER)
+        super().step(action)
+
+
+@takes_team_settings
+def env(
+    *, world: str = "highway", render_mode: str | None = None, **settings: Any
+) -> AECEnv[str, NDArray[np.float32], int]:
     """The AEC environment, with PettingZoo's checks on the order of calls.
 
     For keywords see the module's documentation.
     """
-    return wrappers.OrderEnforcingWrapper(raw_env(**kwargs))
+    return _InOrder(raw_env(world=world, render_mode=render_mode, **settings))
 
 
 class _TwoSeats:
@@ -122,9 +135,7 @@ class _TwoSeats:
 
     possible_agents: list[str]
 
-    def __init__(
-        self, world: str = "highway", render_mode: str | None = None, **settings: Any
-    ) -> None:
+    def __init__(self, world: str, render_mode: str | None, settings: dict[str, Any]) -> None:
         self.config = TeamConfig(**settings)
         self.team = SingleTeam(self.config, world, render_mode)
         self.render_mode = render_mode
@@ -137,6 +148,7 @@ class _TwoSeats:
             VEHICLE_AI: spaces.Discrete(2),
         }
         self.state_space = self.team.teaming.state_layout.space()
+        self._begun = False
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The same space object at each call."""
@@ -157,7 +169,16 @@ class _TwoSeats:
 
     def state(self) -> NDArray[np.float32]:
         """The whole team's state."""
+        self._need_reset()
         return self.team.teaming.state()[0]
+
+    def _begin(self, seed: int | None) -> None:
+        self.team.reset(seed)
+        self._begun = True
+
+    def _need_reset(self) -> None:
+        if not self._begun:
+            raise RuntimeError("no episode has begun: call reset() first")
 
     def _infos(self) -> dict[str, dict[str, Any]]:
         return {agent: team_info(self.team.teaming, self.team.result) for agent in AGENTS}
@@ -181,15 +202,18 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
         "is_parallelizable": False,
     }
 
-    def __init__(self, **kwargs: Any) -> None:
+    @takes_team_settings
+    def __init__(
+        self, *, world: str = "highway", render_mode: str | None = None, **settings: Any
+    ) -> None:
         AECEnv.__init__(self)
-        _TwoSeats.__init__(self, **kwargs)
+        _TwoSeats.__init__(self, world, render_mode, settings)
         self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
         self.agents: list[str] = []
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin the episode of this seed, or the next one; ``options`` are not used."""
-        self.team.reset(seed)
+        self._begin(seed)
         self.agents = list(AGENTS)
         self.agent_selection = DRIVER
         self._skip_agent_selection = None
@@ -201,12 +225,14 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
 
     def observe(self, agent: str) -> NDArray[np.float32]:
         """What this agent sees now."""
+        self._need_reset()
         return self.team.teaming.observe(agent)[0]
 
     def step(self, action: int | None) -> None:
         """The selected agent's action; None when its episode is over."""
+        self._need_reset()
         if not self.agents:
-            raise RuntimeError("the episode is over: call reset() before stepping again")
+            raise RuntimeError(_OVER)
         agent = self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
@@ -237,8 +263,11 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
         "render_fps": 5,
     }
 
-    def __init__(self, **kwargs: Any) -> None:
-        _TwoSeats.__init__(self, **kwargs)
+    @takes_team_settings
+    def __init__(
+        self, *, world: str = "highway", render_mode: str | None = None, **settings: Any
+    ) -> None:
+        _TwoSeats.__init__(self, world, render_mode, settings)
         self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
         self.agents: list[str] = []
 
@@ -246,7 +275,7 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
         """Begin the episode of this seed, or the next one; ``options`` are not used."""
-        self.team.reset(seed)
+        self._begin(seed)
         self.agents = list(AGENTS)
         return self._observations(), self._infos()
 
@@ -259,9 +288,15 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """One step of the team, from both agents' actions."""
+        """One step of the team, from both agents' actions.
+
+        After the end, when nobody is left to act, no actions give five empty dicts.
+        """
+        self._need_reset()
         if not self.agents:
-            raise RuntimeError("the episode is over: call reset() before stepping again")
+            if actions:
+                raise RuntimeError(_OVER)
+            return {}, {}, {}, {}, {}
         if set(actions) != set(AGENTS):
             raise ValueError(f"actions are needed for {AGENTS}, but got {tuple(actions)}")
         self.team.check_alert(actions[VEHICLE_AI])  # before the driver's counts as taken

@@ -80,8 +80,10 @@ class Layout:
 
     def join(self, parts: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Put parts of shape (N, part's size) together, kept within the bounds: (N, size)."""
-        joined = np.concatenate([parts[part.name] for part in self.parts], axis=1)
-        return np.clip(joined.astype(np.float32), self._low, self._high)
+        joined = np.empty((len(parts[self.parts[0].name]), self.size), np.float32)
+        for part in self.parts:
+            joined[:, self[part.name]] = parts[part.name]
+        return np.clip(joined, self._low, self._high, out=joined)
 
     @cached_property
     def _low(self) -> NDArray[np.float32]:

@@ -7,6 +7,7 @@ thousands as well as a single one.
 from __future__ import annotations
 
 import os
+import weakref
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,7 +42,8 @@ class TeamStatus:
     distracted: bool
     alert: bool
     steps_left: int
-    """Steps for which the accepted alert still is in effect, 0 when none is."""
+    """Steps in which the accepted alert is in effect, counted from the step shown, so that it is
+    ``window`` in the step of the alert itself; 0 when none is."""
     window: int
     intended: str
     applied: str
@@ -51,10 +53,15 @@ class TeamStatus:
 
 
 def team_status(teaming: Teaming, team: int) -> TeamStatus:
-    """The status of one of the teams, after its last step."""
+    """The status of one of the teams, after its last step.
+
+    Once the driver has acted for the next step, the intent shown still is the last step's, which
+    belongs to the action that was applied.
+    """
     traits, attention = teaming.traits, teaming.attention
     window = teaming.config.alert_window
     own = [float(column) for column in traits.as_array()[team]]
+    intended = teaming.previous_intended if teaming.intent_given[team] else teaming.intended
     return TeamStatus(
         driver=known_name(*own) or "driver",
         inflation=own[3],
@@ -62,7 +69,7 @@ def team_status(teaming: Teaming, team: int) -> TeamStatus:
         alert=bool(teaming.alerted[team]),
         steps_left=int(attention.accepted[team] * (window - attention.counter[team])),
         window=window,
-        intended=_action_name(teaming.intended[team]),
+        intended=_action_name(intended[team]),
         applied=_action_name(teaming.applied[team]),
         speed=float(teaming.ego.speed[team]),
         time=float(teaming.steps[team] / teaming.config.scene.policy_frequency),
@@ -88,6 +95,9 @@ def between(before: Snapshot, after: Snapshot, fraction: float) -> Snapshot:
 class Viewer:
     """Draws snapshots of teams that drive in the same scene.
 
+    A window that was closed, by its button or by :meth:`close`, stays closed; what is drawn then
+    is not shown. Pygame may be quit in between, as any highway-env environment does when it closes.
+
     Args:
         config: of the teams.
         window: also show each picture in a window, in real time.
@@ -107,7 +117,7 @@ class Viewer:
                 '(hmi-marl watch --out clip.gif, or render_mode="rgb_array")'
             )
         self._perceived = perceived
-        self._window: pygame.Surface | None = None
+        self.closed = False
         self._stage = MergeScene(config.scene)
         road_height = int((config.scene.lanes * LANE_WIDTH + 16.0) * PIXELS_PER_METRE) // 2 * 2
         self._size = (width // 2 * 2, road_height + PANEL_HEIGHT)
@@ -124,12 +134,12 @@ class Viewer:
             os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or SDL complains on stderr
         self._viewer = EnvViewer(self._stage)
         self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver
-        self._font, self._small = pygame.font.Font(None, 24), pygame.font.Font(None, 19)
         self._canvas = pygame.Surface(self._size)
+        self._clock = pygame.time.Clock()
+        self._frequency = config.scene.policy_frequency
+        self._window = self._open_window() if window else None
         if window:
-            self._window = pygame.display.set_mode(self._size)
-            self._clock = pygame.time.Clock()
-            self._frequency = config.scene.policy_frequency
+            _windowed.add(self)
 
     def draw(self, snapshot: Snapshot, status: TeamStatus, frames: int = 1) -> NDArray[np.uint8]:
         """A picture of shape (height, width, 3), uint8.
@@ -147,17 +157,39 @@ class Viewer:
         self._canvas.blit(road, (0, 0))
         self._draw_panel(status, top=road.get_height())
         if self._window is not None:
-            self._window.blit(self._canvas, (0, 0))
-            pygame.display.flip()
-            pygame.event.pump()
+            self._show(self._window)
             self._clock.tick(self._frequency * frames)
         return np.moveaxis(pygame.surfarray.array3d(self._canvas), 0, 1)
 
     def close(self) -> None:
         """Close the window, if there is one; other viewers go on."""
+        self.closed = True
         if self._window is not None:
-            pygame.display.quit()
+            self._window.destroy()
             self._window = None
+
+    def asked_to_close(self, event: pygame.Event) -> bool:
+        """Is this event the window's close button, or the end of the program?"""
+        return event.type == pygame.QUIT or (
+            event.type == pygame.WINDOWCLOSE and event.window is self._window
+        )
+
+    def _open_window(self) -> pygame.Window:
+        pygame.display.init()
+        return pygame.Window("hmi-marl", self._size)
+
+    def _show(self, window: pygame.Window) -> None:
+        try:
+            surface = window.get_surface()
+        except pygame.error:  # pygame was quit, and the window with it
+            window = self._window = self._open_window()
+            surface = window.get_surface()
+        surface.blit(self._canvas, (0, 0))
+        window.flip()
+        for event in pygame.event.get():
+            for viewer in list(_windowed):
+                if viewer.asked_to_close(event):
+                    viewer.close()
 
     def _place(self, snapshot: Snapshot, status: TeamStatus) -> None:
         """Put stand-ins for the snapshot's vehicles on the stage's road."""
@@ -190,6 +222,8 @@ class Viewer:
 
     def _draw_panel(self, status: TeamStatus, top: int) -> None:
         canvas, width = self._canvas, self._size[0]
+        pygame.font.init()
+        self._font, self._small = pygame.font.Font(None, 24), pygame.font.Font(None, 19)
         pygame.draw.rect(canvas, PANEL, (0, top, width, PANEL_HEIGHT))
         first, second = top + 10, top + 44
         self._text(status.driver, (12, first + 3))
@@ -230,6 +264,10 @@ class Viewer:
         pygame.draw.rect(self._canvas, colour or LIGHT, box, border_radius=6)
         words = self._font.render(text, True, GREY if colour is None else (255, 255, 255))
         self._canvas.blit(words, words.get_rect(center=box.center))
+
+
+_windowed: weakref.WeakSet[Viewer] = weakref.WeakSet()
+"""Viewers with a window. They share one queue of events, so whoever draws serves them all."""
 
 
 def _stand_in(

@@ -20,7 +20,11 @@ Sharing = Literal["team", "individual", "driving"]
 
 @dataclass(frozen=True)
 class RewardWeights:
-    """The coefficients of the reward table. The defaults are the paper's."""
+    """The coefficients of the reward table. The defaults are the paper's.
+
+    Raises:
+        ValueError, TypeError: a coefficient that is not a finite number, by name.
+    """
 
     collision: float = -5.0
     """Each step in which the car is crashed."""
@@ -44,8 +48,13 @@ class RewardWeights:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(
+                value, (int, float, np.floating, np.integer)
+            ):
+                raise TypeError(f"reward weight {field.name} is a number, not {value!r}")
             if not math.isfinite(value):
                 raise ValueError(f"reward weight {field.name} is a finite number, not {value}")
+            object.__setattr__(self, field.name, float(value))
         if self.max_speed <= 0:
             raise ValueError(f"max_speed is positive, but got {self.max_speed}")
 

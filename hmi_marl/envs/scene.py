@@ -151,6 +151,11 @@ def _check_length(name: str, value: float, low: float) -> None:
 
 
 def _check_speeds(speeds: tuple[float, ...]) -> tuple[float, ...]:
+    if not isinstance(speeds, (tuple, list, np.ndarray)):
+        raise TypeError(f"scene.target_speeds are a tuple of speeds, not {speeds!r}")
+    for speed in speeds:
+        if isinstance(speed, bool) or not isinstance(speed, (int, float, np.floating, np.integer)):
+            raise TypeError(f"scene.target_speeds are numbers, but got {speed!r}")
     checked = tuple(float(speed) for speed in speeds)
     steps = np.diff(checked)
     if (
@@ -193,20 +198,46 @@ def draw_start(scene: Scene, seed: int) -> Start:
     1 + 3 (10 k + j) + (0: lane, 1: place, 2: speed), so any single draw can be made on its own.
     """
     low, high = scene.vehicle_range
-    draws = uniform(seed, Stream.SCENE, np.arange(1 + 3 * SPAWN_TRIES * high))
-    count = low + int(draws[0] * (high - low + 1))
-    tries = draws[1:].reshape(high, SPAWN_TRIES, 3)[:count]
-    taken: list[list[float]] = [[] for _ in range(scene.lanes)]
-    taken[scene.lanes - 1].append(EGO_START)
-    placed: list[tuple[int, float, float]] = []
-    for vehicle_tries in tries:
-        for u_lane, u_place, u_speed in vehicle_tries:
-            lane = int(u_lane * scene.lanes)
-            longitudinal = float(u_place * scene.merge_end)
-            if all(abs(longitudinal - other) > SAFE_DISTANCE for other in taken[lane]):
-                speed = TRAFFIC_SPEED + (2 * float(u_speed) - 1) * TRAFFIC_SPEED_SPREAD
-                taken[lane].append(longitudinal)
-                placed.append((lane, longitudinal, speed))
+    draws = uniform(seed, Stream.SCENE, np.arange(number_of_draws(high)))
+    lane, longitudinal, speed = np.empty(high, np.int64), np.empty(high), np.empty(high)
+    count = place(draws, low, high, scene.lanes, scene.merge_end, lane, longitudinal, speed)
+    return Start(lane[:count], longitudinal[:count], speed[:count])
+
+
+def number_of_draws(most_vehicles: int) -> int:
+    """Uniform draws that a scene with at most so many vehicles may need."""
+    return 1 + 3 * SPAWN_TRIES * most_vehicles
+
+
+def place(
+    draws: NDArray[np.float64],
+    low: int,
+    high: int,
+    lanes: int,
+    merge_end: float,
+    lane: NDArray[np.int64],
+    longitudinal: NDArray[np.float64],
+    speed: NDArray[np.float64],
+) -> int:
+    """The rule of :func:`draw_start` on given draws, in a form that can be compiled as it stands.
+
+    Writes into ``lane``, ``longitudinal`` and ``speed`` (each of shape (high,)) and returns how
+    many vehicles found a place.
+    """
+    placed = 0
+    for vehicle in range(low + int(draws[0] * (high - low + 1))):
+        for attempt in range(SPAWN_TRIES):
+            first = 1 + 3 * (SPAWN_TRIES * vehicle + attempt)
+            row = int(draws[first] * lanes)
+            where = draws[first + 1] * merge_end
+            free = row != lanes - 1 or abs(where - EGO_START) > SAFE_DISTANCE
+            for other in range(placed):
+                if lane[other] == row and abs(where - longitudinal[other]) <= SAFE_DISTANCE:
+                    free = False
+            if free:
+                lane[placed] = row
+                longitudinal[placed] = where
+                speed[placed] = TRAFFIC_SPEED + (2 * draws[first + 2] - 1) * TRAFFIC_SPEED_SPREAD
+                placed += 1
                 break
-    lanes, longitudinals, speeds = zip(*placed, strict=True) if placed else ((), (), ())
-    return Start(np.array(lanes, np.int64), np.array(longitudinals), np.array(speeds))
+    return placed

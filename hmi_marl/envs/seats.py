@@ -13,6 +13,7 @@ class Policy(Protocol):
     """A policy for one seat of N teams at once.
 
     In a single-team environment pass ``observation[None]`` and take element 0 of the answer.
+    A policy may remember what it saw of its teams: give each environment one of its own.
     """
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
@@ -26,3 +27,10 @@ class Policy(Protocol):
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """Actions of shape (N,) for observations of shape (N, D); once per step and episode."""
         ...
+
+
+def check_policy(policy: object) -> Policy:
+    """Return ``policy`` if it can sit in a seat, or raise; a class cannot, an object of it can."""
+    if isinstance(policy, type) or not isinstance(policy, Policy):
+        raise TypeError(f"a partner is a Policy object with reset() and act(), not {policy!r}")
+    return policy

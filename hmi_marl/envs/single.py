@@ -33,6 +33,10 @@ class SingleTeam:
         self._seed: int | None = None
         self._episode = 0
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickles: all but the viewer, since a window cannot be copied."""
+        return self.__dict__ | {"_viewer": None}
+
     @property
     def seed(self) -> int:
         """The seed of the present episode."""
@@ -81,6 +85,8 @@ class SingleTeam:
                 )
                 window = False
             self._viewer = Viewer(self.teaming.config, window)
+        if self._viewer.closed:
+            return None  # somebody closed the window
         picture = self._viewer.draw(self.teaming.world.snapshot(0), team_status(self.teaming, 0))
         return picture if self._render_mode == "rgb_array" else None
 

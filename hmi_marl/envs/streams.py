@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
-_TO_UNIT = 2.0**-53
+TO_UNIT = 2.0**-53
 
 
 class Stream(IntEnum):
@@ -32,10 +32,15 @@ class Stream(IntEnum):
     HMI_POLICY = 6
 
 
-def _scramble(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    word = (word ^ (word >> np.uint64(30))) * _MIX_1
-    word = (word ^ (word >> np.uint64(27))) * _MIX_2
-    return word ^ (word >> np.uint64(31))
+def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:
+    """The hash itself, for uint64 arrays or, compiled, for uint64 scalars."""
+    word = seed
+    for salt in (_GOLDEN, stream * _GOLDEN, (counter + np.uint64(1)) * _GOLDEN):
+        word = word + salt
+        word = (word ^ (word >> np.uint64(30))) * _MIX_1
+        word = (word ^ (word >> np.uint64(27))) * _MIX_2
+        word = word ^ (word >> np.uint64(31))
+    return word
 
 
 def mix(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.uint64]:
@@ -50,15 +55,15 @@ def mix(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.uint
         uint64 array of the broadcast shape.
     """
     with np.errstate(over="ignore"):  # arithmetic modulo 2^64 is the point
-        word = _scramble(np.asarray(seed, np.uint64) + _GOLDEN)
-        word = _scramble(word + np.uint64(stream) * _GOLDEN)
-        return _scramble(word + (np.asarray(counter, np.uint64) + np.uint64(1)) * _GOLDEN)
+        return np.asarray(
+            mix_bits(np.asarray(seed, np.uint64), np.uint64(stream), np.asarray(counter, np.uint64))
+        )
 
 
 def uniform(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.float64]:
     """Uniform draws in [0, 1) with 53 random bits; see :func:`mix` for the arguments."""
     bits = mix(seed, stream, counter)
-    return (bits >> np.uint64(11)).astype(np.float64) * _TO_UNIT
+    return (bits >> np.uint64(11)).astype(np.float64) * TO_UNIT
 
 
 def episode_seed(seed: ArrayLike, episode: ArrayLike) -> NDArray[np.uint64]:

@@ -3,6 +3,8 @@
 Taking turns, a step is: :meth:`Teaming.observe` the driver's seat, :meth:`Teaming.intend` a^H,
 observe the vehicle AI's seat (which now holds a^H_t), :meth:`Teaming.step` with a^A. At once,
 both seats are observed before ``intend``, so that the AI's seat still holds a^H_{t-1}.
+
+Every team has a turn of its own: resetting some teams in mid-turn leaves the others there.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from hmi_marl.envs import attention as attention_model
 from hmi_marl.envs import observations as obs
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits
+from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits, check_traits
 from hmi_marl.envs.rewards import attention_terms, driving_terms, share
 from hmi_marl.envs.streams import Stream, uniform
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
@@ -44,6 +46,14 @@ class Teaming:
     """N teams of driver and vehicle AI, step by step.
 
     What happens to team k depends on seed k and team k's actions alone.
+
+    Args:
+        config: how every team is set up.
+        num_teams: N.
+        world: a world's name, or a World of N scenes ``config.scene``.
+
+    Raises:
+        ValueError, TypeError: fewer than one team, or a world that does not fit.
     """
 
     def __init__(self, config: TeamConfig, num_teams: int = 1, world: str | World = "highway"):
@@ -51,7 +61,7 @@ class Teaming:
             raise ValueError(f"there is at least one team, but got num_teams = {num_teams}")
         self.config = config
         self.num_teams = num_teams
-        self.world = make_world(world, config.scene, num_teams) if isinstance(world, str) else world
+        self.world = _fitting(world, config, num_teams)
         self.layouts = {
             DRIVER: obs.driver_layout(config),
             VEHICLE_AI: obs.vehicle_ai_layout(config),
@@ -73,20 +83,25 @@ class Teaming:
         self.over = np.ones(num_teams, np.bool_)
         """Teams whose episode has ended, or has not begun."""
         self.ego: Ego = self.world.ego()
-        self._intent_given = False
+        self.intent_given = np.zeros(num_teams, np.bool_)
+        """Teams in mid-turn: the driver has acted, the vehicle AI has not."""
 
     def reset(self, seeds: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """Begin new episodes in the teams marked in ``which`` (shape (N,), all by default).
 
         Args:
-            seeds: of the episodes, uint64 of shape (N,); those of unmarked teams are not read.
+            seeds: of the episodes, integers of shape (N,) in [0, 2^64); those of unmarked teams
+                are not read.
+            which: shape (N,), bool.
+
+        Raises:
+            ValueError, TypeError: seeds or a mask that do not fit, or a population that draws
+                impossible traits. Nothing has changed then.
         """
-        seeds = np.asarray(seeds, np.uint64)
-        if seeds.shape != (self.num_teams,):
-            raise ValueError(f"seeds have shape ({self.num_teams},), not {seeds.shape}")
-        fresh = np.ones(self.num_teams, np.bool_) if which is None else which
-        self.seeds = np.where(fresh, seeds, self.seeds)
-        drawn = self.config.population.draw(self.seeds).as_array()
+        fresh = self._mask(which)
+        seeds = np.where(fresh, self._checked_seeds(seeds, fresh), self.seeds)
+        drawn = check_traits(self.config.population.draw(seeds), self.num_teams).as_array()
+        self.seeds = seeds
         self.traits = Traits.from_array(np.where(fresh[:, None], drawn, self.traits.as_array()))
         self.attention = Attention.initial(self.num_teams).where(fresh, self.attention)
         for name in ("intended", "previous_intended", "applied"):
@@ -94,22 +109,32 @@ class Teaming:
         for name in ("steps", "alerted"):
             setattr(self, name, np.where(fresh, 0, getattr(self, name)))
         self.over = self.over & ~fresh
-        self._intent_given = False
+        self.intent_given = self.intent_given & ~fresh
         self.world.reset(self.seeds, self.traits.inflation, fresh)
         self.ego = self.world.ego()
 
-    def intend(self, driver_actions: ArrayLike) -> None:
-        """The drivers' a^H_t, shape (N,), integers 0 to 4. Those of ended teams are not read.
+    def intend(self, driver_actions: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
+        """The drivers' a^H_t, shape (N,), integers 0 to 4.
+
+        Args:
+            driver_actions: those of ended and of unmarked teams are not read.
+            which: the teams whose drivers act now, shape (N,), bool; all by default.
 
         Raises:
             ValueError: an action out of range, or a second intent in the same step.
         """
-        if self._intent_given:
+        acts = self._mask(which) & ~self.over
+        if (acts & self.intent_given).any():
             raise ValueError("the drivers have already acted in this step; now alert with step()")
-        actions = self._checked(driver_actions, len(VEHICLE_ACTIONS), "driver")
-        self.previous_intended = np.where(self.over, self.previous_intended, self.intended)
-        self.intended = np.where(self.over, self.intended, actions)
-        self._intent_given = True
+        actions = self._checked(driver_actions, len(VEHICLE_ACTIONS), "driver", acts)
+        self.previous_intended = np.where(acts, self.intended, self.previous_intended)
+        self.intended = np.where(acts, actions, self.intended)
+        self.intent_given = self.intent_given | acts
+
+    def withdraw(self) -> None:
+        """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called."""
+        self.intended = np.where(self.intent_given, self.previous_intended, self.intended)
+        self.intent_given = np.zeros(self.num_teams, np.bool_)
 
     def step(self, alerts: ArrayLike) -> StepResult:
         """The HMIs' a^A_t, shape (N,), integers 0 or 1: attention, then the world, then rewards.
@@ -119,11 +144,11 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        if not self._intent_given:
-            raise ValueError("the driver acts first: call intend() with the driver's action")
-        alerts = self._checked(alerts, 2, "vehicle_ai")
-        self._intent_given = False
         config, active, before = self.config, ~self.over, self.attention
+        if not self.intent_given[active].all():
+            raise ValueError("the driver acts first: call intend() with the driver's action")
+        alerts = self._checked(alerts, 2, "vehicle_ai", active)
+        self.intent_given = np.zeros(self.num_teams, np.bool_)
         draws = uniform(self.seeds, Stream.ATTENTION, self.steps.astype(np.uint64))
         after = attention_model.step(before, alerts, self.traits, config.alert_window, draws)
         self.attention = after.where(active, before)
@@ -195,7 +220,7 @@ class Teaming:
     def _common_parts(self) -> dict[str, NDArray[Any]]:
         actions, now = len(VEHICLE_ACTIONS), self.attention
         # Before intend() the latest a^H already is the last step's.
-        previous = self.previous_intended if self._intent_given else self.intended
+        previous = np.where(self.intent_given, self.previous_intended, self.intended)
         traits = self.traits.as_array()
         traits[:, TRAIT_NAMES.index("inflation")] /= MAX_INFLATION
         return obs.motion_parts(self.ego, self.config.scene) | {
@@ -210,7 +235,30 @@ class Teaming:
             "traits": traits,
         }
 
-    def _checked(self, actions: ArrayLike, count: int, agent: str) -> NDArray[np.int64]:
+    def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+        if which is None:
+            return np.ones(self.num_teams, np.bool_)
+        mask = np.asarray(which)
+        if mask.shape != (self.num_teams,) or mask.dtype != np.bool_:
+            raise ValueError(
+                f"which= marks teams by bools of shape ({self.num_teams},), but got {mask.dtype} "
+                f"of shape {mask.shape}"
+            )
+        return mask
+
+    def _checked_seeds(self, seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:
+        given = np.asarray(seeds)
+        if given.shape != (self.num_teams,):
+            raise ValueError(f"seeds have shape ({self.num_teams},), not {given.shape}")
+        if not np.issubdtype(given.dtype, np.integer):
+            raise TypeError(f"seeds are integers, best an array of uint64, but got {given.dtype}")
+        if (given[fresh] < 0).any():
+            raise ValueError(f"a seed lies in [0, 2^64), but got {given[fresh].min()}")
+        return given.astype(np.uint64)
+
+    def _checked(
+        self, actions: ArrayLike, count: int, agent: str, acts: NDArray[np.bool_]
+    ) -> NDArray[np.int64]:
         given = np.asarray(actions)
         if given.shape != (self.num_teams,):
             raise ValueError(
@@ -218,9 +266,23 @@ class Teaming:
             )
         if not np.issubdtype(given.dtype, np.integer):
             raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
-        wrong = ~self.over & ((given < 0) | (given >= count))
+        wrong = acts & ((given < 0) | (given >= count))
         if wrong.any():
             raise ValueError(
                 f"{agent} action {given[wrong][0]} is out of range: it is one of 0 to {count - 1}"
             )
         return given.astype(np.int64)
+
+
+def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:
+    if isinstance(world, str):
+        return make_world(world, config.scene, num_teams)
+    if not (hasattr(world, "scene") and hasattr(world, "num_worlds")):
+        raise TypeError(f"world= takes a world's name or a World, not {world!r}")
+    if world.num_worlds != num_teams:
+        raise ValueError(f"num_teams = {num_teams}, but the world has {world.num_worlds} scenes")
+    if world.scene != config.scene:
+        raise ValueError(
+            f"the world's scene is not the team's; make it with config.scene, {config.scene}"
+        )
+    return world

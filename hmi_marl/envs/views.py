@@ -7,7 +7,8 @@ do, and take every keyword of :mod:`hmi_marl.envs.merge_v0`.
 
 The classes here take the partner as a :class:`hmi_marl.envs.seats.Policy`;
 :mod:`hmi_marl.agents.partners`, which ``gymnasium.make`` goes through, also takes a known
-policy's name or a plain function from one observation to an action.
+policy's name or a plain function from one observation to an action. A policy remembers what it
+saw, so one object must not be the partner in several environments: make one for each.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.seats import Policy, check_policy
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
@@ -35,19 +36,20 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
     seat: str
     other_seat: str
     actions: int
+    partner_actions: int
 
     def __init__(
         self,
         partner: Policy,
+        config: TeamConfig,
         world: str = "highway",
         render_mode: str | None = None,
-        **settings: Any,
     ) -> None:
-        self.config = TeamConfig(**settings)
-        self.team = SingleTeam(self.config, world, render_mode)
+        self.partner = check_policy(partner)
+        self.config = config
+        self.team = SingleTeam(config, world, render_mode)
         self.render_mode = render_mode
-        self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
-        self.partner = partner
+        self.metadata = self.metadata | {"render_fps": config.scene.policy_frequency}
         self.observation_space: spaces.Box = self.layout.space()  # type: ignore[assignment]
         self.action_space = spaces.Discrete(self.actions)
 
@@ -88,8 +90,18 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         """Let a partner act who comes before this seat in a turn."""
 
     def _partner_action(self) -> int:
-        observation = self.team.teaming.observe(self.other_seat)
-        return int(self.partner.act(observation)[0])
+        answer = np.asarray(self.partner.act(self.team.teaming.observe(self.other_seat)))
+        count = self.partner_actions
+        if (
+            answer.shape != (1,)
+            or not np.issubdtype(answer.dtype, np.integer)
+            or not 0 <= answer[0] < count
+        ):
+            raise ValueError(
+                f"the partner in the seat of {self.other_seat} answers with an integer, 0 to "
+                f"{count - 1}, for each team, but this one gave {answer!r}"
+            )
+        return int(answer[0])
 
     def _observation(self) -> NDArray[np.float32]:
         return self.team.teaming.observe(self.seat)[0]
@@ -109,19 +121,28 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 class MergeDriver(_OneSeat):
     """The driver's seat; the HMI is given."""
 
-    seat, other_seat, actions = DRIVER, VEHICLE_AI, len(VEHICLE_ACTIONS)
+    seat, other_seat = DRIVER, VEHICLE_AI
+    actions, partner_actions = len(VEHICLE_ACTIONS), 2
 
     def _act(self, action: Any) -> None:
         self.team.intend(action)
-        self.team.alert(self._partner_action())
+        try:
+            alert = self._partner_action()
+        except Exception:
+            self.team.teaming.withdraw()  # so that the step can be taken again
+            raise
+        self.team.alert(alert)
 
 
 class MergeHMI(_OneSeat):
     """The vehicle AI's seat; the driver is given, and has always acted before the AI observes."""
 
-    seat, other_seat, actions = VEHICLE_AI, DRIVER, 2
+    seat, other_seat = VEHICLE_AI, DRIVER
+    actions, partner_actions = 2, len(VEHICLE_ACTIONS)
 
     def _act(self, action: Any) -> None:
+        if not self.team.teaming.intent_given.all():
+            self._before_observing()  # the partner failed when it was asked first
         self.team.alert(action)
 
     def _before_observing(self) -> None:

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 from hmi_marl.agents import (
@@ -7,6 +8,8 @@ from hmi_marl.agents import (
     BeliefAlert,
     OptimalAlert,
     RandomAlert,
+    RandomDriver,
+    RuleBasedDriver,
     make_driver_policy,
     make_hmi,
 )
@@ -49,6 +52,33 @@ def test_rates_by_name():
     ]
 
 
+def test_the_belief_takes_the_share_of_steps_that_show_and_the_kind_of_turns():
+    for name, model, revealing in (
+        ("belief", "bart", 0.3),
+        ("belief:lisa:0.1", "lisa", 0.1),
+        ("Belief:Lisa:0", "lisa", 0.0),
+        ("belief::0.5", "bart", 0.5),
+    ):
+        for taking_turns in (True, False):
+            rule = make_hmi(name, HIDDEN, taking_turns)._rule
+            assert (rule.driver.name, rule.revealing) == (model, revealing)
+            # At once nobody knows whether a step will show, so the rule is the same in both.
+            assert np.array_equal(rule.advantage[:, 0], rule.advantage[:, 1]) != taking_turns
+
+
+def test_driver_policies_by_name_whatever_the_case():
+    assert type(make_driver_policy("Rule", SEEN)) is RuleBasedDriver
+    assert type(make_driver_policy("RANDOM", SEEN)) is RandomDriver
+    with pytest.raises(TypeError, match="driver policy's name is a string"):
+        make_driver_policy(None, SEEN)
+
+
+@pytest.mark.parametrize("make", [lambda: RandomAlert(0.5), RandomDriver])
+def test_a_policy_that_draws_asks_for_seeds_first(make):
+    with pytest.raises(RuntimeError, match=r"call reset\(seeds\) first"):
+        make().act(np.zeros((1, 3), np.float32))
+
+
 def test_with_attention_hidden_the_optimum_is_on_the_belief():
     assert isinstance(make_hmi("own", HIDDEN), BeliefAlert)
     assert make_hmi("AvgHMI", HIDDEN).model.name == "average"
@@ -69,6 +99,10 @@ def test_every_listed_name_can_be_made():
         ("random:often", r"takes a number in \[0, 1\], not 'often'"),
         ("random:1.5", "rate lies in"),
         ("never:3", "takes no argument"),
+        ("belief:lisa:often", r"belief:DRIVER:SHARE takes a number in \[0, 1\], not 'often'"),
+        ("belief:lisa:1.5", r"share in \[0, 1\]"),
+        ("belief:lisa:nan", r"share in \[0, 1\]"),
+        ("optimal:lisa:0.1", "unknown driver 'lisa:0.1'"),
     ],
 )
 def test_a_bad_hmi_is_refused(name, message):

@@ -88,6 +88,32 @@ def test_never_alerting_by_hand():
     # R_alert: +10 in the first step for sure, then whenever the last d was 0.
     assert returns.total_return == pytest.approx(-100 + 10 + 49 * 0.8 * 10)
     assert returns.distraction_return_after([0, 1, 50]).tolist() == pytest.approx([0, -2, -100])
+    for steps in (-1, 51, [3, 60], 2.5):
+        with pytest.raises(ValueError, match="whole numbers from 0 to 50"):
+            returns.distraction_return_after(steps)
+
+
+def test_values_and_flow_are_those_of_the_transition_matrix():
+    driver, window, horizon = Driver("mona", 0.3, 0.45, 0.2, 2.0), 5, 30
+    matrix = attention.transition_matrix(driver, window)
+    solution = oracle.solve_alerts(driver, window, horizon)
+    occupancy = np.zeros((2, 2, window))
+    occupancy[0, 0, 0] = 1.0
+    alert, before, now = np.indices((2, 2, 2))
+    terms = attention_terms(RewardWeights(), alert=alert, distracted_before=before, distracted=now)
+    reward = np.einsum("adicejk,ade->adic", matrix, sum(terms.values()))
+    for t in range(horizon):
+        choices = reward + np.einsum("adicejk,ejk->adic", matrix, solution.values[t + 1])
+        np.testing.assert_allclose(solution.values[t], choices.max(axis=0), rtol=0, atol=1e-9)
+        joint = np.stack([1.0 - solution.policy[t], solution.policy[t]]) * occupancy
+        assert solution.alert_rate[t] == pytest.approx(joint[1].sum(), abs=1e-12)
+        occupancy = np.einsum("adic,adicejk->ejk", joint, matrix)
+
+
+def test_a_very_long_window_is_as_good_as_one_that_never_ends():
+    long, longer = (oracle.solve_alerts("average", window, 100) for window in (100, 20_000))
+    assert longer.total_return == pytest.approx(long.total_return, abs=1e-9)
+    assert longer.policy.shape == (100, 2, 2, 20_000)
 
 
 @pytest.mark.parametrize("rule", ["optimal", "when-distracted", 0.0, 1.0, 0.3], ids=str)

@@ -8,6 +8,7 @@ from gymnasium.utils.env_checker import check_env
 from hmi_marl import Scene, merge_v0
 from hmi_marl.agents import RandomAlert, RuleBasedDriver
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.views import MergeDriver, MergeHMI
 
 SMALL = {"scene": Scene(vehicles=3), "duration": 3.0}
 SEATS = ["hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0"]
@@ -81,6 +82,108 @@ def test_partners_by_name_by_policy_and_by_function_are_the_same():
         for partner in ("random:0.3", RandomAlert(0.3))
     ]
     assert alerts[0] == alerts[1]
+
+
+class Partner:
+    """A Policy that gives the answers it is told to, one after the other."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+
+    def reset(self, seeds, which=None):
+        pass
+
+    def act(self, observations):
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def begin(env):
+    env.reset(seed=0)
+    env.step(1)
+
+
+BAD_ANSWERS = [
+    np.array([0.9]),
+    np.array([1, 0]),
+    np.array([True]),
+    np.array([9]),
+    np.array([-1]),
+    np.array(["1"]),
+    1,
+    None,
+]
+GOOD = np.array([1])
+
+
+@pytest.mark.parametrize("answer", [*BAD_ANSWERS, OSError("no memory")], ids=str)
+def test_after_a_bad_alert_the_driver_can_take_the_step_again(answer):
+    failing = MergeDriver(Partner(GOOD, answer, GOOD), TeamConfig(**SMALL))
+    sound = MergeDriver(Partner(GOOD, GOOD), TeamConfig(**SMALL))
+    for env in (failing, sound):
+        env.reset(seed=2)
+        env.step(3)
+    before = failing.team.teaming.state()
+    with pytest.raises((ValueError, OSError), match=r"the seat of vehicle_ai answers|no memory"):
+        failing.step(4)
+    np.testing.assert_array_equal(failing.team.teaming.state(), before)
+    assert failing.step(4)[1:] == sound.step(4)[1:]
+    np.testing.assert_array_equal(failing.team.teaming.state(), sound.team.teaming.state())
+
+
+@pytest.mark.parametrize("answer", BAD_ANSWERS, ids=str)
+def test_after_a_bad_action_the_driver_is_asked_again(answer):
+    failing = MergeHMI(Partner(GOOD, answer, GOOD, GOOD), TeamConfig(**SMALL))
+    sound = MergeHMI(Partner(GOOD, GOOD, GOOD), TeamConfig(**SMALL))
+    for env in (failing, sound):
+        env.reset(seed=2)
+    with pytest.raises(ValueError, match="the seat of driver answers with an integer, 0 to 4"):
+        failing.step(1)
+    sound.step(1)
+    assert failing.step(0)[1:] == sound.step(0)[1:]
+    np.testing.assert_array_equal(failing.team.teaming.state(), sound.team.teaming.state())
+
+
+@pytest.mark.parametrize("answer", [0.9, [1, 0], True, 9, -1, None, "1"], ids=str)
+@pytest.mark.parametrize("seat", SEATS)
+def test_what_a_function_answers_is_not_made_to_fit(seat, answer):
+    env = gymnasium.make(seat, partner=lambda _: answer, **SMALL).unwrapped
+    with pytest.raises(ValueError, match=r"the partner in the seat of .* this one gave"):
+        begin(env)
+
+
+@pytest.mark.parametrize("answer", [1, np.int64(1), np.array(1), np.array([1], np.uint8), [1]])
+def test_any_single_integer_is_an_answer(answer):
+    env = gymnasium.make(SEATS[0], partner=lambda _: answer, **SMALL)
+    env.reset(seed=0)
+    assert env.step(1)[-1]["accepted"]
+
+
+def test_a_policy_class_is_no_partner():
+    for partner in (RandomAlert, RuleBasedDriver):
+        with pytest.raises(TypeError, match="a name, a Policy object or a function, not <class"):
+            gymnasium.make(SEATS[0], partner=partner)
+        with pytest.raises(TypeError, match=r"a Policy object with reset\(\) and act\(\), not <c"):
+            MergeDriver(partner, TeamConfig())
+
+
+@pytest.mark.parametrize("seat", SEATS)
+def test_a_typo_is_told_the_known_keywords(seat):
+    with pytest.raises(TypeError, match=r"no keyword 'drvier'; it takes partner, world,.* driver,"):
+        gymnasium.make(seat, drvier="bart")
+
+
+@pytest.mark.parametrize("seat", SEATS)
+def test_gymnasium_collects_pictures_in_a_list(seat):
+    env = gymnasium.make(seat, render_mode="rgb_array_list", **SMALL)
+    env.reset(seed=0)
+    env.step(1)
+    pictures = env.render()
+    assert len(pictures) == 2
+    assert pictures[0].ndim == 3
+    env.close()
 
 
 @pytest.mark.parametrize("seat", SEATS)

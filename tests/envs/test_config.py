@@ -1,8 +1,11 @@
+import inspect
 import math
+from dataclasses import fields
 
+import numpy as np
 import pytest
 
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.config import TeamConfig, takes_team_settings
 from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions
 from hmi_marl.envs.scene import Scene
 
@@ -24,9 +27,46 @@ def test_a_bad_setting_is_refused(settings, message):
         TeamConfig(**settings)
 
 
-def test_a_scene_that_is_none_is_refused():
-    with pytest.raises(TypeError, match="scene= takes a Scene"):
-        TeamConfig(scene={"lanes": 3})
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"scene": {"lanes": 3}}, "scene= takes a Scene"),
+        ({"weights": {"collision": -5.0}}, "weights= takes RewardWeights"),
+        ({"weights": None}, "weights= takes RewardWeights"),
+        ({"observe_traits": 1}, "observe_traits is True or False, not 1"),
+        ({"ai_sees_attention": "no"}, "ai_sees_attention is True or False, not 'no'"),
+        ({"end_at_crash": None}, "end_at_crash is True or False, not None"),
+        ({"duration": "20"}, "duration is a number of seconds, not '20'"),
+        ({"duration": True}, "duration is a number of seconds, not True"),
+        ({"alert_window": 7.0}, "alert_window is a whole number"),
+        ({"driver": {"lisa", "bart"}}, "driver= takes"),
+    ],
+)
+def test_a_setting_of_the_wrong_type_is_refused_by_name(settings, message):
+    with pytest.raises(TypeError, match=message):
+        TeamConfig(**settings)
+
+
+def test_numbers_and_truth_values_of_numpy_become_pythons():
+    config = TeamConfig(observe_traits=np.False_, duration=np.float32(2), alert_window=np.int64(3))
+    assert config == TeamConfig(observe_traits=False, duration=2, alert_window=3)
+    assert config.observe_traits is False
+    assert type(config.duration) is float
+    assert type(config.alert_window) is int
+
+
+def test_a_function_that_takes_team_settings_shows_them_and_refuses_others():
+    @takes_team_settings
+    def make(world="highway", **settings):
+        """Make it."""
+        return world, settings
+
+    assert make("batched", driver="bart") == ("batched", {"driver": "bart"})
+    names = [field.name for field in fields(TeamConfig)]
+    assert list(inspect.signature(make).parameters) == ["world", *names]
+    assert make.__doc__ == "Make it."
+    with pytest.raises(TypeError, match=r"make\(\) takes no keyword 'drvier'; .* driver"):
+        make(drvier="bart")
 
 
 def test_the_horizon_counts_policy_steps():

@@ -12,6 +12,7 @@ from hmi_marl.envs.drivers import (
     Traits,
     Uniform,
     as_population,
+    check_traits,
     get_driver,
     known_name,
 )
@@ -102,7 +103,11 @@ def test_distributions_draw_each_trait_independently_within_its_range():
         (lambda: TraitDistributions(inflation=Choice((0.5, 2.0))), "inflation lies in"),
         (lambda: Uniform(0.5, 0.4), "low <= high"),
         (lambda: Uniform(math.nan, 0.4), "low <= high"),
+        (lambda: Uniform(0.0, math.inf), "finite low <= high"),
         (lambda: Choice(()), "at least one value"),
+        (lambda: Choice((0.2, math.nan)), "finite values"),
+        (lambda: Choice((math.nan, 0.2)), "finite values"),
+        (lambda: TraitDistributions(eta=Choice((0.2, 1.5, 0.4))), "eta lies in"),
         (lambda: DriverList(()), "at least one driver"),
         (lambda: as_population([]), "at least one driver"),
         (lambda: as_population(["lisa", "ned"]), "unknown driver 'ned'"),
@@ -113,6 +118,59 @@ def test_a_bad_population_is_refused(make, message):
         make()
 
 
-def test_what_is_no_population_at_all_is_refused():
-    with pytest.raises(TypeError, match="driver= takes"):
-        as_population(3)
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Uniform("0", 1.0), "Uniform: low is a number, not '0'"),
+        (lambda: Uniform(0.0, True), "Uniform: high is a number, not True"),
+        (lambda: Choice((0.2, "0.4")), "Choice: each value is a number, not '0.4'"),
+        (lambda: Choice("0.2"), "Choice takes a tuple of numbers"),
+        (lambda: Choice(0.2), "Choice takes a tuple of numbers"),
+        (lambda: TraitDistributions(beta=0.5), "beta is a Uniform or a Choice, not 0.5"),
+        (lambda: DriverList("homer"), "DriverList takes a list or tuple of drivers, not 'homer'"),
+        (lambda: DriverList(DRIVERS["homer"]), "DriverList takes a list or tuple"),
+    ],
+)
+def test_a_population_of_the_wrong_type_is_refused(make, message):
+    with pytest.raises(TypeError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    "drivers", [3, None, {"lisa", "bart"}, (name for name in ["lisa"]), {"lisa": 1}, DriverList]
+)
+def test_what_is_no_population_at_all_is_refused(drivers):
+    with pytest.raises(TypeError, match="driver= takes a name"):
+        as_population(drivers)
+
+
+def drawn(**changes):
+    traits = {"beta": 0.5, "alpha": 0.5, "eta": 0.5, "inflation": 3.0}
+    return Traits(**{name: np.full(2, value) for name, value in traits.items()} | changes)
+
+
+def test_possible_drivers_pass_the_check_of_what_was_drawn():
+    good = drawn()
+    assert check_traits(good, 2) is good
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"beta": np.array([0.5, math.nan])}, r"beta lies in \[0, 1\], but got nan"),
+        ({"alpha": np.array([-0.1, 0.5])}, r"alpha lies in \[0, 1\], but got -0.1"),
+        ({"eta": np.array([0.5, math.inf])}, "eta lies in"),
+        ({"inflation": np.array([0.5, 2.0])}, "inflation lies in"),
+        ({"inflation": np.array([3.0])}, r"inflation is .* of shape \(2,\), but got .*\(1,\)"),
+        ({"beta": 0.5}, "beta is an array"),
+        ({"beta": np.array(["0.5", "0.5"])}, "beta is an array of numbers"),
+    ],
+)
+def test_impossible_drivers_are_refused_by_the_name_of_the_trait(changes, message):
+    with pytest.raises(ValueError, match=message):
+        check_traits(drawn(**changes), 2)
+
+
+def test_what_was_drawn_must_be_traits():
+    with pytest.raises(TypeError, match="a Population draws Traits"):
+        check_traits(np.zeros((2, 4)), 2)

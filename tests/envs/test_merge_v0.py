@@ -1,6 +1,8 @@
 import hashlib
+import inspect
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, see
 
 import hmi_marl
 from hmi_marl import Driver, Scene, TraitDistributions, merge_v0
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout
 from hmi_marl.envs.rewards import TERMS
 
@@ -233,16 +236,45 @@ def test_stepping_after_the_end_is_refused():
     parallel.step({"driver": 1, "vehicle_ai": 0})
     with pytest.raises(RuntimeError, match="episode is over: call reset"):
         parallel.step({"driver": 1, "vehicle_ai": 0})
-    env = merge_v0.raw_env(**SMALL | {"duration": 0.2})
-    env.reset(seed=0)
-    env.step(1)
-    env.step(0)
-    with pytest.raises(ValueError, match="only valid action is None"):
+    assert parallel.step({}) == ({}, {}, {}, {}, {})  # as wrappers that outlive the agents ask
+    for make in (merge_v0.raw_env, merge_v0.env):
+        env = make(**SMALL | {"duration": 0.2})
+        env.reset(seed=0)
         env.step(1)
-    env.step(None)
-    env.step(None)
-    with pytest.raises(RuntimeError, match="episode is over: call reset"):
+        env.step(0)
+        with pytest.raises(ValueError, match="only valid action is None"):
+            env.step(1)
+        env.step(None)
+        env.step(None)
+        for action in (1, None):
+            with pytest.raises(RuntimeError, match="episode is over: call reset"):
+                env.step(action)
+        env.reset(seed=0)
         env.step(1)
+
+
+def test_before_the_first_reset_everything_asks_for_it():
+    raw, parallel = merge_v0.raw_env(**SMALL), merge_v0.parallel_env(**SMALL)
+    for call in (
+        lambda: raw.step(1),
+        lambda: raw.observe("driver"),
+        raw.state,
+        lambda: parallel.step({"driver": 1, "vehicle_ai": 0}),
+        lambda: parallel.step({}),
+        parallel.state,
+    ):
+        with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+            call()
+
+
+@pytest.mark.parametrize("make", [merge_v0.env, merge_v0.raw_env, merge_v0.parallel_env])
+def test_every_keyword_is_shown_and_a_typo_is_told_the_known_ones(make):
+    shown = inspect.signature(make).parameters
+    assert set(shown) == {"world", "render_mode", *(field.name for field in fields(TeamConfig))}
+    assert shown["reward"].default == "team"
+    message = rf"{make.__name__}.* takes no keyword 'drvier'; it takes world, render_mode, driver,"
+    with pytest.raises(TypeError, match=message):
+        make(drvier="bart")
 
 
 @pytest.mark.parametrize(

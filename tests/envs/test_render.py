@@ -1,17 +1,23 @@
+import copy
 import hashlib
 import os
+import pickle
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pygame
 import pytest
 from numpy.typing import NDArray
 
+from hmi_marl.agents.partners import merge_hmi
+from hmi_marl.envs import merge_v0
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.render import (
+    BLUE,
     PANEL_HEIGHT,
     TeamStatus,
     Viewer,
@@ -20,6 +26,7 @@ from hmi_marl.envs.render import (
     team_status,
 )
 from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.single import SingleTeam
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import Snapshot
 
@@ -165,6 +172,13 @@ def test_the_panel_shows_it_and_the_road_does_not(
     assert not differ(road(picture), road(plain))
 
 
+@pytest.mark.parametrize("steps_left", [0, 1, 6, 7])
+def test_the_panel_has_a_blue_cell_for_each_step_left(viewer: Viewer, steps_left: int) -> None:
+    picture = viewer.draw(SNAPSHOT, replace(STATUS, steps_left=steps_left))
+    blue = (panel(picture) == BLUE).all(axis=2)
+    assert blue.sum() == steps_left * 12 * 13
+
+
 def test_vehicles_are_drawn_where_they_are(viewer: Viewer, plain: Picture) -> None:
     moved = SNAPSHOT.position + np.array([[0, 0], [10.0, 0], [0, 0]])
     picture = viewer.draw(replace(SNAPSHOT, position=moved), STATUS)
@@ -182,6 +196,38 @@ def test_perceived_sizes_are_drawn_when_asked_for(plain: Picture) -> None:
     larger = (road(drawn) != road(plain)).any(axis=2).sum()
     smaller = perceived.draw(SNAPSHOT, replace(STATUS, inflation=3.0))
     assert (road(smaller) != road(plain)).any(axis=2).sum() < larger
+
+
+def ghost(inflation: float, heading: float = 0.0) -> tuple[NDArray[np.float64], ...]:
+    """Where, from the middle of the one other car [m], its perceived size changes the picture."""
+    two = replace(
+        SNAPSHOT,
+        position=np.array([[100.0, 8.0], [125.0, 8.0]]),
+        heading=np.array([0.0, heading]),
+        speed=np.full(2, 30.0),
+        crashed=np.zeros(2, np.bool_),
+        obstacles=np.zeros((0, 2)),
+    )
+    status = replace(STATUS, inflation=inflation)
+    drawn = [road(Viewer(CONFIG, perceived=p).draw(two, status)) for p in (True, False)]
+    down, right = np.nonzero((drawn[0] != drawn[1]).any(axis=2))
+    return right / 5.5 - (0.35 * 880 / 5.5 + 25.0), down / 5.5 - 14.0
+
+
+def test_a_perceived_size_is_the_true_one_times_the_inflation() -> None:
+    along, across = ghost(inflation=3.0)
+    # a car of 5 m x 2 m
+    for extent, size in ((along, 15.0), (across, 6.0)):
+        assert extent.max() - extent.min() == pytest.approx(size, abs=0.5)
+        assert extent.max() + extent.min() == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_perceived_size_turns_with_the_car() -> None:
+    # a positive heading is to the right of the road, down in the picture
+    along, across = ghost(inflation=3.0, heading=0.5)
+    assert np.corrcoef(along, across)[0, 1] > 0.5
+    area = len(along) / 5.5**2
+    assert area == pytest.approx(15.0 * 6.0, rel=0.05), "turned, not sheared"
 
 
 def test_perceived_sizes_without_inflation_are_the_true_ones(plain: Picture) -> None:
@@ -212,26 +258,101 @@ def test_either_kind_of_display_will_do(monkeypatch: pytest.MonkeyPatch, name: s
     assert has_display()
 
 
+def shown(viewer: Viewer) -> Picture:
+    assert viewer._window is not None
+    return np.moveaxis(pygame.surfarray.array3d(viewer._window.get_surface()), 0, 1)
+
+
 @pytest.mark.usefixtures("pretended_display")
 def test_a_window_shows_the_picture_that_is_returned(plain: Picture) -> None:
     window = Viewer(CONFIG, window=True)
     picture = window.draw(SNAPSHOT, STATUS, frames=50)
-    shown = pygame.surfarray.array3d(pygame.display.get_surface())
-    np.testing.assert_array_equal(np.moveaxis(shown, 0, 1), plain)
+    np.testing.assert_array_equal(shown(window), plain)
     np.testing.assert_array_equal(picture, plain)
+    assert not window.closed
     window.close()
-    assert not pygame.display.get_init()
+    assert window.closed
+    np.testing.assert_array_equal(window.draw(SNAPSHOT, STATUS, frames=50), plain)
+    assert window.closed, "it does not open again"
 
 
 @pytest.mark.usefixtures("pretended_display")
-def test_closing_one_viewer_leaves_another_usable(plain: Picture) -> None:
-    pictures, window = Viewer(CONFIG), Viewer(CONFIG, window=True)
+def test_closing_one_viewer_leaves_the_others_usable(plain: Picture) -> None:
+    pictures, window, other = Viewer(CONFIG), *(Viewer(CONFIG, window=True) for _ in range(2))
     window.draw(SNAPSHOT, STATUS, frames=50)
     window.close()
     window.close()  # once more does no harm
     np.testing.assert_array_equal(pictures.draw(SNAPSHOT, STATUS), plain)
+    other.draw(SNAPSHOT, STATUS, frames=50)
+    np.testing.assert_array_equal(shown(other), plain)
     pictures.close()
     np.testing.assert_array_equal(Viewer(CONFIG).draw(SNAPSHOT, STATUS), plain)
+    other.close()
+
+
+@pytest.mark.usefixtures("pretended_display")
+@pytest.mark.parametrize("begun_again", [False, True])
+def test_another_environment_may_quit_pygame(plain: Picture, begun_again: bool) -> None:
+    # as highway-env's viewer does when its environment is closed
+    pictures, window = Viewer(CONFIG), Viewer(CONFIG, window=True)
+    for _ in range(2):
+        pygame.quit()
+        if begun_again:
+            pygame.display.init()
+            pygame.font.init()
+        np.testing.assert_array_equal(pictures.draw(SNAPSHOT, STATUS), plain)
+        window.draw(SNAPSHOT, STATUS, frames=50)
+        np.testing.assert_array_equal(shown(window), plain)
+    pygame.quit()
+    window.close()
+
+
+@pytest.mark.usefixtures("pretended_display")
+def test_a_close_button_closes_its_own_window_whoever_draws(plain: Picture) -> None:
+    one, other = (Viewer(CONFIG, window=True) for _ in range(2))
+    pygame.event.get()
+    pygame.event.post(pygame.Event(pygame.WINDOWCLOSE, window=one._window))
+    other.draw(SNAPSHOT, STATUS, frames=50)
+    assert one.closed
+    assert not other.closed
+    pygame.event.post(pygame.Event(pygame.QUIT))
+    other.draw(SNAPSHOT, STATUS, frames=50)
+    assert other.closed
+
+
+@pytest.mark.usefixtures("pretended_display")
+def test_an_environment_goes_on_when_its_window_is_closed() -> None:
+    team = SingleTeam(CONFIG, "highway", "human")
+    team.reset(seed=1)
+    pygame.event.post(pygame.Event(pygame.QUIT))
+    for _ in range(3):
+        team.intend(1)
+        team.alert(0)
+        team.show()
+    assert team._viewer is not None
+    assert team._viewer.closed
+    team.close()
+    team.reset(seed=1)
+    assert team._viewer is not None
+    assert not team._viewer.closed, "close() and reset() open another"
+    team.close()
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"]
+)
+@pytest.mark.parametrize("make", [merge_v0.env, merge_v0.parallel_env, merge_hmi])
+def test_an_environment_that_was_drawn_can_be_copied(
+    make: Callable[..., Any], copied: Callable[[Any], Any]
+) -> None:
+    env = make(driver="homer", duration=2.0, scene=Scene(vehicles=2), render_mode="rgb_array")
+    env.reset(seed=1)
+    picture = env.render()
+    again = copied(env)
+    np.testing.assert_array_equal(again.render(), picture)
+    np.testing.assert_array_equal(env.render(), picture)
+    env.close()
+    again.close()
 
 
 def test_between_goes_straight_from_one_moment_to_the_next() -> None:
@@ -305,17 +426,30 @@ def test_the_status_is_the_teams_own(teaming: Teaming) -> None:
     teaming.intend([1, 0])
     teaming.step([0, 1])
     teaming.intend([1, 4])
-    teaming.step([0, 0])
+    teaming.step([0, 1])
     one, other = team_status(teaming, 0), team_status(teaming, 1)
     assert other.intended == "slow_down"
     assert other.applied == ("move_left" if other.distracted else "slow_down")
     assert (one.intended, one.applied) == ("keep_speed", "keep_speed")
+    assert (one.alert, other.alert) == (False, True)
     assert one.time == other.time == pytest.approx(0.4)
     for k, status in enumerate((one, other)):
         assert status.distracted == bool(teaming.attention.distracted[k])
         assert status.speed == teaming.ego.speed[k]
         assert status.inflation == teaming.traits.inflation[k]
         assert status.driver == {9.0: "homer", 3.0: "bart"}[status.inflation]
+
+
+def test_the_status_holds_the_intent_and_the_action_of_the_same_step(teaming: Teaming) -> None:
+    teaming.intend([1, 1])
+    assert team_status(teaming, 0).intended == "-", "no step is complete yet"
+    teaming.step([0, 0])
+    complete = team_status(teaming, 0)
+    assert (complete.intended, complete.applied) == ("keep_speed", "keep_speed")
+    teaming.intend([4, 4])
+    assert team_status(teaming, 0) == complete
+    teaming.step([0, 0])
+    assert team_status(teaming, 0).intended == "slow_down"
 
 
 def test_a_driver_of_no_name_is_called_driver() -> None:

@@ -89,3 +89,10 @@ def test_sharing_by_hand():
 def test_bad_settings_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("value", ["5", None, True, [5.0], np.array(5.0)])
+def test_a_weight_that_is_no_number_is_refused_by_name(value):
+    with pytest.raises(TypeError, match="reward weight speed_reward is a number, not"):
+        RewardWeights(speed_reward=value)
+    assert RewardWeights(speed_reward=np.float32(2)) == RewardWeights(speed_reward=2)

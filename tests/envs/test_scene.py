@@ -33,7 +33,19 @@ def test_a_scene_out_of_range_is_refused(arguments, message):
         Scene(**arguments)
 
 
-@pytest.mark.parametrize("arguments", [{"vehicles": 2.5}, {"lanes": True}, {"before": "150"}])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"vehicles": 2.5},
+        {"lanes": True},
+        {"before": "150"},
+        {"target_speeds": 30.0},
+        {"target_speeds": "2030"},
+        {"target_speeds": ("20", "30")},
+        {"target_speeds": (True, 2.0)},
+        {"target_speeds": None},
+    ],
+)
 def test_a_scene_of_the_wrong_type_is_refused(arguments):
     with pytest.raises(TypeError, match=r"scene\."):
         Scene(**arguments)

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
-from standing_world import standing_teams
+from standing_world import StandingWorld, standing_teams
 
-from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Driver, Traits
+from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
@@ -158,6 +160,65 @@ def test_some_teams_can_start_anew_while_others_go_on():
     assert teams.seeds.tolist() == [0, 51, 2]
 
 
+def in_mid_turn():
+    """Three teams of which all drivers have acted in the third step."""
+    teams = standing_teams(3, driver="bart", duration=4.0)
+    teams.reset(seeds(3))
+    for intended in ([3, 3, 3], [0, 1, 2]):
+        teams.intend(intended)
+        teams.step([1, 0, 1])
+    teams.intend([4, 3, 4])
+    return teams
+
+
+OTHERS, SECOND = np.array([True, False, True]), np.array([False, True, False])
+
+
+def test_a_partial_reset_in_mid_turn_leaves_the_other_teams_there():
+    teams = in_mid_turn()
+    before = teams.state()
+    teams.reset(seeds(3, first=50), SECOND)
+    np.testing.assert_array_equal(teams.state()[OTHERS], before[OTHERS])
+    previous = teams.state_layout.chosen(teams.state(), "previous_intended_action")
+    assert previous.tolist() == [0, -1, 2]
+    assert teams.intent_given.tolist() == OTHERS.tolist()
+    with pytest.raises(ValueError, match="the driver acts first"):
+        teams.step([0, 0, 0])
+    with pytest.raises(ValueError, match="already acted"):
+        teams.intend([1, 1, 1])
+    np.testing.assert_array_equal(teams.state()[OTHERS], before[OTHERS])
+    teams.intend([99, 1, 99], SECOND)  # the others' actions are not even read
+    np.testing.assert_array_equal(teams.state()[OTHERS], before[OTHERS])
+    teams.step([0, 0, 0])
+    assert not teams.intent_given.any()
+    undisturbed = in_mid_turn()
+    undisturbed.step([0, 0, 0])
+    np.testing.assert_array_equal(teams.state()[OTHERS], undisturbed.state()[OTHERS])
+    fresh = standing_teams(1, driver="bart", duration=4.0)
+    fresh.reset(np.array([51], np.uint64))
+    fresh.intend([1])
+    fresh.step([0])
+    np.testing.assert_array_equal(teams.state()[1], fresh.state()[0])
+
+
+def test_an_intent_that_is_withdrawn_leaves_nothing_behind():
+    teams, undisturbed = (standing_teams(2, driver="bart") for _ in range(2))
+    for each in (teams, undisturbed):
+        each.reset(seeds(2))
+    for step in range(3):
+        before = teams.state()
+        teams.intend([4, 0])
+        assert not np.array_equal(teams.state(), before)
+        teams.withdraw()
+        np.testing.assert_array_equal(teams.state(), before)
+        for each in (teams, undisturbed):
+            each.intend([step, 3])
+        np.testing.assert_array_equal(teams.state(), undisturbed.state())
+        for each in (teams, undisturbed):
+            each.step([0, 1])
+    np.testing.assert_array_equal(teams.state(), undisturbed.state())
+
+
 def test_the_ai_sees_intent_in_its_turn_and_one_step_late_otherwise():
     teams = standing_teams(1, driver=NEVER)
     layout = teams.layouts["vehicle_ai"]
@@ -204,6 +265,12 @@ def test_seats_and_state_agree_on_what_they_share():
         (lambda teams: teams.intend([0.5, 1.0]), TypeError, "integers"),
         (lambda teams: teams.step([0, 0]), ValueError, "the driver acts first"),
         (lambda teams: teams.reset(seeds(3)), ValueError, r"shape \(2,\), not \(3,\)"),
+        (lambda teams: teams.reset([0.5, 1.0]), TypeError, "seeds are integers.*float64"),
+        (lambda teams: teams.reset([True, False]), TypeError, "seeds are integers.*bool"),
+        (lambda teams: teams.reset([3, -1]), ValueError, r"seed lies in \[0, 2\^64\), but got -1"),
+        (lambda teams: teams.reset(seeds(2), np.array([1, 0])), ValueError, "which= marks teams"),
+        (lambda teams: teams.reset(seeds(2), np.array([True])), ValueError, "which= marks teams"),
+        (lambda teams: teams.intend([0, 0], [0, 1]), ValueError, "which= marks teams"),
     ],
 )
 def test_bad_calls_are_refused(act, error, message):
@@ -211,6 +278,31 @@ def test_bad_calls_are_refused(act, error, message):
     teams.reset(seeds(2))
     with pytest.raises(error, match=message):
         act(teams)
+
+
+def test_the_seed_of_a_team_that_goes_on_is_not_read():
+    teams = standing_teams(2)
+    teams.reset(seeds(2))
+    teams.reset([-1, 7], np.array([False, True]))
+    assert teams.seeds.tolist() == [0, 7]
+
+
+class Sleepwalkers:
+    """A population of drivers that cannot be."""
+
+    def draw(self, seeds):
+        unit = np.full(len(seeds), 0.5)
+        return Traits(np.where(seeds > 9, np.nan, unit), unit, unit, unit + 1)
+
+
+def test_impossible_traits_are_refused_before_anything_changes():
+    teams = standing_teams(2, driver=Sleepwalkers())
+    teams.reset(seeds(2))
+    before = teams.state()
+    with pytest.raises(ValueError, match=r"beta lies in \[0, 1\], but got nan"):
+        teams.reset(seeds(2, first=9))
+    np.testing.assert_array_equal(teams.state(), before)
+    assert teams.seeds.tolist() == [0, 1]
 
 
 def test_acting_twice_or_alerting_out_of_range_is_refused():
@@ -223,6 +315,17 @@ def test_acting_twice_or_alerting_out_of_range_is_refused():
         teams.step([2])
     teams.step([1])  # the failed call changed nothing
     assert teams.steps.tolist() == [1]
+
+
+def test_a_world_that_does_not_fit_is_refused():
+    config = TeamConfig()
+    for world in (None, 3, StandingWorld):
+        with pytest.raises(TypeError, match="world= takes a world's name or a World, not"):
+            Teaming(config, 2, world)
+    with pytest.raises(ValueError, match="num_teams = 2, but the world has 3 scenes"):
+        Teaming(config, 2, StandingWorld(config.scene, 3))
+    with pytest.raises(ValueError, match=r"make it with config\.scene"):
+        Teaming(config, 2, StandingWorld(Scene(lanes=2).fitted(20.0), 2))
 
 
 def test_there_is_at_least_one_team():
