@@ -1,23 +1,36 @@
-"""Worlds: where the cars drive. ``highway`` is highway-env itself, the reference."""
+"""Worlds: where the cars drive.
+
+``highway`` is highway-env itself, the reference; ``batched`` the same, compiled, for thousands.
+"""
 
 from __future__ import annotations
 
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego, Snapshot, World
 
-WORLDS = ("highway",)
+WORLDS = ("highway", "batched")
 
 __all__ = ["VEHICLE_ACTIONS", "WORLDS", "Ego", "Snapshot", "World", "make_world"]
 
 
-def make_world(world: str, scene: Scene, num_worlds: int) -> World:
+def make_world(world: str, scene: Scene, num_worlds: int, threads: int | None = None) -> World:
     """Build ``num_worlds`` scenes in the world of this name.
 
+    Args:
+        world: "highway" or "batched".
+        scene: fitted to the episode's duration.
+        num_worlds: N.
+        threads: that the batched world shares its worlds among; all cores by default.
+
     Raises:
-        ValueError: unknown world.
+        ValueError: unknown world, or more threads than there are.
     """
     if world == "highway":
         from hmi_marl.envs.worlds.highway import HighwayWorld  # highway-env is slow to import
 
         return HighwayWorld(scene, num_worlds)
+    if world == "batched":
+        from hmi_marl.envs.worlds.batched import BatchedWorld  # numba is slow to import
+
+        return BatchedWorld(scene, num_worlds, threads)
     raise ValueError(f"unknown world {world!r}; known worlds: {', '.join(WORLDS)}")

@@ -64,7 +64,10 @@ class Snapshot:
 
 
 class World(Protocol):
-    """N merge scenes. Team k's episode depends on seed k alone."""
+    """N merge scenes. Team k's episode depends on seed k alone.
+
+    What is handed out stays as it is: later calls do not write into it.
+    """
 
     scene: Scene
     num_worlds: int

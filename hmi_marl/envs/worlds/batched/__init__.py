@@ -1,0 +1,10 @@
+"""The compiled world: thousands of merges at once, equal to highway-env.
+
+One file per physical idea, each function beside the highway-env rule that it restates: ``lanes``,
+``neighbours``, ``idm``, ``mobil``, ``control``, ``motion``, ``collisions``, ``lidar``, ``spawn``.
+``memory`` says where the numbers lie, ``kernels`` loops over worlds, ``world`` is the outside.
+"""
+
+from hmi_marl.envs.worlds.batched.world import BatchedWorld
+
+__all__ = ["BatchedWorld"]

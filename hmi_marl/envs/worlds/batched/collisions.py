@@ -1,0 +1,172 @@
+"""Collisions and impacts.
+
+Restates the pairs of Road.step, RoadObject.handle_collisions and utils.are_polygons_intersecting.
+
+A pair can be ruled out early where one of the axes that highway-env tests surely separates it. If
+nothing is left, which is nearly always, that is all; otherwise every pair is gone through in
+highway-env's order, since a later impact overwrites an earlier one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.memory import (
+    CAR_LENGTH,
+    CAR_WIDTH,
+    COS,
+    CRASHED,
+    HIT,
+    IMPACT_X,
+    IMPACT_Y,
+    OBSTACLE_SIZE,
+    ORDER,
+    SIN,
+    SPEED,
+    VEHICLES,
+    X,
+    Y,
+)
+from hmi_marl.envs.worlds.batched.motion import MAX_SPEED
+
+_CAR_DIAGONAL = math.sqrt(CAR_LENGTH**2 + CAR_WIDTH**2)
+_OBSTACLE_DIAGONAL = math.sqrt(2 * OBSTACLE_SIZE**2)
+_SURELY = 1e-6
+
+
+@inlined
+def _half_sizes(world, thing):
+    if thing == world[VEHICLES]:
+        return OBSTACLE_SIZE / 2, OBSTACLE_SIZE / 2, _OBSTACLE_DIAGONAL
+    return CAR_LENGTH / 2, CAR_WIDTH / 2, _CAR_DIAGONAL
+
+
+@inlined
+def _surely_apart(f, world, a, b, dt):
+    """Does one of the axes of object a separate it from b, now and within the next step?"""
+    half_length, half_width, _ = _half_sizes(world, a)
+    other_length, other_width, _ = _half_sizes(world, b)
+    cosine, sine = f[COS, a], f[SIN, a]
+    dx, dy = f[X, b] - f[X, a], f[Y, b] - f[Y, a]
+    vx = (f[SPEED, a] * cosine - f[SPEED, b] * f[COS, b]) * dt
+    vy = (f[SPEED, a] * sine - f[SPEED, b] * f[SIN, b]) * dt
+    turn_cos = abs(cosine * f[COS, b] + sine * f[SIN, b])
+    turn_sin = abs(cosine * f[SIN, b] - sine * f[COS, b])
+    across = abs(cosine * dy - sine * dx) - abs(cosine * vy - sine * vx)
+    if across > half_width + other_length * turn_sin + other_width * turn_cos + _SURELY:
+        return True
+    along = abs(cosine * dx + sine * dy) - abs(cosine * vx + sine * vy)
+    return along > half_length + other_length * turn_cos + other_width * turn_sin + _SURELY
+
+
+@compiled
+def _corner(f, world, thing, k):
+    """Corner k of the object, in the order of RoadObject.polygon; corner 4 is corner 0."""
+    half_length, half_width, _ = _half_sizes(world, thing)
+    along = half_length if k == 2 or k == 3 else -half_length
+    across = half_width if k == 1 or k == 2 else -half_width
+    cosine, sine = f[COS, thing], f[SIN, thing]
+    return (
+        cosine * along - sine * across + f[X, thing],
+        sine * along + cosine * across + f[Y, thing],
+    )
+
+
+@compiled
+def _project(f, world, thing, nx, ny):
+    low, high = np.inf, -np.inf
+    for k in range(4):
+        x, y = _corner(f, world, thing, k)
+        value = x * nx + y * ny
+        low, high = min(low, value), max(high, value)
+    return low, high
+
+
+@inlined
+def _interval_distance(min_a, max_a, min_b, max_b):
+    return min_b - max_a if min_a < min_b else min_a - max_b
+
+
+@compiled
+def _intersection(f, world, a, b, dt):
+    """(intersecting, will intersect, translation x, y) of are_polygons_intersecting."""
+    intersecting, will_intersect = True, True
+    least, axis_x, axis_y = np.inf, 0.0, 0.0
+    vx = f[SPEED, a] * f[COS, a] * dt - f[SPEED, b] * f[COS, b] * dt
+    vy = f[SPEED, a] * f[SIN, a] * dt - f[SPEED, b] * f[SIN, b] * dt
+    for turn in range(2):
+        polygon = a if turn == 0 else b
+        for k in range(4):
+            x1, y1 = _corner(f, world, polygon, k)
+            x2, y2 = _corner(f, world, polygon, (k + 1) % 4)
+            nx, ny = y1 - y2, x2 - x1
+            norm = math.sqrt(nx * nx + ny * ny)
+            nx, ny = nx / norm, ny / norm
+            min_a, max_a = _project(f, world, a, nx, ny)
+            min_b, max_b = _project(f, world, b, nx, ny)
+            if _interval_distance(min_a, max_a, min_b, max_b) > 0:
+                intersecting = False
+            velocity = nx * vx + ny * vy
+            if velocity < 0:
+                min_a += velocity
+            else:
+                max_a += velocity
+            distance = _interval_distance(min_a, max_a, min_b, max_b)
+            if distance > 0:
+                will_intersect = False
+            if not intersecting and not will_intersect:
+                break
+            if abs(distance) < least:
+                least = abs(distance)
+                towards = (f[X, a] - f[X, b]) * nx + (f[Y, a] - f[Y, b]) * ny
+                axis_x, axis_y = (nx, ny) if towards > 0 else (-nx, -ny)
+    if will_intersect:
+        return intersecting, True, least * axis_x, least * axis_y
+    return intersecting, False, 0.0, 0.0
+
+
+@compiled
+def _handle(f, i, world, a, b, dt):
+    """handle_collisions of object a with the later object b."""
+    dx, dy = f[X, b] - f[X, a], f[Y, b] - f[Y, a]
+    reach = (_half_sizes(world, a)[2] + _half_sizes(world, b)[2]) / 2 + f[SPEED, a] * dt
+    if math.sqrt(dx * dx + dy * dy) > reach or _surely_apart(f, world, a, b, dt):
+        return
+    intersecting, will_intersect, tx, ty = _intersection(f, world, a, b, dt)
+    if will_intersect:
+        i[HIT, a] = 1
+        if b == world[VEHICLES]:
+            f[IMPACT_X, a], f[IMPACT_Y, a] = tx, ty
+        else:
+            i[HIT, b] = 1
+            f[IMPACT_X, a], f[IMPACT_Y, a] = tx / 2, ty / 2
+            f[IMPACT_X, b], f[IMPACT_Y, b] = -tx / 2, -ty / 2
+    if intersecting:
+        i[CRASHED, a] = 1
+        i[CRASHED, b] = 1
+
+
+@compiled
+def _collide_all(f, i, world, dt):
+    for a in range(world[VEHICLES]):
+        for b in range(a + 1, world[VEHICLES] + 1):
+            _handle(f, i, world, a, b, dt)
+
+
+@inlined
+def collide(f, i, world, dt):
+    """All collisions after everybody has moved; ORDER must be up to date."""
+    objects = world[VEHICLES] + 1
+    reach = _CAR_DIAGONAL + (MAX_SPEED + 1) * dt
+    for place in range(objects - 1):
+        a = i[ORDER, place]
+        for later in range(place + 1, objects):
+            b = i[ORDER, later]
+            if f[X, b] - f[X, a] > reach:
+                break
+            if abs(f[Y, b] - f[Y, a]) < reach and not _surely_apart(f, world, a, b, dt):
+                _collide_all(f, i, world, dt)
+                return

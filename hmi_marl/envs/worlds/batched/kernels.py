@@ -1,0 +1,132 @@
+"""The loops over worlds, each world by one thread: begin, step, look around, read off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from hmi_marl.envs.worlds.batched.collisions import collide
+from hmi_marl.envs.worlds.batched.compiler import compiled, source_stamp
+from hmi_marl.envs.worlds.batched.control import act_driven, act_traffic, command
+from hmi_marl.envs.worlds.batched.lanes import lateral
+from hmi_marl.envs.worlds.batched.lidar import trace
+from hmi_marl.envs.worlds.batched.memory import (
+    CAR_LENGTH,
+    CRASHED,
+    HEADING,
+    LANE,
+    OBSTACLE_SIZE,
+    ROW,
+    SPEED,
+    TARGET_SPEED,
+    VEHICLES,
+    X0,
+    X,
+    Y,
+)
+from hmi_marl.envs.worlds.batched.motion import move
+from hmi_marl.envs.worlds.batched.neighbours import NOBODY, front_of, sort_by_x
+from hmi_marl.envs.worlds.batched.spawn import begin
+
+
+@compiled
+def advance(f, i, world, lanes, table, rows, speeds, action, substeps, dt):
+    """One policy step of one world: Env._simulate."""
+    command(f, i, lanes, table, speeds, action)
+    vehicles = world[VEHICLES]
+    for _ in range(substeps):
+        act_driven(f, i, lanes, table)
+        for v in range(1, vehicles):
+            act_traffic(f, i, world, lanes, table, v)
+        for v in range(vehicles):
+            move(f, i, lanes, table, rows, v, dt)
+        sort_by_x(f, i, world, lanes, rows)
+        collide(f, i, world, dt)
+
+
+@compiled
+def read_ego(f, i, world, lanes, table, rows, ego, flags):
+    """Fill ``ego`` (8,) and ``flags`` (2,) with the fields of :class:`worlds.base.Ego`."""
+    lane = i[LANE, 0]
+    ego[0], ego[1], ego[2] = f[X, 0], f[Y, 0], f[HEADING, 0]
+    ego[3], ego[4] = f[SPEED, 0], f[TARGET_SPEED, 0]
+    ego[5] = lateral(lanes, lane, f[X, 0] - lanes[lane, X0], f[Y, 0])
+    front = front_of(f, i, world, lanes, table, 0, lane)
+    ego[6] = np.inf
+    if front != NOBODY:
+        length = OBSTACLE_SIZE if front == world[VEHICLES] else CAR_LENGTH
+        ego[6] = f[X, front] - f[X, 0] - (CAR_LENGTH + length) / 2
+    slowness = 0.0
+    for v in range(world[VEHICLES]):
+        if i[LANE, v] == 2 * rows:
+            slowness += (f[TARGET_SPEED, v] - f[SPEED, v]) / f[TARGET_SPEED, v]
+    ego[7] = slowness
+    flags[0] = rows if table[lane, ROW] < 0 else table[lane, ROW]
+    flags[1] = i[CRASHED, 0]
+
+
+class Kernels(NamedTuple):
+    """The compiled loops over worlds."""
+
+    begin: Callable[..., None]
+    step: Callable[..., None]
+    look: Callable[..., None]
+    read: Callable[..., None]
+
+
+def build(stamp: str) -> Kernels:
+    """Compile at the first call, or take what an earlier process compiled from the same sources.
+
+    Args:
+        stamp: of the sources; numba's cache takes it for part of the functions.
+    """
+    parallel: Any = njit(parallel=True, cache=True, error_model="numpy")
+
+    @parallel
+    def begin_worlds(blocks, road, rows, speeds, seeds, which, low, high, room):
+        _ = stamp
+        floats, integers, worlds = blocks
+        lanes, table = road
+        draws, lane, start = room
+        for k in prange(len(which)):
+            if which[k]:
+                f, i, world = floats[k], integers[k], worlds[k]
+                begin(
+                    f, i, world, lanes, table, rows, speeds,
+                    seeds[k], low, high, draws[k], lane[k], start[k],
+                )  # fmt: skip
+
+    @parallel
+    def step_worlds(blocks, road, rows, speeds, actions, which, substeps, dt):
+        _ = stamp
+        floats, integers, worlds = blocks
+        lanes, table = road
+        for k in prange(len(which)):
+            if which[k]:
+                f, i, world = floats[k], integers[k], worlds[k]
+                advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
+
+    @parallel
+    def look_around(blocks, which, inflation, directions, maximum_range, grids):
+        _ = stamp
+        floats, _integers, worlds = blocks
+        for k in prange(len(which)):
+            if which[k]:
+                trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])
+
+    @parallel
+    def read_off(blocks, road, rows, ego, flags):
+        _ = stamp
+        floats, integers, worlds = blocks
+        lanes, table = road
+        for k in prange(len(ego)):
+            f, i, world = floats[k], integers[k], worlds[k]
+            read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+
+    return Kernels(begin_worlds, step_worlds, look_around, read_off)
+
+
+KERNELS = build(source_stamp())

@@ -1,0 +1,81 @@
+"""Lane changes of the traffic: IDMVehicle.change_lane_policy and mobil."""
+
+from __future__ import annotations
+
+from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.idm import acceleration, desired_gap
+from hmi_marl.envs.worlds.batched.lanes import is_reachable
+from hmi_marl.envs.worlds.batched.memory import (
+    BC,
+    LANE,
+    LEFT,
+    MERGING,
+    RIGHT,
+    SEGMENT,
+    SPEED,
+    TARGET_LANE,
+    TIMER,
+    VEHICLES,
+    X,
+    Y,
+)
+from hmi_marl.envs.worlds.batched.neighbours import NOBODY, front_of, rear_of
+
+LANE_CHANGE_DELAY = 1.0
+MAX_BRAKING_IMPOSED = 2.0
+MIN_ACC_GAIN = 0.2
+
+
+@inlined
+def _same_road(table, lane, other):
+    a, b = table[lane, SEGMENT], table[other, SEGMENT]
+    return a == b or (a == BC and b == MERGING) or (a == MERGING and b == BC)
+
+
+@compiled
+def _abort_if_taken(f, i, world, v):
+    """Give a lane change up if somebody close ahead is changing into the same lane."""
+    target = i[TARGET_LANE, v]
+    for other in range(world[VEHICLES]):
+        if other != v and i[LANE, other] != target and i[TARGET_LANE, other] == target:
+            distance = f[X, other] - f[X, v]
+            if 0 < distance < desired_gap(f, v, other):
+                i[TARGET_LANE, v] = i[LANE, v]
+                return
+
+
+@compiled
+def _is_worth_it(f, i, world, lanes, table, v, lane):
+    """MOBIL with politeness 0, as highway-env's traffic has it, and no planned route."""
+    preceding = front_of(f, i, world, lanes, table, v, lane)
+    following = rear_of(f, i, world, lanes, table, v, lane)
+    if (
+        following != NOBODY
+        and following != world[VEHICLES]  # the obstacle does not brake
+        and acceleration(f, i, lanes, table, following, v) < -MAX_BRAKING_IMPOSED
+    ):
+        return False
+    now = front_of(f, i, world, lanes, table, v, i[LANE, v])
+    gain = acceleration(f, i, lanes, table, v, preceding) - acceleration(f, i, lanes, table, v, now)
+    return gain >= MIN_ACC_GAIN
+
+
+@inlined
+def choose_lane(f, i, world, lanes, table, v):
+    """Start or give up a lane change; left is tried, then right, and right wins if both pass."""
+    lane = i[LANE, v]
+    if lane != i[TARGET_LANE, v]:
+        if _same_road(table, lane, i[TARGET_LANE, v]):
+            _abort_if_taken(f, i, world, v)
+        return
+    if not f[TIMER, v] > LANE_CHANGE_DELAY:
+        return
+    f[TIMER, v] = 0.0
+    for side in (table[lane, LEFT], table[lane, RIGHT]):
+        if (
+            side >= 0
+            and is_reachable(lanes, table, side, f[X, v], f[Y, v])
+            and abs(f[SPEED, v]) >= 1
+            and _is_worth_it(f, i, world, lanes, table, v, side)
+        ):
+            i[TARGET_LANE, v] = side

@@ -1,0 +1,223 @@
+import subprocess
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+from parity import assert_parity, random_scene
+
+from hmi_marl import Driver, Scene, merge_v0
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.scene import draw_start
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.worlds import make_world
+from hmi_marl.envs.worlds.batched import BatchedWorld
+
+
+def seeds(count, first=0):
+    return np.arange(first, first + count, dtype=np.uint64)
+
+
+@pytest.mark.parametrize("driver", ["random", "rule"])
+@pytest.mark.parametrize("inflation", [1.0, 3.0, 9.0])
+def test_it_follows_highway_env(inflation, driver):
+    steps = assert_parity(Scene(), seeds(4, int(inflation)), inflation=inflation, driver=driver)
+    assert steps > 40
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_it_follows_highway_env_in_any_scene(number):
+    rng = np.random.default_rng(number)
+    assert_parity(random_scene(rng), seeds(3), 8.0, float(rng.uniform(1, 9)), "random")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(20))
+@pytest.mark.parametrize("driver", ["random", "rule"])
+def test_it_follows_highway_env_for_200_seeds(driver, block):
+    inflation = (1.0, 3.0, 9.0)[block % 3]
+    assert_parity(Scene(), seeds(10, 1000 + 10 * block), inflation=inflation, driver=driver)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(100, 120))
+def test_it_follows_highway_env_in_many_scenes(number):
+    rng = np.random.default_rng(number)
+    driver = ("random", "rule")[number % 2]
+    assert_parity(random_scene(rng), seeds(6), 12.0, float(rng.uniform(1, 9)), driver)
+
+
+@pytest.mark.parametrize("end_at_crash", [True, False])
+@pytest.mark.parametrize("driver", ["bart", "homer"])
+def test_a_whole_episode_equals_the_highway_worlds(driver, end_at_crash):
+    crashes = 0
+    for seed in range(3):
+        envs = [
+            merge_v0.parallel_env(
+                driver=driver,
+                world=world,
+                end_at_crash=end_at_crash,
+                scene=Scene(vehicles=12),
+                duration=12.0,
+            )
+            for world in ("highway", "batched")
+        ]
+        rng = np.random.default_rng(seed)
+        seen = [env.reset(seed=seed) for env in envs]
+        while envs[0].agents:
+            for agent in envs[0].possible_agents:
+                ours, theirs = (one[0][agent] for one in seen)
+                np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)
+                assert seen[0][-1][agent] == pytest.approx(seen[1][-1][agent], abs=1e-9)
+            np.testing.assert_allclose(envs[0].state(), envs[1].state(), rtol=0, atol=1e-6)
+            actions = {"driver": int(rng.integers(5)), "vehicle_ai": int(rng.integers(2))}
+            seen = [env.step(actions) for env in envs]
+            assert seen[0][1] == pytest.approx(seen[1][1], abs=1e-9)
+            assert seen[0][2:4] == seen[1][2:4]
+        crashes += seen[0][-1]["driver"]["crashed"]
+    assert crashes > 0  # or standing after a crash was not seen
+
+
+def drive(count, which, threads):
+    """States of teams ``which`` out of seeds 0 .. count - 1, at every step of three seconds."""
+    config = TeamConfig(driver=["lisa", "homer"], duration=3.0)
+    world = BatchedWorld(config.scene, len(which), threads)
+    teams = Teaming(config, len(which), world)
+    teams.reset(seeds(count)[which])
+    actions = np.random.default_rng(0).integers(0, 5, (15, count))
+    states = []
+    for step in range(15):
+        teams.intend(actions[step, which])
+        teams.step(actions[step, which] % 2)
+        states.append(teams.state())
+    return np.array(states)
+
+
+def test_a_team_is_the_same_to_the_bit_alone_among_7_and_among_4096():
+    many = drive(4096, np.arange(4096), threads=None)
+    for which in (np.array([5]), np.array([9, 5, 4000, 77, 1, 2, 3])):
+        np.testing.assert_array_equal(drive(4096, which, threads=1), many[:, which])
+    np.testing.assert_array_equal(drive(4096, np.arange(300), threads=1), many[:, :300])
+
+
+def test_it_starts_from_the_scene_of_the_seed():
+    scene = Scene(vehicles=(1, 50)).fitted(20.0)
+    world = BatchedWorld(scene, 20)
+    world.reset(seeds(20, 7), np.ones(20), np.ones(20, np.bool_))
+    for k in range(20):
+        start, snapshot = draw_start(scene, 7 + k), world.snapshot(k)
+        traffic = snapshot.position[1:-1]
+        np.testing.assert_array_equal(traffic[:, 0], start.longitudinal)
+        np.testing.assert_array_equal(traffic[:, 1], 4.0 * start.lane)
+        np.testing.assert_array_equal(snapshot.speed[1:-1], start.speed)
+
+
+def test_resetting_and_stepping_some_leaves_the_others_alone():
+    scene = Scene().fitted(4.0)
+    world = BatchedWorld(scene, 6)
+    everybody, some = np.ones(6, np.bool_), np.array([True, False] * 3)
+    world.reset(seeds(6), np.full(6, 3.0), everybody)
+    world.step(np.full(6, 3), everybody)
+    before = [world.snapshot(k) for k in range(6)]
+    lidar = world.lidar(inflated=True)
+    kept = lidar.copy()
+    world.reset(seeds(6, 50), np.full(6, 9.0), some)
+    world.step(np.full(6, 4), some)
+    for k in range(6):
+        same = np.array_equal(world.snapshot(k).position, before[k].position)
+        assert same == (not some[k])
+        assert world.snapshot(k).time == pytest.approx(0.2)
+    np.testing.assert_array_equal(world.lidar(inflated=True)[~some], kept[~some])
+    np.testing.assert_array_equal(lidar, kept)  # what was handed out stays as it was
+
+
+def test_what_is_handed_out_is_not_overwritten():
+    scene = Scene().fitted(4.0)
+    world = BatchedWorld(scene, 2)
+    everybody = np.ones(2, np.bool_)
+    ego, snapshot, lidar = world.ego(), world.snapshot(1), world.lidar(False)
+    kept = ego.x.copy(), snapshot.position.copy(), lidar.copy()
+    world.step(np.array([3, 3]), everybody)
+    for shown, copy in zip((ego.x, snapshot.position, lidar), kept, strict=True):
+        np.testing.assert_array_equal(shown, copy)
+
+
+def test_the_memory_of_a_team_is_small_and_constant():
+    world = BatchedWorld(Scene(vehicles=20).fitted(20.0), 64)
+    first = world.bytes_per_world
+    everybody = np.ones(64, np.bool_)
+    for step in range(30):
+        world.step(np.full(64, 3), everybody)
+        world.lidar(inflated=True)
+        world.reset(seeds(64, step), np.ones(64), everybody)
+    assert world.bytes_per_world == first < 16_000
+
+
+@pytest.mark.parametrize("threads", [0, -1, 10_000])
+def test_more_threads_than_there_are_are_refused(threads):
+    with pytest.raises(ValueError, match="threads lies in 1 to"):
+        make_world("batched", Scene().fitted(2.0), 1, threads)
+
+
+def test_a_second_process_takes_what_the_first_has_compiled():
+    code = (
+        "import time; from hmi_marl import merge_v0\n"
+        "env = merge_v0.parallel_env(world='batched', duration=0.4)\n"
+        "env.reset(seed=0); env.step({'driver': 1, 'vehicle_ai': 0})\n"
+        "from hmi_marl.envs.worlds.batched.kernels import KERNELS\n"
+        "print(sum(sum(k.stats.cache_misses.values()) for k in KERNELS))"
+    )
+    run = partial(subprocess.run, [sys.executable, "-c", code], capture_output=True, text=True)
+    first, second = run(check=True), run(check=True)
+    assert first.stdout
+    assert second.stdout.strip() == "0"
+
+
+def soak(team_steps, configurations, seed):
+    """Random teams in random scenes; the invariants hold in every step."""
+    rng = np.random.default_rng(seed)
+    done, share = 0, team_steps // configurations
+    for _ in range(configurations):
+        drivers = [Driver(f"d{k}", *rng.random(3), rng.uniform(1, 9)) for k in range(4)]
+        window = int(rng.integers(1, 12))
+        config = TeamConfig(
+            driver=drivers,
+            scene=random_scene(rng),
+            alert_window=window,
+            duration=10.0,
+            end_at_crash=bool(rng.random() < 0.7),
+        )
+        count = int(rng.integers(200, 3000))
+        teams, episode = Teaming(config, count, "batched"), 0
+        teams.reset(seeds(count))
+        goal = done + share
+        while done < goal:
+            before = teams.applied
+            teams.intend(rng.integers(0, 5, count))
+            result = teams.step(rng.integers(0, 2, count))
+            done += count
+            ego, attention = teams.ego, teams.attention
+            assert np.isfinite(teams.state()).all()
+            assert all(np.isfinite(values).all() for values in result.terms.values())
+            assert (np.abs(ego.speed) <= 41).all()
+            assert (ego.x > 0).all()
+            assert (ego.x < config.scene.length + 100).all()
+            assert (np.abs(ego.y - 10) < 60).all()
+            assert np.isin(attention.distracted, (0, 1)).all()
+            assert np.isin(attention.accepted, (0, 1)).all()
+            assert ((attention.counter >= 0) & (attention.counter < window)).all()
+            repeats = (attention.distracted == 1) & (before >= 0)
+            assert (teams.applied == before)[repeats].all()
+            if teams.over.any():
+                episode += 1
+                teams.reset(seeds(count, episode * 10_000), teams.over.copy())
+    return done
+
+
+def test_a_soak():
+    assert soak(60_000, 3, seed=1) >= 60_000
+
+
+@pytest.mark.slow
+def test_ten_million_team_steps():
+    assert soak(10_000_000, 40, seed=2) >= 10_000_000
