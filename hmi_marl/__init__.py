@@ -9,6 +9,8 @@ Importing this package registers ``hmi_marl/merge-v0`` with PettingZoo (AEC and 
 ``hmi_marl/MergeDriver-v0`` and ``hmi_marl/MergeHMI-v0`` with Gymnasium. It imports no torch.
 """
 
+from typing import Any
+
 import gymnasium
 import pettingzoo
 
@@ -36,6 +38,7 @@ __all__ = [
     "TraitDistributions",
     "Uniform",
     "__version__",
+    "make_vec",
     "merge_v0",
 ]
 
@@ -48,6 +51,14 @@ def _register() -> None:
     for seat, make in (("MergeDriver", "merge_driver"), ("MergeHMI", "merge_hmi")):
         if f"hmi_marl/{seat}-v0" not in gymnasium.registry:
             gymnasium.register(f"hmi_marl/{seat}-v0", f"hmi_marl.agents.partners:{make}")
+
+
+def __getattr__(name: str) -> Any:
+    if name == "make_vec":  # needs torch, which importing this package does not
+        from hmi_marl.agents.vectors import make_vec
+
+        return make_vec
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 _register()

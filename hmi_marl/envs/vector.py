@@ -1,0 +1,382 @@
+"""N teams as an rsl_rl ``VecEnv``, for either seat or for the whole team.
+
+======================  =============================  =========================================
+seat                    actions                        turns
+======================  =============================  =========================================
+``"driver"``            (N, 1): a^H, 0 to 4            the partner alerts inside ``step``, seeing
+                                                       this a^H
+``"vehicle_ai"``        (N, 1): a^A, 0 or 1            the partner has always driven before the
+                                                       observation, which therefore holds a^H_t
+``"team"``              (N, 2): a^H and a^A            both at once: the AI sees a^H_{t-1}
+======================  =============================  =========================================
+
+Observations are a TensorDict of float32 groups, whichever seat learns: ``driver`` and
+``vehicle_ai`` (what these seats see), ``traits`` (N, 4) (β, α, η and inflation as they are) and
+``critic`` (the team's whole state). :attr:`TeamVecEnv.layouts` names their columns.
+
+Teams whose episode ends begin the next one inside ``step``. A step in which that happened says so
+in ``extras``: ``final_observation``, ``final_teams`` and ``log`` (see :meth:`TeamVecEnv.step`).
+
+Team k plays the series of seed ``seed + k``: its e-th episode has seed
+``episode_seed(seed + k, e)``, so nothing of it depends on the number of teams.
+
+Needs torch, tensordict and rsl_rl (the ``train`` extra).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rsl_rl.env import VecEnv  # type: ignore[import-untyped]
+from tensordict import TensorDict
+
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.envs.observations import Layout, Part
+from hmi_marl.envs.rewards import TERMS
+from hmi_marl.envs.seats import Policy, check_policy
+from hmi_marl.envs.streams import check_seed, episode_seed
+from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+Seat = Literal["driver", "vehicle_ai", "team"]
+TEAM = "team"
+
+_ACTION_SIZES = {DRIVER: len(VEHICLE_ACTIONS), VEHICLE_AI: 2}
+_TRAITS = Layout(
+    tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
+)
+
+
+class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
+    """N teams, one seat or both of them to be learnt.
+
+    Args:
+        teaming: the N teams, in any world. Belongs to this environment from now on.
+        seat: who acts: "driver", "vehicle_ai" or "team" (both at once).
+        partner: the policy in the other seat; None exactly for seat "team".
+        seed: team k plays the series of episodes of ``seed + k``.
+        device: where tensors are handed out. The teams themselves run on the CPU.
+
+    Raises:
+        ValueError, TypeError: a seat, partner or seed that does not fit, saying what does.
+    """
+
+    def __init__(
+        self,
+        teaming: Teaming,
+        seat: Seat = "team",
+        partner: Policy | None = None,
+        seed: int = 0,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        _check_seat(seat, partner)
+        self.teaming = teaming
+        self.seat = seat
+        self.partner = partner
+        self.device = torch.device(device)
+        self.num_envs = teaming.num_teams
+        """N, the number of teams."""
+        self.agents = (DRIVER, VEHICLE_AI) if seat == TEAM else (seat,)
+        """Whose actions the columns of ``step``'s argument are."""
+        self.action_sizes = tuple(_ACTION_SIZES[agent] for agent in self.agents)
+        """How many values each column of actions takes: (5,), (2,) or (5, 2)."""
+        self.num_actions = len(self.agents)
+        """Columns of actions, 1 or 2."""
+        self.max_episode_length = teaming.config.horizon
+        """Steps in an episode that nothing cuts short."""
+        self.layouts: Mapping[str, Layout] = {
+            **teaming.layouts,
+            "traits": _TRAITS,
+            "critic": teaming.state_layout,
+        }
+        """Which columns of each group of observations mean what."""
+        self.cfg: dict[str, Any] = {
+            "environment": "hmi_marl.TeamVecEnv",
+            "seat": seat,
+            "partner": None if partner is None else type(partner).__name__,
+            "world": type(teaming.world).__name__,
+            "num_teams": self.num_envs,
+            "seed": check_seed(seed),
+            "team": plain(teaming.config),
+        }
+        """What is being run, fit for JSON; rsl_rl keeps it with the run."""
+        self._columns = {
+            agent: torch.from_numpy(_columns_in_state(teaming, agent)).to(self.device)
+            for agent in (DRIVER, VEHICLE_AI)
+        }
+        self._totals = _Totals(self.num_envs)
+        self._start_series(seed)
+        self._untouched = True
+
+    @property
+    def unwrapped(self) -> TeamVecEnv:
+        """The environment itself."""
+        return self
+
+    @property
+    def episode_length_buf(self) -> torch.Tensor:
+        """Steps that are over in each team's episode, int64 of shape (N,): a copy.
+
+        Assigning moves each team's clock within its present episode: ``time`` in the observations
+        and the end of the episode count from the new value. rsl_rl's ``init_at_random_ep_len``
+        does so once to spread the ends of episodes. Seeds stay as they are, but since the draws
+        of attention belong to the clock's steps, an episode that was moved is not the one that
+        its seed gives otherwise. Statistics count the steps really taken.
+
+        Raises:
+            ValueError: on assigning another shape, or values outside 0 to horizon - 1.
+        """
+        return torch.from_numpy(self.teaming.steps.copy()).to(self.device)
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, steps: torch.Tensor) -> None:
+        values = steps.detach().cpu().numpy()
+        if values.shape != (self.num_envs,):
+            raise ValueError(f"episode lengths have shape ({self.num_envs},), not {values.shape}")
+        if not ((values >= 0) & (values < self.max_episode_length)).all():
+            raise ValueError(f"episode lengths lie in 0 to {self.max_episode_length - 1}")
+        self._untouched = False
+        self.teaming.steps = values.astype(np.int64)
+        self._state = self.teaming.state()
+
+    def reset(self, seed: int | None = None) -> tuple[TensorDict, dict[str, Any]]:
+        """Begin an episode in every team at once.
+
+        Args:
+            seed: starts every team's series anew, team k's from ``seed + k``. Without it each team
+                goes on to its next episode; the first call after making the environment stays at
+                the first.
+
+        Returns:
+            The observations, and ``extras``, which are empty.
+        """
+        if seed is not None:
+            self._start_series(seed)
+        elif not self._untouched:
+            self._episodes += 1
+            self._begin()
+        self._untouched = False
+        return self.get_observations(), {}
+
+    def get_observations(self) -> TensorDict:
+        """What everybody sees now, groups of shape (N, their layout's size).
+
+        Steps that follow leave it as it is.
+        """
+        return self._groups(self._state, self.teaming.traits.as_array())
+
+    def step(
+        self, actions: torch.Tensor
+    ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """One step of every team; those whose episode ends begin the next.
+
+        Args:
+            actions: indices of shape (N, num_actions), any integer type, or floats that hold
+                whole numbers, as rsl_rl stores them.
+
+        Returns:
+            observations: of the new episode where the old one ended.
+            rewards: float32 of shape (N,), of the seat. Seat "team" gets what both seats get, or
+                the sum of the two if rewards are "individual".
+            dones: int64 of shape (N,), 1 where an episode ended.
+            extras: ``time_outs``, bool of shape (N,): the episode ended by its time alone. And if
+                E > 0 episodes ended: ``final_teams``, int64 of shape (E,), their teams;
+                ``final_observation``, what these saw last, batch size (E,), row by row as in
+                ``final_teams``; ``log``, for rsl_rl's logger, float32 tensors of shape (E,) on
+                the CPU, a value for each episode that ended, so that means over several steps
+                weigh every episode alike: ``Episode/return`` (of the seat), ``Episode/<term>``
+                (sums of the reward terms), ``Episode/length`` (steps), ``Episode/crash_rate``
+                (0 or 1) and ``Episode/alerts``.
+
+        Raises:
+            ValueError: actions of another shape or type, out of range, NaN or not whole. Nothing
+                has moved then.
+        """
+        columns = self._checked(actions)
+        self._untouched = False
+        result = self.teaming.step(self._act(columns))
+        rewards = self._rewards(result)
+        self._totals.add(result, rewards, self.teaming.alerted)
+        ended = result.terminated | result.truncated
+        extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
+        if ended.any():
+            extras |= self._farewell(ended)
+            self._episodes += ended
+            self._begin(ended)
+        else:
+            self._observe()
+        return (
+            self.get_observations(),
+            self._tensor(rewards.astype(np.float32)),
+            self._tensor(ended.astype(np.int64)),
+            extras,
+        )
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def _start_series(self, seed: int) -> None:
+        first = np.uint64(check_seed(seed))
+        self._seeds = first + np.arange(self.num_envs, dtype=np.uint64)  # modulo 2^64
+        self._episodes = np.zeros(self.num_envs, np.uint64)
+        self._begin()
+
+    def _begin(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Begin the present episode of the series in the marked teams, all by default."""
+        self.teaming.reset(episode_seed(self._seeds, self._episodes), which)
+        if self.partner is not None:
+            self.partner.reset(self.teaming.seeds, which)
+        self._totals.clear(which)
+        self._observe()
+
+    def _observe(self) -> None:
+        """Come to the point at which the seat acts; a partner who drives has acted by then."""
+        if self.seat == VEHICLE_AI:
+            self.teaming.intend(self._partner_actions(DRIVER))
+        self._state = self.teaming.state()
+
+    def _act(self, columns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Let the drivers act if they have not; what alerts there are, shape (N,)."""
+        if self.seat == VEHICLE_AI:
+            return columns[:, 0]
+        self.teaming.intend(columns[:, 0])
+        if self.seat == TEAM:
+            return columns[:, 1]
+        try:
+            return self._partner_actions(VEHICLE_AI)
+        except Exception:
+            self.teaming.withdraw()
+            raise
+
+    def _partner_actions(self, agent: str) -> NDArray[np.int64]:
+        assert self.partner is not None
+        return self.partner.act(self.teaming.observe(agent))
+
+    def _rewards(self, result: StepResult) -> NDArray[np.float64]:
+        if self.seat != TEAM:
+            return result.rewards[self.seat]
+        driver, vehicle_ai = result.rewards[DRIVER], result.rewards[VEHICLE_AI]
+        return driver + vehicle_ai if self.teaming.config.reward == "individual" else driver
+
+    def _farewell(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+        """What there is to say about the episodes that ended, before the next ones begin."""
+        last = self._groups(self.teaming.state()[ended], self.teaming.traits.as_array()[ended])
+        return {
+            "final_teams": self._tensor(np.flatnonzero(ended)),
+            "final_observation": last,
+            "log": self._totals.of(ended) | {"Episode/crash_rate": self._crashes(ended)},
+        }
+
+    def _crashes(self, ended: NDArray[np.bool_]) -> torch.Tensor:
+        return torch.from_numpy(self.teaming.ego.crashed[ended].astype(np.float32))
+
+    def _groups(self, state: NDArray[np.float32], traits: NDArray[np.float64]) -> TensorDict:
+        """The groups of M teams, from their states, shape (M, D), and traits, shape (M, 4)."""
+        critic = self._tensor(state)
+        groups = {
+            DRIVER: critic.index_select(1, self._columns[DRIVER]),
+            VEHICLE_AI: critic.index_select(1, self._columns[VEHICLE_AI]),
+            "traits": self._tensor(traits.astype(np.float32)),
+            "critic": critic,
+        }
+        return TensorDict(groups, batch_size=[len(state)], device=self.device)
+
+    def _tensor(self, array: NDArray[Any]) -> torch.Tensor:
+        """On the device; on the CPU it shares the array's memory."""
+        return torch.from_numpy(array).to(self.device)
+
+    def _checked(self, actions: torch.Tensor) -> NDArray[np.int64]:
+        """The actions as int64 of shape (N, num_actions), or an error that says what is wrong."""
+        if not isinstance(actions, torch.Tensor):
+            raise TypeError(f"actions are a torch tensor, not {type(actions).__name__}")
+        wanted = (self.num_envs, self.num_actions)
+        if tuple(actions.shape) != wanted:
+            raise ValueError(
+                f"actions of seat {self.seat!r} have shape {wanted}, a column each for "
+                f"{' and '.join(self.agents)}, but got {tuple(actions.shape)}"
+            )
+        if actions.dtype == torch.bool or actions.is_complex():
+            raise ValueError(f"actions are whole numbers, but got {actions.dtype}")
+        exact = torch.float64 if actions.is_floating_point() else torch.int64
+        values = actions.detach().to("cpu", exact).numpy()
+        fits = (values >= 0) & (values < self.action_sizes) & (values == np.floor(values))
+        if not fits.all():
+            team, column = np.argwhere(~fits)[0]
+            raise ValueError(
+                f"action {values[team, column]} of {self.agents[column]} in team {team} is not a "
+                f"whole number from 0 to {self.action_sizes[column] - 1}"
+            )
+        return values.astype(np.int64)
+
+
+class _Totals:
+    """Sums over the present episode of each of N teams."""
+
+    _names = ("return", *TERMS, "length", "alerts")
+
+    def __init__(self, num_teams: int) -> None:
+        self._sums = np.zeros((len(self._names), num_teams))
+
+    def add(
+        self, result: StepResult, rewards: NDArray[np.float64], alerted: NDArray[np.int64]
+    ) -> None:
+        """Take in one step."""
+        terms = [result.terms[name] for name in TERMS]
+        self._sums += np.stack([rewards, *terms, np.ones_like(rewards), alerted])
+
+    def of(self, which: NDArray[np.bool_]) -> dict[str, torch.Tensor]:
+        """The marked teams' sums, float32 on the CPU."""
+        sums = torch.from_numpy(self._sums[:, which].astype(np.float32))
+        return {f"Episode/{name}": row for name, row in zip(self._names, sums, strict=True)}
+
+    def clear(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Back to nothing in the marked teams, all by default."""
+        self._sums[:, slice(None) if which is None else which] = 0.0
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON has it: a dataclass becomes a dict, what JSON does not know its repr."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if value is None or isinstance(value, (bool, int, float, str)) else repr(value)
+
+
+def _check_seat(seat: str, partner: Policy | None) -> None:
+    if seat not in get_args(Seat):
+        known = ", ".join(repr(name) for name in get_args(Seat))
+        raise ValueError(f"seat= is one of {known}, not {seat!r}")
+    if seat == TEAM:
+        if partner is not None:
+            raise ValueError('seat="team" acts for both seats and has no partner')
+    elif partner is None:
+        raise ValueError(f"seat={seat!r} needs a partner in the other seat")
+    else:
+        check_policy(partner)
+
+
+def _columns_in_state(teaming: Teaming, agent: str) -> NDArray[np.int64]:
+    """Where the agent's observation lies in the team's state, column by column.
+
+    The state holds everything that either seat sees, in the same units, the driver's lidar by the
+    name of ``perceived_lidar``; so one state gives all groups at once.
+    """
+    columns = np.arange(teaming.state_layout.size)
+    name_in_state = {"lidar": "perceived_lidar"} if agent == DRIVER else {}
+    return np.concatenate(
+        [
+            columns[teaming.state_layout[name_in_state.get(part.name, part.name)]]
+            for part in teaming.layouts[agent].parts
+        ]
+    )
