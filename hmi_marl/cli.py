@@ -2,27 +2,62 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from tqdm import tqdm
 
+import hmi_marl
 from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES, oracle
+from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, get_driver
 from hmi_marl.envs.scene import Scene
 from hmi_marl.evaluation import clip, report
 from hmi_marl.evaluation.alert_report import alert_report
-from hmi_marl.evaluation.files import write_json
-from hmi_marl.evaluation.table import TableConfig, make_table
+from hmi_marl.evaluation.bench_config import BenchConfig
+from hmi_marl.evaluation.files import make_folder, write_json
+from hmi_marl.evaluation.table import TableConfig, TableSettings, check_workers, make_table
 
 CLIP_FRAMES_PER_STEP = 2
 WINDOW_FRAMES_PER_STEP = 6
+
+BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
+"""Exit statuses; the last two are what the shell reports after SIGINT and SIGPIPE."""
+ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
+"""Told in one line. Whatever else is raised is a fault of ours, and shows its trace."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """How fast the worlds are, side by side in one run, as ratios to highway-env's own step.
+
+    Example: hmi-marl bench --teams 1024 --threads 1 2
+    """
+
+    bench: tyro.conf.OmitArgPrefixes[BenchConfig] = field(default_factory=BenchConfig)
+    """What to measure."""
+    out: Path = Path("runs/bench")
+    """Folder for the JSON."""
+
+    def run(self, typed: str) -> None:
+        """Measure, write and print."""
+        from hmi_marl.evaluation import bench
+
+        self.bench.check()
+        make_folder(self.out)
+        with tqdm(total=bench.measurements(self.bench), unit=" turns", desc="bench") as bar:
+            rows = bench.bench(self.bench, bar.update)
+        write_json(self.out / "bench.json", bench.as_json(self.bench, rows) | {"command": typed})
+        print(bench.as_text(rows))
+        print(f"\nwritten: {self.out / 'bench.json'}")
 
 
 @dataclass(frozen=True)
@@ -41,12 +76,15 @@ class Oracle:
     out: Path = Path("runs/oracle")
     """Folder for the JSON."""
 
-    def run(self) -> None:
-        """Solve, print and write."""
-        found = alert_report(self.driver, self.window, self.horizon)
-        print(found.as_text())
-        path = self.out / f"{found.driver.name}-window{self.window}-horizon{self.horizon}.json"
+    def run(self, typed: str) -> None:
+        """Solve, write and print."""
+        driver, window = get_driver(self.driver), check_window(self.window)
+        horizon = oracle.check_horizon(self.horizon)
+        make_folder(self.out)
+        found = alert_report(driver, window, horizon)
+        path = self.out / f"{driver.name}-window{window}-horizon{horizon}.json"
         write_json(path, found.as_json())
+        print(found.as_text())
         print(f"\nwritten: {path}")
 
 
@@ -71,16 +109,22 @@ class Watch:
     """Draw the other vehicles as large as the driver perceives them."""
     hide_attention: bool = False
     """The HMI does not see whether the driver is distracted."""
+    alert_window: int = 7
+    """N, for how many steps an alert stays in effect."""
+    end_at_crash: bool = True
+    """Whether a crash ends the episode."""
     vehicles: tuple[int, int] = (1, 20)
     """Least and most other vehicles."""
     duration: float = 20.0
     """Length of the episode [s]."""
 
-    def run(self) -> None:
+    def run(self, typed: str) -> None:
         """Play, and draw as it goes."""
         config = TeamConfig(
             driver=get_driver(self.driver),
             ai_sees_attention=not self.hide_attention,
+            alert_window=self.alert_window,
+            end_at_crash=self.end_at_crash,
             duration=self.duration,
             scene=Scene(vehicles=self.vehicles),
         )
@@ -88,6 +132,7 @@ class Watch:
         if self.out is None:
             clip.show(config, moments, WINDOW_FRAMES_PER_STEP, self.perceived)
             return
+        make_folder(clip.check_suffix(self.out).parent)
         total = config.horizon * CLIP_FRAMES_PER_STEP + 1
         with tqdm(total=total, unit=" frames", desc=self.out.name) as bar:
 
@@ -102,14 +147,14 @@ class Watch:
 
 @dataclass(frozen=True)
 class Table:
-    """Compare HMIs (rows) for drivers (columns) over seeded episodes on highway-env.
+    """Compare HMIs (rows) for drivers (columns) over seeded episodes, on highway-env by default.
 
     Writes text, CSV, JSON and an HTML page with a figure and a clip.
 
     Example: hmi-marl table --hmis NoHMI AvgHMI own --drivers bart homer --episodes 20
     """
 
-    table: tyro.conf.OmitArgPrefixes[TableConfig] = field(default_factory=TableConfig)
+    table: tyro.conf.OmitArgPrefixes[TableSettings] = field(default_factory=TableSettings)
     """What is in the table."""
     workers: int | None = None
     """Processes to share the episodes among; all cores by default. Does not change results."""
@@ -118,29 +163,28 @@ class Table:
     out: Path = Path("runs/table")
     """Folder for everything that is written."""
 
-    def run(self) -> None:
-        """Play, sum up, print and write."""
-        config = self.table
+    def run(self, typed: str) -> None:
+        """Play, sum up, write and print; the page says what was ``typed``."""
+        config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
+        make_folder(self.out)
         total = config.episodes * len(config.drivers) * len(config.hmis)
         with tqdm(total=total, unit=" episodes", desc="table") as bar:
-            cells = make_table(config, self.workers, bar.update)
-        command = shlex.join(["hmi-marl", *sys.argv[1:]])
-        record = self._record if self.clip else None
-        page = report.write_report(self.out, config, cells, record, command)
+            cells = make_table(config, workers, bar.update)
+        record = partial(_record, config) if self.clip else None
+        page = report.write_report(self.out, config, cells, record, typed)
         print(report.as_text(config, cells))
         print(f"\n{report.NOTE}\n\nthe page: {page.resolve().as_uri()}")
 
-    def _record(self, path: Path) -> None:
-        config = self.table
-        team = config.team(config.drivers[-1])
-        moments = clip.episode(
-            team, config.hmis[-1], config.driver_policy, config.seed, config.world
-        )
-        clip.record(path, team, moments, CLIP_FRAMES_PER_STEP)
+
+def _record(config: TableConfig, path: Path) -> None:
+    team = config.team(config.drivers[-1])
+    moments = clip.episode(team, config.hmis[-1], config.driver_policy, config.seed, config.world)
+    clip.record(path, team, moments, CLIP_FRAMES_PER_STEP)
 
 
 Command = (
-    Annotated[Oracle, tyro.conf.subcommand("oracle")]
+    Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Oracle, tyro.conf.subcommand("oracle")]
     | Annotated[Table, tyro.conf.subcommand("table")]
     | Annotated[Watch, tyro.conf.subcommand("watch")]
 )
@@ -156,18 +200,40 @@ def _description() -> str:
         f"{title}:\n" + "\n".join(f"  {name:<16} {meaning}" for name, meaning in kind.items())
         for title, kind in kinds
     )
-    return f"Human-AI teaming in driving: a distractible driver and their HMI.\n\n{known}"
+    return (
+        "Human-AI teaming in driving: a distractible driver and their HMI.\n\n"
+        f"{known}\n\nhmi-marl --version prints the version."
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status. Bad input is told in one line, without a trace."""
+    """Run the command; returns its exit status. Errors are told in one line, without a trace."""
     try:
-        command = tyro.cli(Command, prog="hmi-marl", description=_description(), args=arguments)
-        command.run()
-    except (ValueError, TypeError, RuntimeError) as error:
-        print(f"hmi-marl: {error}", file=sys.stderr)
-        return 2
+        _run(list(sys.argv[1:] if arguments is None else arguments))
+    except BrokenPipeError:  # as in `hmi-marl oracle | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python's exit tells it
+        return NOBODY_READS
+    except ERRORS as error:
+        told = " ".join(str(error).split()) or type(error).__name__
+        print(f"hmi-marl: {told}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("hmi-marl: interrupted", file=sys.stderr)
+        return INTERRUPTED
     return 0
+
+
+def _run(arguments: list[str]) -> None:
+    if arguments == ["--version"]:
+        print(f"hmi-marl {hmi_marl.__version__}")
+        return
+    try:
+        command = tyro.cli(
+            Command, prog="hmi-marl", description=_description(), args=arguments or ["--help"]
+        )
+        command.run(shlex.join(["hmi-marl", *arguments]))
+    finally:
+        sys.stdout.flush()  # here, where a broken pipe can still be dealt with
 
 
 if __name__ == "__main__":

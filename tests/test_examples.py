@@ -33,3 +33,10 @@ def test_the_benchmark_runs(tmp_path):
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert (tmp_path / "runs" / "benchmarks" / "highway_world.json").exists()
+
+
+def test_the_other_benchmark_is_the_command():
+    command = [sys.executable, str(ROOT / "benchmarks" / "worlds.py"), "--rounds", "0"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert "positive" in run.stdout + run.stderr

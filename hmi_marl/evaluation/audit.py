@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from hmi_marl.agents import oracle
-from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
+from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 
 HORIZONS = range(94, 101)
 PAPER_DISTRACTION_RETURNS = {
@@ -41,31 +41,31 @@ class AuditedCell:
 
 def audit(window: int = oracle.DEFAULT_WINDOW) -> list[AuditedCell]:
     """Every distraction return that the paper prints, row by row."""
+    exact = {name: _exact_ranges(DRIVERS[name], window) for name in PAPER_DRIVERS}
     return [
-        _audit_cell(hmi, name, row[name], window)
+        AuditedCell(
+            hmi=hmi,
+            driver=name,
+            paper=row[name],
+            least=least,
+            most=most,
+            reachable=least <= row[name] <= most,
+            optimum=optimum,
+            optimum_if_eta_1=optimum_if_eta_1,
+        )
         for hmi, row in PAPER_DISTRACTION_RETURNS.items()
-        for name in PAPER_DRIVERS
+        for name, ((least, most), optimum, optimum_if_eta_1) in exact.items()
     ]
 
 
-def _audit_cell(hmi: str, name: str, paper: float, window: int) -> AuditedCell:
-    driver = DRIVERS[name]
-    ranges = [oracle.reachable(driver, window, horizon) for horizon in HORIZONS]
-    least, most = min(r.least for r in ranges), max(r.most for r in ranges)
-    optima, optima_if_eta_1 = (
-        [oracle.solve_alerts(who, window, horizon).distraction_return for horizon in HORIZONS]
-        for who in (driver, replace(driver, eta=1.0))
-    )
-    return AuditedCell(
-        hmi=hmi,
-        driver=name,
-        paper=paper,
-        least=least,
-        most=most,
-        reachable=least <= paper <= most,
-        optimum=(min(optima), max(optima)),
-        optimum_if_eta_1=(min(optima_if_eta_1), max(optima_if_eta_1)),
-    )
+def _exact_ranges(driver: Driver, window: int) -> list[tuple[float, float]]:
+    """What is reachable, the optimum, and the optimum if η were 1, over the horizons."""
+    reachable = [oracle.reachable(driver, window, horizon) for horizon in HORIZONS]
+    ranges = [(min(r.least for r in reachable), max(r.most for r in reachable))]
+    for who in (driver, replace(driver, eta=1.0)):
+        optima = [oracle.solve_alerts(who, window, steps).distraction_return for steps in HORIZONS]
+        ranges.append((min(optima), max(optima)))
+    return ranges
 
 
 def audit_text(cells: list[AuditedCell], window: int) -> str:

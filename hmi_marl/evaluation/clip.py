@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -76,15 +77,15 @@ def show(
     per_step: int,
     perceived: bool = False,
 ) -> None:
-    """Play an episode in a window, in real time.
+    """Play an episode in a window, in real time, until it ends or the window is closed.
 
     Raises:
         RuntimeError: there is no display.
     """
-    viewer = Viewer(config, window=True, perceived=perceived)
-    for _ in frames(moments, viewer, per_step):
-        pass
-    viewer.close()
+    with closing(Viewer(config, window=True, perceived=perceived)) as viewer:
+        for _ in frames(moments, viewer, per_step):
+            if viewer.closed:
+                return
 
 
 def record(
@@ -147,7 +148,7 @@ def _write_mp4(path: Path, pictures: Pictures, frequency: float) -> None:
     writer = imageio_ffmpeg.write_frames(
         str(path), (width, height), fps=frequency, macro_block_size=2
     )
-    writer.send(None)
-    for picture in itertools.chain([first], pictures):
-        writer.send(np.ascontiguousarray(picture))
-    writer.close()
+    with closing(writer):
+        writer.send(None)
+        for picture in itertools.chain([first], pictures):
+            writer.send(np.ascontiguousarray(picture))

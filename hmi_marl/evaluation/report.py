@@ -21,12 +21,19 @@ from hmi_marl.evaluation.table import Cell, TableConfig
 METRICS: tuple[tuple[str, str, str], ...] = (
     ("speed_return", "Speed return", ".0f"),
     ("distraction_return", "Distraction return (in brackets: exact, same number of steps)", ".0f"),
+    (
+        "attention_return",
+        "Attention return (what alerts can change: distraction, alert and accept-alert terms)",
+        ".0f",
+    ),
     ("alerts", "Alerts per minute", ".0f"),
     ("crash_rate", "Crash rate", ".2f"),
     ("min_time_headway", "Shortest time headway [s]", ".2f"),
 )
 NOTE = (
-    "Means over seeded episodes with 95 % intervals (Student's t; Wilson's for the crash rate). "
+    "Means over seeded episodes with 95 % intervals (Student's t, cut off at 0 for alerts and "
+    "headways; Wilson's for the crash rate). "
+    "All cells play the same seeds, so their luck is shared. "
     "The exact distraction return is the expectation of the attention chain under that HMI, over "
     "as many steps as the episodes had; a crash may end an episode before its time. "
     "A shortest headway is of the episodes in which somebody was ahead."
@@ -174,7 +181,8 @@ def write_report(
         out: the folder.
         config: what is in the table.
         cells: all of it.
-        record_clip: writes a GIF to the path it is given; None for a page without a clip.
+        record_clip: writes a GIF to the path it is given; None for a page without a clip, which
+            also removes a clip that an earlier table left in the folder.
         command: that makes the page again.
 
     Returns:
@@ -185,10 +193,12 @@ def write_report(
     write_text(out / "table.csv", as_csv(cells))
     write_json(out / "table.json", as_json(config, cells))
     write_bytes(out / "table.png", figure)
-    clip = None
-    if record_clip is not None:
-        record_clip(out / "clip.gif")
-        clip = (out / "clip.gif").read_bytes()
+    clip_path, clip = out / "clip.gif", None
+    if record_clip is None:
+        clip_path.unlink(missing_ok=True)
+    else:
+        record_clip(clip_path)
+        clip = clip_path.read_bytes()
     page = out / "index.html"
     write_text(page, as_html(config, cells, figure, clip, command))
     return page

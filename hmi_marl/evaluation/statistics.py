@@ -25,11 +25,15 @@ class Estimate:
         return {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
 
 
-def mean(values: ArrayLike) -> Estimate:
+def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
     """The mean and Student's t interval of independent values, shape (E,).
 
     Values that are not finite are left out (an episode in which nobody was ever ahead has no
     shortest headway). One value alone has no interval; none at all has no mean.
+
+    Args:
+        values: shape (E,).
+        lowest: no value can be lower; the interval ends there if Student's t goes beyond.
     """
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
@@ -40,7 +44,7 @@ def mean(values: ArrayLike) -> Estimate:
         return Estimate(middle, math.nan, math.nan)
     error = float(finite.std(ddof=1)) / math.sqrt(len(finite))
     half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(finite) - 1)) * error
-    return Estimate(middle, middle - half, middle + half)
+    return Estimate(middle, max(middle - half, lowest), middle + half)
 
 
 def share(successes: int, trials: int) -> Estimate:

@@ -6,7 +6,8 @@ Every cell plays the same seeds, so that cells differ by driver and HMI alone.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import signal
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -22,21 +23,19 @@ from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.worlds import WORLDS
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.evaluation.statistics import Estimate
 
 PAPER_HMIS = ("NoHMI", "always", "AvgHMI", "own")
-EPISODES_PER_TASK = 4
+EPISODES_PER_TASK = {"highway": 4, "batched": 256}
+"""By world; the batched one is at its best with many at once."""
 
 
 @dataclass(frozen=True)
-class TableConfig:
-    """What to put in a table.
-
-    Raises:
-        ValueError: unknown driver, HMI, policy or world, no episodes or no workers.
-    """
+class TableSettings:
+    """What to put in a table, as it was typed: nothing is checked yet."""
 
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Columns: lisa, marge, bart, homer, average."""
@@ -62,13 +61,28 @@ class TableConfig:
     world: str = "highway"
     """Which world to drive in."""
 
+
+@dataclass(frozen=True)
+class TableConfig(TableSettings):
+    """What to put in a table, checked.
+
+    Raises:
+        ValueError: unknown driver, HMI, policy or world, the same driver or HMI twice, no
+            episodes, or seeds out of range.
+        TypeError: a value of another kind.
+    """
+
     def __post_init__(self) -> None:
-        if not self.drivers or not self.hmis:
-            raise ValueError("a table needs at least one driver and one HMI")
+        _check_names("drivers", self.drivers)
+        _check_names("hmis", self.hmis)
+        if isinstance(self.episodes, bool) or not isinstance(self.episodes, int):
+            raise TypeError(f"episodes is a whole number, not {self.episodes!r}")
         if self.episodes < 1:
             raise ValueError(f"a cell needs at least one episode, but got {self.episodes}")
-        check_seed(self.seed)
-        check_seed(self.seed + self.episodes)
+        object.__setattr__(self, "seed", check_seed(self.seed))
+        check_seed(self.seed + self.episodes - 1)
+        if self.world not in WORLDS:
+            raise ValueError(f"unknown world {self.world!r}; known worlds: {', '.join(WORLDS)}")
         for driver in self.drivers:
             config = self.team(driver)
             make_driver_policy(self.driver_policy, config)
@@ -85,6 +99,17 @@ class TableConfig:
             end_at_crash=self.end_at_crash,
             scene=Scene(vehicles=self.vehicles),
         )
+
+
+def _check_names(field: str, names: Sequence[str]) -> None:
+    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"{field} takes a tuple of names, not {names!r}")
+    if not names:
+        raise ValueError(f"a table needs at least one driver and one HMI, but {field} is empty")
+    lowered = [name.lower() for name in names]
+    twice = [name for k, name in enumerate(names) if name.lower() in lowered[:k]]
+    if twice:
+        raise ValueError(f"{field} names {twice[0]!r} twice; a table has one column or row for it")
 
 
 @dataclass(frozen=True)
@@ -123,8 +148,12 @@ class Cell:
                 estimate = value.as_json()
                 content[name] = estimate["mean"]
                 content[f"{name}_interval"] = [estimate["low"], estimate["high"]]
+            elif isinstance(value, Estimate):
+                content[name] = value.as_json()
+            elif isinstance(value, oracle.Reachable):
+                content[name] = value._asdict()
             else:
-                content[name] = value.as_json() if isinstance(value, Estimate) else value
+                content[name] = value
         return content
 
 
@@ -143,13 +172,13 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
         driver=driver,
         hmi=hmi,
         episodes=len(episodes.seeds),
-        steps=statistics.mean(episodes.length),
+        steps=statistics.mean(episodes.length, lowest=0.0),
         speed_return=statistics.mean(episodes.returns["speed_reward"]),
         distraction_return=statistics.mean(episodes.returns["distraction"]),
         attention_return=statistics.mean(episodes.attention_return()),
-        alerts=statistics.mean(episodes.alerts / minutes),
+        alerts=statistics.mean(episodes.alerts / minutes, lowest=0.0),
         crash_rate=statistics.share(int(episodes.crashed.sum()), len(episodes.crashed)),
-        min_time_headway=statistics.mean(episodes.min_time_headway),
+        min_time_headway=statistics.mean(episodes.min_time_headway, lowest=0.0),
         exact_distraction_return=exact,
         exact_distraction_return_same_steps=same_steps,
         optimal_distraction_return=oracle.solve_alerts(*settings).distraction_return,
@@ -164,19 +193,32 @@ def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episo
     return play(team, *seats, np.array(seeds, np.uint64), config.world)
 
 
+def check_workers(workers: int | None) -> int:
+    """Return the number of workers, by default that of the cores, or raise if there are none."""
+    if workers is None:
+        return os.cpu_count() or 1
+    if workers < 1:
+        raise ValueError(f"there is at least one worker, but got {workers}")
+    return workers
+
+
 def make_table(
     config: TableConfig, workers: int | None = None, progress: Callable[[int], Any] = id
 ) -> list[Cell]:
     """Play every cell and sum it up, row by row. The result does not depend on ``workers``.
 
+    Workers begin by importing the script that started them: unless ``workers`` is 1, a script
+    that calls this needs an ``if __name__ == "__main__":`` around what it does.
+
     Args:
         config: what to put in the table.
         workers: processes to share the episodes among; the number of cores by default.
         progress: called with the number of episodes that have just been finished.
+
+    Raises:
+        ValueError: workers < 1.
     """
-    workers = os.cpu_count() or 1 if workers is None else workers
-    if workers < 1:
-        raise ValueError(f"there is at least one worker, but got {workers}")
+    workers = check_workers(workers)
     wanted = [(driver, hmi) for hmi in config.hmis for driver in config.drivers]
     played: dict[tuple[str, str], list[Episodes]] = {cell: [] for cell in wanted}
     tasks = [(cell, seeds) for cell in wanted for seeds in _chunks(config)]
@@ -190,9 +232,8 @@ def make_table(
 
 
 def _chunks(config: TableConfig) -> list[range]:
-    end = config.seed + config.episodes
-    starts = range(config.seed, end, EPISODES_PER_TASK)
-    return [range(start, min(start + EPISODES_PER_TASK, end)) for start in starts]
+    end, size = config.seed + config.episodes, EPISODES_PER_TASK[config.world]
+    return [range(start, min(start + size, end)) for start in range(config.seed, end, size)]
 
 
 def _play_all(
@@ -202,7 +243,12 @@ def _play_all(
         for (driver, hmi), seeds in tasks:
             yield play_cell(config, driver, hmi, seeds)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        workers,
+        get_context("spawn"),
+        initializer=signal.signal,  # an interrupt ends a worker at once, and without a trace
+        initargs=(signal.SIGINT, signal.SIG_DFL),
+    ) as pool:
         futures: list[Future[Episodes]] = [
             pool.submit(play_cell, config, driver, hmi, seeds) for (driver, hmi), seeds in tasks
         ]

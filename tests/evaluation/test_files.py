@@ -4,7 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from hmi_marl.evaluation.files import write_atomically, write_bytes, write_json, write_text
+from hmi_marl.evaluation.files import (
+    make_folder,
+    write_atomically,
+    write_bytes,
+    write_json,
+    write_text,
+)
 
 
 def content(folder: Path) -> list[str]:
@@ -112,3 +118,17 @@ def test_json_refuses_what_is_no_json_and_leaves_the_old_file(tmp_path: Path, va
         write_json(path, {"mean": value})
     assert path.read_text() == "{}"
     assert content(tmp_path) == ["table.json"]
+
+
+def test_a_folder_is_made_and_left_empty(tmp_path: Path) -> None:
+    for _ in range(2):  # there already the second time
+        make_folder(tmp_path / "runs" / "table")
+        assert content(tmp_path / "runs" / "table") == []
+
+
+def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"cannot write to .*file"):
+        make_folder(tmp_path / "file")
+    with pytest.raises(OSError, match=r"cannot write to .*below: Not a directory"):
+        make_folder(tmp_path / "file" / "below")

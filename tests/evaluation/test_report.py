@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 import hmi_marl
@@ -30,6 +31,7 @@ class Page(HTMLParser):
         self.links: list[str] = []
         self.rows: list[list[str]] = []
         self.text = ""
+        self.in_cell = False
         self.feed(html)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -39,10 +41,15 @@ class Page(HTMLParser):
             self.rows.append([])
         if tag in ("td", "th"):
             self.rows[-1].append("")
+            self.in_cell = True
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self.in_cell = False
 
     def handle_data(self, data: str) -> None:
         self.text += data
-        if self.rows and self.rows[-1]:
+        if self.in_cell:
             self.rows[-1][-1] += data
 
 
@@ -72,7 +79,9 @@ def config() -> TableConfig:
 def cells(config: TableConfig) -> list[Cell]:
     speeds = {"homer": [40.0, 41.0, 45.0], "lisa": [30.25, 30.5, 33.75]}
     return [
-        cell(config, driver, hmi, speeds[driver]) for hmi in config.hmis for driver in config.drivers
+        cell(config, driver, hmi, speeds[driver])
+        for hmi in config.hmis
+        for driver in config.drivers
     ]
 
 
@@ -120,6 +129,14 @@ def test_a_report_without_a_clip_shows_none(
     page = Page(path.read_text("utf-8"))
     assert page.tags.count("img") == 1
     assert "One episode" not in page.text
+
+
+def test_a_report_without_a_clip_removes_an_older_one(
+    tmp_path: Path, config: TableConfig, cells: list[Cell]
+) -> None:
+    report.write_report(tmp_path, config, cells, record_clip, COMMAND)
+    report.write_report(tmp_path, config, cells, None, COMMAND)
+    assert {path.name for path in tmp_path.iterdir()} == WITHOUT_CLIP
 
 
 def test_the_page_needs_nothing_besides_itself(
@@ -217,14 +234,18 @@ def test_the_text_has_a_block_for_each_metric(config: TableConfig, cells: list[C
 
 
 def test_entries_of_the_text_worked_by_hand(config: TableConfig, cells: list[Cell]) -> None:
-    speed, distraction, alerts, crashes, headway = report.as_text(config, cells).split("\n\n")
+    blocks = report.as_text(config, cells).split("\n\n")
+    speed, distraction, attention, alerts, crashes, headway = blocks
     # standard deviation sqrt(7) over sqrt(3), two degrees of freedom: 4.3027 x 1.5275
     assert "42 [35, 49]" in speed
     # 0, -10, -20; for NoHMI, Homer's exact -80 over ten steps
     assert "-10 [-35, 15] (-80)" in distraction
     assert distraction.splitlines()[-1].count("(") == 0, "the belief has no exact return"
-    # 0, 1 and 2 alerts in 2 s
-    assert "30 [-45, 105]" in alerts
+    # the other two terms are 0 here
+    assert "-10 [-35, 15]" in attention
+    assert attention.startswith("Attention return")
+    # 0, 1 and 2 alerts in 2 s, and never fewer than none
+    assert "30 [0, 105]" in alerts
     # Wilson, one of three
     assert "0.33 [0.06, 0.79]" in crashes
     assert headway.splitlines()[-1].split() == ["belief", "-", "-"]
@@ -243,8 +264,20 @@ def test_one_episode_alone_can_be_drawn(alone: tuple[TableConfig, list[Cell]]) -
     assert png_size(table_figure(*alone)) == (1210, 704)
 
 
-def test_the_figure_shows_the_numbers(config: TableConfig, cells: list[Cell]) -> None:
-    plain = table_figure(config, cells)
-    assert table_figure(config, cells) == plain
-    faster = [cell(config, c.driver, c.hmi, [50.0, 51.0, 55.0]) for c in cells]
-    assert table_figure(config, faster) != plain
+def test_the_figure_shows_the_numbers(
+    config: TableConfig, cells: list[Cell], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    table_figure(config, cells)
+    axes = {panel.get_title(): panel for panel in drawn[0].axes}
+    speed = axes["speed return"]
+    assert [bar.get_height() for bar in speed.patches] == [42.0, 31.5, 42.0, 31.5]
+    ends = [ends[:, 1] for errors in speed.collections for ends in errors.get_segments()]
+    wanted = [(c.speed_return.low, c.speed_return.high) for c in cells]
+    np.testing.assert_allclose(ends, wanted)
+    exact = [line for line in axes["distraction return"].lines if line.get_marker() == "_"]
+    np.testing.assert_allclose(
+        [line.get_ydata() for line in exact], [[-80.0, -20.0], [np.nan, np.nan]]
+    )
+    assert [text.get_text() for text in speed.get_xticklabels()] == ["homer", "lisa"]

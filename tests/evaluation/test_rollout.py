@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hmi_marl import merge_v0
+from hmi_marl import Driver, merge_v0
 from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import TERMS
@@ -90,6 +90,14 @@ def test_a_crash_ends_an_episode_and_nothing_is_counted_after() -> None:
     assert episodes.length[0] < episodes.length[1] == CROWDED.horizon
     assert episodes.alerts.tolist() == episodes.length.tolist()
     assert episodes.returns["collision"].tolist() == [-5.0, 0.0]
+
+
+def test_a_driver_who_crashed_distracted_is_not_counted_on() -> None:
+    asleep = Driver("asleep", beta=1.0, alpha=0.0, eta=0.0, inflation=1.0)
+    config = dataclasses.replace(CROWDED, driver=asleep)
+    episodes = played(config, "random", "never", [26, WHOLE])
+    assert episodes.crashed.tolist() == [True, False]
+    assert episodes.distracted.tolist() == episodes.length.tolist()
 
 
 def test_the_same_policies_can_play_again() -> None:

@@ -28,6 +28,13 @@ def test_t_interval_of_five_values_worked_by_hand() -> None:
     assert estimate.high == pytest.approx(3.0 + half, abs=1e-5)
 
 
+def test_an_interval_ends_at_the_lowest_value_that_is_possible() -> None:
+    cut, whole = mean([2.0, 4.0], lowest=0.0), mean([2.0, 4.0])
+    assert (cut.mean, cut.low, cut.high) == (whole.mean, 0.0, whole.high)
+    assert mean([20.0, 21.0], lowest=0.0) == mean([20.0, 21.0])
+    assert math.isnan(mean([2.0], lowest=0.0).low), "still not known"
+
+
 def test_equal_values_have_an_interval_of_no_width() -> None:
     assert mean([7.0, 7.0, 7.0]) == Estimate(7.0, 7.0, 7.0)
 

@@ -1,0 +1,11 @@
+"""Speeds of the worlds side by side in one run, as ratios to highway-env's own step.
+
+The same as ``hmi-marl bench``, whose --help tells the options. Run: python benchmarks/worlds.py
+"""
+
+import sys
+
+from hmi_marl.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main(["bench", *sys.argv[1:]]))
