@@ -3,12 +3,14 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test test-slow lint format clean
+.PHONY: help run test test-slow parity soak lint format clean
 
 help:
 	@echo "make run        make the table of HMIs and drivers on highway-env, and say where it is"
 	@echo "make test       run the tests"
-	@echo "make test-slow  run the long statistics too"
+	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
+	@echo "make parity     hold the batched world against highway-env, for hundreds of seeds"
+	@echo "make soak       ten million random team steps over random configurations"
 	@echo "make lint       ruff and mypy"
 	@echo "make format     let ruff format the code"
 	@echo "make clean      remove $(VENV) and what was made"
@@ -21,6 +23,12 @@ test: $(VENV)/.for-test
 
 test-slow: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 2 -m "slow or not slow"
+
+parity: $(VENV)/.for-test
+	$(BIN)/python -m pytest -n 2 -m "slow or not slow" -k follows_highway_env tests/envs/worlds
+
+soak: $(VENV)/.for-test
+	$(BIN)/python -m pytest -n 0 -m slow -k ten_million tests/envs/worlds
 
 lint: $(VENV)/.for-test
 	$(BIN)/ruff check .

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -43,6 +43,9 @@ from hmi_marl.envs.seats import Policy, check_policy
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+if TYPE_CHECKING:
+    from hmi_marl.envs.render import Viewer
 
 Seat = Literal["driver", "vehicle_ai", "team"]
 TEAM = "team"
@@ -111,6 +114,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             for agent in (DRIVER, VEHICLE_AI)
         }
         self._totals = _Totals(self.num_envs)
+        self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
 
@@ -218,8 +222,21 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             extras,
         )
 
+    def picture(self, team: int = 0) -> NDArray[np.uint8]:
+        """How one of the teams stands, as the viewer draws it: (height, width, 3)."""
+        if not 0 <= team < self.num_envs:
+            raise ValueError(f"team lies in 0 to {self.num_envs - 1}, but got {team}")
+        from hmi_marl.envs.render import Viewer, team_status  # pulls in pygame
+
+        if self._viewer is None:
+            self._viewer = Viewer(self.teaming.config)
+        return self._viewer.draw(self.teaming.world.snapshot(team), team_status(self.teaming, team))
+
     def close(self) -> None:
-        """Nothing is open."""
+        """Let go of what pictures were drawn with."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
 
     def _start_series(self, seed: int) -> None:
         first = np.uint64(check_seed(seed))

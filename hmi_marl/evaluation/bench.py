@@ -196,7 +196,7 @@ def _async_highway_env(scene: Scene, stack: ExitStack) -> Run:
 def _envpool(teams: int) -> Run:
     import envpool
 
-    env = envpool.make_gymnasium("Merge-v0", num_envs=teams, num_threads=1)
+    env = envpool.make("Merge-v0", env_type="gymnasium", num_envs=teams, num_threads=1)
     env.reset()
     rng = np.random.default_rng(0)
 

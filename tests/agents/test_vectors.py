@@ -42,3 +42,18 @@ def test_a_thousand_teams_go_on_for_ever():
     assert observations["critic"].shape == (1000, env.layouts["critic"].size)
     with pytest.raises(ValueError, match="threads lies in"):
         hmi_marl.make_vec(2, threads=10_000)
+
+
+def test_any_team_can_be_seen_at_any_time():
+    env = hmi_marl.make_vec(30, "team", driver=["bart", "homer"], **SMALL)
+    first, other = env.picture(0), env.picture(29)
+    assert first.dtype == np.uint8
+    assert first.shape == other.shape
+    assert (first != other).any()
+    env.step(torch.tensor([[3, 1]] * 30))
+    assert (env.picture(29) != other).any()
+    for team in (-1, 30):
+        with pytest.raises(ValueError, match="team lies in 0 to 29"):
+            env.picture(team)
+    env.close()
+    env.close()

@@ -44,7 +44,7 @@ def _half_sizes(world, thing):
     return CAR_LENGTH / 2, CAR_WIDTH / 2, _CAR_DIAGONAL
 
 
-@inlined
+@compiled
 def _surely_apart(f, world, a, b, dt):
     """Does one of the axes of object a separate it from b, now and within the next step?"""
     half_length, half_width, _ = _half_sizes(world, a)
@@ -63,26 +63,13 @@ def _surely_apart(f, world, a, b, dt):
 
 
 @compiled
-def _corner(f, world, thing, k):
-    """Corner k of the object, in the order of RoadObject.polygon; corner 4 is corner 0."""
-    half_length, half_width, _ = _half_sizes(world, thing)
-    along = half_length if k == 2 or k == 3 else -half_length
-    across = half_width if k == 1 or k == 2 else -half_width
-    cosine, sine = f[COS, thing], f[SIN, thing]
-    return (
-        cosine * along - sine * across + f[X, thing],
-        sine * along + cosine * across + f[Y, thing],
-    )
-
-
-@compiled
 def _project(f, world, thing, nx, ny):
-    low, high = np.inf, -np.inf
-    for k in range(4):
-        x, y = _corner(f, world, thing, k)
-        value = x * nx + y * ny
-        low, high = min(low, value), max(high, value)
-    return low, high
+    """Interval that the object covers along an axis."""
+    half_length, half_width, _ = _half_sizes(world, thing)
+    cosine, sine = f[COS, thing], f[SIN, thing]
+    middle = f[X, thing] * nx + f[Y, thing] * ny
+    reach = half_length * abs(cosine * nx + sine * ny) + half_width * abs(cosine * ny - sine * nx)
+    return middle - reach, middle + reach
 
 
 @inlined
@@ -100,11 +87,9 @@ def _intersection(f, world, a, b, dt):
     for turn in range(2):
         polygon = a if turn == 0 else b
         for k in range(4):
-            x1, y1 = _corner(f, world, polygon, k)
-            x2, y2 = _corner(f, world, polygon, (k + 1) % 4)
-            nx, ny = y1 - y2, x2 - x1
-            norm = math.sqrt(nx * nx + ny * ny)
-            nx, ny = nx / norm, ny / norm
+            nx, ny = -f[COS, polygon], -f[SIN, polygon]  # of the rear, then counter-clockwise
+            for _ in range(k):
+                nx, ny = ny, -nx
             min_a, max_a = _project(f, world, a, nx, ny)
             min_b, max_b = _project(f, world, b, nx, ny)
             if _interval_distance(min_a, max_a, min_b, max_b) > 0:
@@ -156,7 +141,7 @@ def _collide_all(f, i, world, dt):
             _handle(f, i, world, a, b, dt)
 
 
-@inlined
+@compiled
 def collide(f, i, world, dt):
     """All collisions after everybody has moved; ORDER must be up to date."""
     objects = world[VEHICLES] + 1

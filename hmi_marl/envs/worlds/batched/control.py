@@ -52,7 +52,7 @@ MAX_SLIP = _TAN_MAX_SLIP / math.sqrt(1 + _TAN_MAX_SLIP**2)
 MOVE_LEFT, KEEP_SPEED, MOVE_RIGHT, SPEED_UP, SLOW_DOWN = range(5)
 
 
-@inlined
+@compiled
 def steer(f, i, lanes, table, v, lane):
     """steering_control towards a lane, as STEERING where every bit counts, else as SLIP.
 

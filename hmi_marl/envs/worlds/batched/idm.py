@@ -27,7 +27,7 @@ SLOW = 15.0
 _TWICE_ROOT_AB = 2 * math.sqrt(3.0 * 5.0)
 
 
-@inlined
+@compiled
 def desired_gap(f, v, front):
     """How far to stay behind ``front`` [m]."""
     dvx = f[SPEED, v] * f[COS, v] - f[SPEED, front] * f[COS, front]
@@ -48,7 +48,7 @@ def every_bit_counts(f, i, table, v):
     return table[i[LANE, v], ROW] < 0 or f[SPEED, v] < SLOW
 
 
-@inlined
+@compiled
 def acceleration(f, i, lanes, table, v, front):
     """What vehicle v would do behind ``front`` (or NOBODY) [m/s²]."""
     wanted = clip(f[TARGET_SPEED, v], 0.0, lanes[i[LANE, v], SPEED_LIMIT])

@@ -1,4 +1,4 @@
-"""The loops over worlds, each world by one thread: begin, step, look around, read off."""
+"""The loops over worlds, each world by one thread: begin, step, look around."""
 
 from __future__ import annotations
 
@@ -47,12 +47,16 @@ def advance(f, i, world, lanes, table, rows, speeds, action, substeps, dt):
         collide(f, i, world, dt)
 
 
+EGO_SPEED = 3
+"""Where read_ego puts the speed."""
+
+
 @compiled
 def read_ego(f, i, world, lanes, table, rows, ego, flags):
     """Fill ``ego`` (8,) and ``flags`` (2,) with the fields of :class:`worlds.base.Ego`."""
     lane = i[LANE, 0]
     ego[0], ego[1], ego[2] = f[X, 0], f[Y, 0], f[HEADING, 0]
-    ego[3], ego[4] = f[SPEED, 0], f[TARGET_SPEED, 0]
+    ego[EGO_SPEED], ego[4] = f[SPEED, 0], f[TARGET_SPEED, 0]
     ego[5] = lateral(lanes, lane, f[X, 0] - lanes[lane, X0], f[Y, 0])
     front = front_of(f, i, world, lanes, table, 0, lane)
     ego[6] = np.inf
@@ -74,7 +78,6 @@ class Kernels(NamedTuple):
     begin: Callable[..., None]
     step: Callable[..., None]
     look: Callable[..., None]
-    read: Callable[..., None]
 
 
 def build(stamp: str) -> Kernels:
@@ -86,8 +89,9 @@ def build(stamp: str) -> Kernels:
     parallel: Any = njit(parallel=True, cache=True, error_model="numpy")
 
     @parallel
-    def begin_worlds(blocks, road, rows, speeds, seeds, which, low, high, room):
+    def begin_worlds(blocks, road, rows, speeds, seeds, which, low, high, room, told):
         _ = stamp
+        ego, flags = told
         floats, integers, worlds = blocks
         lanes, table = road
         draws, lane, start = room
@@ -98,16 +102,19 @@ def build(stamp: str) -> Kernels:
                     f, i, world, lanes, table, rows, speeds,
                     seeds[k], low, high, draws[k], lane[k], start[k],
                 )  # fmt: skip
+                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
 
     @parallel
-    def step_worlds(blocks, road, rows, speeds, actions, which, substeps, dt):
+    def step_worlds(blocks, road, rows, speeds, actions, which, substeps, dt, told):
         _ = stamp
+        ego, flags = told
         floats, integers, worlds = blocks
         lanes, table = road
         for k in prange(len(which)):
             if which[k]:
                 f, i, world = floats[k], integers[k], worlds[k]
                 advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
+                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
 
     @parallel
     def look_around(blocks, which, inflation, directions, maximum_range, grids):
@@ -117,16 +124,7 @@ def build(stamp: str) -> Kernels:
             if which[k]:
                 trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])
 
-    @parallel
-    def read_off(blocks, road, rows, ego, flags):
-        _ = stamp
-        floats, integers, worlds = blocks
-        lanes, table = road
-        for k in prange(len(ego)):
-            f, i, world = floats[k], integers[k], worlds[k]
-            read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
-
-    return Kernels(begin_worlds, step_worlds, look_around, read_off)
+    return Kernels(begin_worlds, step_worlds, look_around)
 
 
 KERNELS = build(source_stamp())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds.batched import numpy_math as nm
-from hmi_marl.envs.worlds.batched.compiler import inlined
+from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
 from hmi_marl.envs.worlds.batched.memory import (
     AB,
     AMPLITUDE,
@@ -148,7 +148,7 @@ def heading_at(lanes, lane, s):
     return nm.arctan(lanes[lane, AMPLITUDE] * lanes[lane, PULSATION] * slope)
 
 
-@inlined
+@compiled
 def is_near(lanes, lane, s, y):
     """on_lane(margin=1) at longitudinal s."""
     if s < -LANE_MARGIN or s >= lanes[lane, LENGTH] + LANE_MARGIN:
@@ -158,7 +158,7 @@ def is_near(lanes, lane, s, y):
     return abs(lateral(lanes, lane, s, y)) <= 3.0
 
 
-@inlined
+@compiled
 def is_reachable(lanes, table, lane, x, y):
     """is_reachable_from(position)."""
     if table[lane, FORBIDDEN]:
@@ -177,7 +177,7 @@ def follow_road(lanes, table, lane, x):
     return lane
 
 
-@inlined
+@compiled
 def _nearest_row(lanes, first, count, x, y, turn, best, nearest):
     """The closest of ``count`` parallel lanes from number ``first`` on, if it beats ``best``."""
     s = x - lanes[first, X0]
@@ -203,6 +203,11 @@ def closest_lane(lanes, table, rows, lane, x, y, heading):
         near = abs(y - lanes[lane, Y0]) + abs(heading) < 2.0
         if near and 0.0 < s < lanes[lane, LENGTH]:
             return lane
+    return _closest_of_all(lanes, rows, x, y, heading)
+
+
+@compiled
+def _closest_of_all(lanes, rows, x, y, heading):
     turn = abs(wrap_to_pi(heading))
     best, nearest = _nearest_row(lanes, 0, rows, x, y, turn, np.inf, 0)
     best, nearest = _nearest_row(lanes, rows, rows, x, y, turn, best, nearest)

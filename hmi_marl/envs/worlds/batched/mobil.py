@@ -60,7 +60,7 @@ def _is_worth_it(f, i, world, lanes, table, v, lane):
     return gain >= MIN_ACC_GAIN
 
 
-@inlined
+@compiled
 def choose_lane(f, i, world, lanes, table, v):
     """Start or give up a lane change; left is tried, then right, and right wins if both pass."""
     lane = i[LANE, v]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.compiler import compiled
 from hmi_marl.envs.worlds.batched.lanes import is_near
 from hmi_marl.envs.worlds.batched.memory import (
     AMPLITUDE,
@@ -40,7 +40,7 @@ from hmi_marl.envs.worlds.batched.memory import (
 NOBODY = -1
 
 
-@inlined
+@compiled
 def sort_by_x(f, i, world, lanes, rows):
     """Bring ORDER, RANK, FRONT and RAMP up to date; nearly nothing changes from step to step."""
     objects = world[VEHICLES] + 1
@@ -80,7 +80,7 @@ def sort_by_x(f, i, world, lanes, rows):
     world[TIES] = ties
 
 
-@inlined
+@compiled
 def _is_on(f, lanes, table, lane, thing):
     """Is the object on the lane or on one that it is connected to?"""
     x, y = f[X, thing], f[Y, thing]
@@ -93,7 +93,7 @@ def _is_on(f, lanes, table, lane, thing):
     return False
 
 
-@inlined
+@compiled
 def front_of(f, i, world, lanes, table, v, lane):
     """The vehicle or obstacle ahead of v, were v on this lane; NOBODY if there is none."""
     row = table[lane, ROW]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs.scene import Scene, number_of_draws
 from hmi_marl.envs.worlds.base import Ego, Snapshot
-from hmi_marl.envs.worlds.batched.kernels import KERNELS
+from hmi_marl.envs.worlds.batched.kernels import EGO_SPEED, KERNELS
 from hmi_marl.envs.worlds.batched.lanes import lane_table
 from hmi_marl.envs.worlds.batched.memory import (
     CRASHED,
@@ -88,6 +88,8 @@ class BatchedWorld:
             np.zeros((num_worlds, 2, high)),
         )
         """For drawing a scene: the draws, the lanes, the places and speeds."""
+        self._told = np.zeros((num_worlds, 8)), np.zeros((num_worlds, 2), np.int64)
+        """Of the driven cars, as read_ego fills it in."""
         self._inflation = np.ones(num_worlds)
         self._steps = np.zeros(num_worlds, np.int64)
         angle = 2 * np.pi / scene.lidar_cells * np.arange(scene.lidar_cells)
@@ -102,7 +104,7 @@ class BatchedWorld:
     def bytes_per_world(self) -> int:
         """Memory that each world takes, besides what it hands out."""
         seen = (*self._seen.values(), *self._stale.values(), self._inflation, self._steps)
-        blocks: tuple[NDArray[Any], ...] = (*self._blocks, *self._room, *seen)
+        blocks: tuple[NDArray[Any], ...] = (*self._blocks, *self._room, *self._told, *seen)
         return sum(block.nbytes for block in blocks) // self.num_worlds
 
     def reset(
@@ -114,8 +116,9 @@ class BatchedWorld:
         """See :meth:`World.reset`."""
         low, high = self.scene.vehicle_range
         rows, speeds = self.scene.lanes, self._speeds
+        road, room = self._road, self._room
         self._run(
-            "begin", self._blocks, self._road, rows, speeds, seeds, which, low, high, self._room
+            "begin", self._blocks, road, rows, speeds, seeds, which, low, high, room, self._told
         )
         self._moved(which)
         self._inflation = np.where(which, inflation, self._inflation)
@@ -127,20 +130,21 @@ class BatchedWorld:
         substeps = scene.simulation_frequency // scene.policy_frequency
         dt = 1 / scene.simulation_frequency
         rows, speeds = scene.lanes, self._speeds
-        self._run("step", self._blocks, self._road, rows, speeds, actions, which, substeps, dt)
+        self._run(
+            "step", self._blocks, self._road, rows, speeds, actions, which, substeps, dt, self._told
+        )
         self._moved(which)
         self._steps = self._steps + which
 
     def halt(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`World.halt`."""
         self._floats[which, SPEED, 0] = 0.0
+        self._told[0][which, EGO_SPEED] = 0.0
         self._moved(which)
 
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
-        numbers = np.empty((self.num_worlds, 8))
-        flags = np.empty((self.num_worlds, 2), np.int64)
-        self._run("read", self._blocks, self._road, self.scene.lanes, numbers, flags)
+        numbers, flags = self._told[0].copy(), self._told[1].copy()
         x, y, heading, speed, target_speed, lateral, gap, slowness = numbers.T
         return Ego(
             x=x,
