@@ -75,12 +75,12 @@ def assert_parity(scene: Scene, seeds, duration=20.0, inflation=3.0, driver="ran
 
 def random_scene(rng) -> Scene:
     """Any scene that the configuration allows, up to a size that highway-env can drive."""
-    low = int(rng.integers(1, 20))
+    low = int(rng.integers(0, 20))
     policy_frequency = int(rng.integers(2, 7))
     step = float(rng.uniform(2.0, 6.0))
     return Scene(
         lanes=int(rng.integers(1, 6)),
-        vehicles=(low, low + int(rng.integers(0, 25))),
+        vehicles=(low, low + int(rng.integers(1, 25))),
         before=float(rng.uniform(60, 300)),
         converge=float(rng.uniform(5, 150)),
         parallel=float(rng.uniform(1, 150)),

@@ -48,9 +48,9 @@ class Scene:
     lanes: int = 3
     """Main lanes, 1 to 5; the ramp comes on top."""
     vehicles: int | tuple[int, int] = (1, 20)
-    """Other vehicles on the main lanes, 1 to 50: a fixed number, or a range that each episode
-    draws from evenly. The one vehicle on the ramp comes on top. As in highway-env, a vehicle that
-    finds no free place in ten tries is left out."""
+    """Other vehicles on the main lanes, 1 to 50: a fixed number, or a range, from 0 on, that each
+    episode draws from evenly. The one vehicle on the ramp comes on top. As in highway-env, a vehicle
+    that finds no free place in ten tries is left out."""
     before: float = 150.0
     """Road before the ramp starts to converge, at least 60."""
     converge: float = 80.0
@@ -74,8 +74,8 @@ class Scene:
     def __post_init__(self) -> None:
         _check_whole("lanes", self.lanes, 1, 5)
         low, high = self.vehicle_range
-        _check_whole("vehicles", low, 1, 50)
-        _check_whole("vehicles", high, 1, 50)
+        _check_whole("vehicles", high, 1, 50)  # a range may begin at none, but is not just none
+        _check_whole("vehicles", low, 0, 50)
         if low > high:
             raise ValueError(f"scene.vehicles: the range {self.vehicles} runs backwards")
         _check_length("before", self.before, MERGING_START)

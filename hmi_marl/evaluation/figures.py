@@ -27,7 +27,7 @@ def table_figure(config: TableConfig, cells: list[Cell]) -> bytes:
     for axes, (name, title) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
         _bars(axes, config, cells, name)
         axes.set_title(title)
-    axes = figure.axes[0]
+    axes = figure.axes[1]  # the one that also has the exact marks
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=6)
     image = BytesIO()
     figure.savefig(image, format="png", dpi=110)

@@ -10,7 +10,8 @@ from hmi_marl.envs.scene import EGO_START, SAFE_DISTANCE, Scene, draw_start
     ("arguments", "message"),
     [
         ({"vehicles": 0}, "scene.vehicles lies in 1 to 50, but got 0"),
-        ({"vehicles": (0, 5)}, "vehicles lies in 1 to 50"),
+        ({"vehicles": (0, 0)}, "vehicles lies in 1 to 50"),
+        ({"vehicles": (-1, 5)}, "vehicles lies in 0 to 50"),
         ({"vehicles": 51}, "vehicles lies in 1 to 50"),
         ({"vehicles": (9, 3)}, "runs backwards"),
         ({"vehicles": (1, 2, 3)}, "pair"),
@@ -105,3 +106,9 @@ def test_the_number_of_vehicles_is_drawn_evenly():
 def test_one_vehicle_more_leaves_the_others_where_they_were():
     few, more = (draw_start(Scene(vehicles=count), 5) for count in (4, 5))
     assert more.longitudinal[:4].tolist() == few.longitudinal.tolist()
+
+
+def test_a_range_may_begin_at_none():
+    scene = Scene(vehicles=(0, 3), before=2000.0)
+    counts = {len(draw_start(scene, seed).lane) for seed in range(100)}
+    assert counts == {0, 1, 2, 3}

@@ -31,6 +31,10 @@ def test_it_follows_highway_env_in_any_scene(number):
     assert_parity(random_scene(rng), seeds(3), 8.0, float(rng.uniform(1, 9)), "random")
 
 
+def test_it_follows_highway_env_on_an_empty_road():
+    assert_parity(Scene(vehicles=(0, 1)), seeds(4, 20), 6.0, 3.0, "random")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("block", range(20))
 @pytest.mark.parametrize("driver", ["random", "rule"])
