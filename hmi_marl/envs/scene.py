@@ -49,8 +49,8 @@ class Scene:
     """Main lanes, 1 to 5; the ramp comes on top."""
     vehicles: int | tuple[int, int] = (1, 20)
     """Other vehicles on the main lanes, 1 to 50: a fixed number, or a range, from 0 on, that each
-    episode draws from evenly. The one vehicle on the ramp comes on top. As in highway-env, a vehicle
-    that finds no free place in ten tries is left out."""
+    episode draws from evenly. The one on the ramp comes on top. As in highway-env, a vehicle that
+    finds no free place in ten tries is left out."""
     before: float = 150.0
     """Road before the ramp starts to converge, at least 60."""
     converge: float = 80.0
