@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.render import TeamStatus, Viewer, between, team_status
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import Snapshot
 from hmi_marl.evaluation.files import write_atomically
+from hmi_marl.evaluation.rollout import begin, turn
 
 Pictures = Iterator[NDArray[np.uint8]]
 """Each of shape (height, width, 3)."""
@@ -44,18 +45,14 @@ def episode(
         ValueError: an unknown name or a bad seed; at once, before the first moment.
     """
     driver, ai = make_driver_policy(driver_policy, config), make_hmi(hmi, config)
-    teaming = Teaming(config, 1, world)
-    seeds = np.array([check_seed(seed)], np.uint64)
-    for seat in (teaming, driver, ai):
-        seat.reset(seeds)
+    teaming = begin(config, driver, ai, np.array([check_seed(seed)], np.uint64), world)
     return _moments(teaming, driver, ai)
 
 
 def _moments(teaming: Teaming, driver: Policy, ai: Policy) -> Iterator[tuple[Snapshot, TeamStatus]]:
     yield teaming.world.snapshot(0), team_status(teaming, 0)
     while not teaming.over[0]:
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-        teaming.step(ai.act(teaming.observe(VEHICLE_AI)))
+        turn(teaming, driver, ai)
         yield teaming.world.snapshot(0), team_status(teaming, 0)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.teaming import StepResult, Teaming
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,22 @@ class Episodes:
         return cls(**joined, returns=returns)
 
 
+def begin(
+    config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str
+) -> Teaming:
+    """Teams at the start of the episodes of these seeds, with both seats' policies reset."""
+    teaming = Teaming(config, len(seeds), world)
+    for seat in (teaming, driver, hmi):
+        seat.reset(seeds)
+    return teaming
+
+
+def turn(teaming: Teaming, driver: Policy, hmi: Policy) -> StepResult:
+    """One step in which the driver acts first and the HMI sees it."""
+    teaming.intend(driver.act(teaming.observe(DRIVER)))
+    return teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
+
+
 def play(
     config: TeamConfig, driver: Policy, hmi: Policy, seeds: ArrayLike, world: str = "highway"
 ) -> Episodes:
@@ -62,17 +78,14 @@ def play(
         world: which world to drive in.
     """
     seeds = np.asarray(seeds, np.uint64)
-    teaming = Teaming(config, len(seeds), world)
-    for seat in (teaming, driver, hmi):
-        seat.reset(seeds)
+    teaming = begin(config, driver, hmi, seeds, world)
     count = len(seeds)
     returns = {name: np.zeros(count) for name in TERMS}
     alerts, distracted = np.zeros((2, count), np.int64)
     headway = np.full(count, np.inf)
     while not teaming.over.all():
         active = ~teaming.over
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-        result = teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
+        result = turn(teaming, driver, hmi)
         for name, values in result.terms.items():
             returns[name] += values
         alerts += active & (teaming.alerted == 1)

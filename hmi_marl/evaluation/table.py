@@ -23,7 +23,7 @@ from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.envs.worlds import WORLDS
+from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.evaluation.statistics import Estimate
@@ -81,8 +81,7 @@ class TableConfig(TableSettings):
             raise ValueError(f"a cell needs at least one episode, but got {self.episodes}")
         object.__setattr__(self, "seed", check_seed(self.seed))
         check_seed(self.seed + self.episodes - 1)
-        if self.world not in WORLDS:
-            raise ValueError(f"unknown world {self.world!r}; known worlds: {', '.join(WORLDS)}")
+        check_world(self.world)
         for driver in self.drivers:
             config = self.team(driver)
             make_driver_policy(self.driver_policy, config)

@@ -10,7 +10,14 @@ from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego, Snapshot, World
 
 WORLDS = ("highway", "batched")
 
-__all__ = ["VEHICLE_ACTIONS", "WORLDS", "Ego", "Snapshot", "World", "make_world"]
+__all__ = ["VEHICLE_ACTIONS", "WORLDS", "Ego", "Snapshot", "World", "check_world", "make_world"]
+
+
+def check_world(world: str) -> str:
+    """Return ``world`` if it is a known world's name, or raise ValueError naming the known ones."""
+    if world not in WORLDS:
+        raise ValueError(f"unknown world {world!r}; known worlds: {', '.join(WORLDS)}")
+    return world
 
 
 def make_world(world: str, scene: Scene, num_worlds: int, threads: int | None = None) -> World:
@@ -25,12 +32,10 @@ def make_world(world: str, scene: Scene, num_worlds: int, threads: int | None = 
     Raises:
         ValueError: unknown world, or more threads than there are.
     """
-    if world == "highway":
+    if check_world(world) == "highway":
         from hmi_marl.envs.worlds.highway import HighwayWorld  # highway-env is slow to import
 
         return HighwayWorld(scene, num_worlds)
-    if world == "batched":
-        from hmi_marl.envs.worlds.batched import BatchedWorld  # numba is slow to import
+    from hmi_marl.envs.worlds.batched import BatchedWorld  # numba is slow to import
 
-        return BatchedWorld(scene, num_worlds, threads)
-    raise ValueError(f"unknown world {world!r}; known worlds: {', '.join(WORLDS)}")
+    return BatchedWorld(scene, num_worlds, threads)

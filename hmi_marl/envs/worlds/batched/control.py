@@ -88,7 +88,7 @@ def _steer_to_the_bit(f, lanes, v, lane):
 
 
 @inlined
-def _nearest_speed(speeds, speed):
+def nearest_speed(speeds, speed):
     """MDPVehicle.speed_to_index."""
     last = len(speeds) - 1
     share = (speed - speeds[0]) / (speeds[last] - speeds[0])
@@ -100,7 +100,7 @@ def command(f, i, lanes, table, speeds, action):
     """The driven car's action, once in a policy step: MDPVehicle.act before the road acts."""
     if action == SPEED_UP or action == SLOW_DOWN:
         step = 1 if action == SPEED_UP else -1
-        number = min(max(_nearest_speed(speeds, f[SPEED, 0]) + step, 0), len(speeds) - 1)
+        number = min(max(nearest_speed(speeds, f[SPEED, 0]) + step, 0), len(speeds) - 1)
         f[TARGET_SPEED, 0] = speeds[number]
     target = follow_road(lanes, table, i[TARGET_LANE, 0], f[X, 0])
     if action == MOVE_LEFT or action == MOVE_RIGHT:

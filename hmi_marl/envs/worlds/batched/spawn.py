@@ -16,7 +16,7 @@ from hmi_marl.envs.scene import (
     MERGING_TARGET_SPEED,
 )
 from hmi_marl.envs.worlds.batched.compiler import compiled
-from hmi_marl.envs.worlds.batched.control import _nearest_speed
+from hmi_marl.envs.worlds.batched.control import nearest_speed
 from hmi_marl.envs.worlds.batched.lanes import closest_lane
 from hmi_marl.envs.worlds.batched.memory import (
     COS,
@@ -82,7 +82,7 @@ def begin(f, i, world, lanes, table, rows, speeds, seed, low, high, draws, start
     merge_end = lanes[2 * rows, X0] + lanes[2 * rows, LENGTH]
     count = _place(draws, low, high, rows, merge_end, start_lane, start[0], start[1])
     _put(f, i, lanes, table, rows, 0, EGO_START, lanes[rows - 1, Y0], EGO_START_SPEED)
-    f[TARGET_SPEED, 0] = speeds[_nearest_speed(speeds, EGO_START_SPEED)]
+    f[TARGET_SPEED, 0] = speeds[nearest_speed(speeds, EGO_START_SPEED)]
     for k in range(count):
         y = lanes[start_lane[k], Y0]
         _put(f, i, lanes, table, rows, k + 1, start[0, k], y, start[1, k])
