@@ -23,7 +23,7 @@ from hmi_marl.envs.scene import Scene
 from hmi_marl.evaluation import clip, report
 from hmi_marl.evaluation.alert_report import alert_report
 from hmi_marl.evaluation.bench_config import BenchConfig
-from hmi_marl.evaluation.files import make_folder, write_json
+from hmi_marl.files import make_folder, write_json
 from hmi_marl.evaluation.table import TableConfig, TableSettings, check_workers, make_table
 
 CLIP_FRAMES_PER_STEP = 2

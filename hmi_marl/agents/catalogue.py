@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from types import MappingProxyType
 
 from hmi_marl.agents.belief import DEFAULT_REVEALING
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.agents.policy_files import load_policy
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.seats import Policy
 
@@ -23,12 +26,14 @@ HMI_NAMES = MappingProxyType(
         "belief": "keeps the Bayes belief over distraction from what the car does, never looking "
         "at the driver; belief:NAME for another driver model, belief:NAME:SHARE to assume that "
         f"such a share of steps shows d instead of {DEFAULT_REVEALING:g}",
+        "runs/RUN": "the HMI that a training run has learnt, by its folder",
     }
 )
 DRIVER_POLICY_NAMES = MappingProxyType(
     {
         "rule": "keeps lane and gap by what its lidar perceives",
         "random": "any action, evenly",
+        "runs/RUN": "the driver that a training run has learnt, by its folder",
     }
 )
 _ALIASES = {
@@ -48,7 +53,7 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
     """The HMI of this name for teams set up by ``config``.
 
     Args:
-        name: one of ``HMI_NAMES``, case does not matter.
+        name: one of ``HMI_NAMES``, where case does not matter, or a trained run's folder.
         config: of the teams.
         taking_turns: False in a parallel environment, where the AI sees a^H one step late; an HMI
             that goes by a^H must know.
@@ -59,6 +64,8 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
     """
     if not isinstance(name, str):
         raise TypeError(f"an HMI's name is a string, not {name!r}")
+    if _is_path(name):
+        return load_policy(name, VEHICLE_AI, config)
     kind, _, argument = _ALIASES.get(name.lower(), name.lower()).partition(":")
     if kind in ("never", "always", "when-distracted") and argument:
         raise ValueError(f"HMI {kind!r} takes no argument, but got {name!r}")
@@ -88,12 +95,19 @@ def make_driver_policy(name: str, config: TeamConfig) -> Policy:
     """
     if not isinstance(name, str):
         raise TypeError(f"a driver policy's name is a string, not {name!r}")
+    if _is_path(name):
+        return load_policy(name, DRIVER, config)
     kind = name.lower()
     if kind == "rule":
         return RuleBasedDriver(config)
     if kind == "random":
         return RandomDriver()
     raise ValueError(f"unknown driver policy {name!r}; known: {_known(DRIVER_POLICY_NAMES)}")
+
+
+def _is_path(name: str) -> bool:
+    """Whether this means a trained run rather than a known name."""
+    return "/" in name or os.sep in name or name.endswith(".json") or Path(name).is_dir()
 
 
 def _number(text: str, form: str) -> float:

@@ -95,6 +95,38 @@ class TeamConfig:
         return None
 
 
+@dataclass(frozen=True)
+class TeamSettings:
+    """What a command lets people choose about teams, as it was typed: nothing is checked yet."""
+
+    alert_window: int = 7
+    """N, the intervention window in steps."""
+    duration: float = 20.0
+    """Length of an episode [s]."""
+    end_at_crash: bool = True
+    """Whether a crash ends the episode."""
+    ai_sees_attention: bool = True
+    """Whether the HMI sees d, i and c; if not, exact HMIs work on the Bayes belief."""
+    vehicles: tuple[int, int] = (1, 20)
+    """Least and most other vehicles."""
+
+    def team(
+        self,
+        driver: str | Driver | Sequence[str | Driver] | Population,
+        reward: Sharing = "team",
+    ) -> TeamConfig:
+        """Teams of this driver, checked."""
+        return TeamConfig(
+            driver=driver,
+            ai_sees_attention=self.ai_sees_attention,
+            reward=reward,
+            alert_window=self.alert_window,
+            duration=self.duration,
+            end_at_crash=self.end_at_crash,
+            scene=Scene(vehicles=self.vehicles),
+        )
+
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 

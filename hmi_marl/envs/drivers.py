@@ -99,17 +99,34 @@ PAPER_DRIVERS = ("lisa", "marge", "bart", "homer")
 
 
 def get_driver(driver: str | Driver) -> Driver:
-    """Look a driver up by name (case does not matter), or pass a :class:`Driver` through."""
+    """Look a driver up by name (case does not matter), or pass a :class:`Driver` through.
+
+    A name with traits, ``"mona:0.4,0.3,0.5,2"``, is a driver of one's own: β, α, η, inflation.
+    """
     if isinstance(driver, Driver):
         return driver
     if not isinstance(driver, str):
         raise TypeError(f"expected a driver's name or a Driver, not {driver!r}")
+    name, colon, traits = driver.partition(":")
+    if colon:
+        return _driver_from_text(name, traits)
     if driver.lower() not in DRIVERS:
         raise ValueError(
             f"unknown driver {driver!r}; known drivers: {', '.join(DRIVERS)}. "
-            "For another one pass Driver(name, beta=..., alpha=..., eta=..., inflation=...)"
+            "For another one pass Driver(name, beta=..., alpha=..., eta=..., inflation=...), "
+            "or on the command line name:beta,alpha,eta,inflation"
         )
     return DRIVERS[driver.lower()]
+
+
+def _driver_from_text(name: str, traits: str) -> Driver:
+    try:
+        beta, alpha, eta, inflation = (float(number) for number in traits.split(","))
+    except ValueError:
+        raise ValueError(
+            f"a driver of one's own is name:beta,alpha,eta,inflation, not {name + ':' + traits!r}"
+        ) from None
+    return Driver(name, beta, alpha, eta, inflation)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,10 @@ class Stream(IntEnum):
     ATTENTION = 4
     DRIVER_POLICY = 5
     HMI_POLICY = 6
+    TRAINING = 7
+    """Series of training episodes, one for each iteration."""
+    LEARNING = 8
+    """What a learner draws: initial weights, explored actions, mini-batches."""
 
 
 def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:

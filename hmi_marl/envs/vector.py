@@ -26,7 +26,6 @@ Needs torch, tensordict and rsl_rl (the ``train`` extra).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -38,10 +37,11 @@ from tensordict import TensorDict
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.envs.rewards import TERMS
+from hmi_marl.envs.plain import plain
 from hmi_marl.envs.seats import Policy, check_policy
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.totals import Totals
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             agent: torch.from_numpy(_columns_in_state(teaming, agent)).to(self.device)
             for agent in (DRIVER, VEHICLE_AI)
         }
-        self._totals = _Totals(self.num_envs)
+        self._totals = Totals(self.num_envs)
         self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
@@ -189,7 +189,9 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             rewards: float32 of shape (N,), of the seat. Seat "team" gets what both seats get, or
                 the sum of the two if rewards are "individual".
             dones: int64 of shape (N,), 1 where an episode ended.
-            extras: ``time_outs``, bool of shape (N,): the episode ended by its time alone. And if
+            extras: ``time_outs``, bool of shape (N,): the episode ended by its time alone. With
+                seat "team" also ``rewards``, what each agent gets by name, float32 of shape (N,)
+                (policies that learn at the same time need them apart). And if
                 E > 0 episodes ended: ``final_teams``, int64 of shape (E,), their teams;
                 ``final_observation``, what these saw last, batch size (E,), row by row as in
                 ``final_teams``; ``log``, for rsl_rl's logger, float32 tensors of shape (E,) on
@@ -209,6 +211,11 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._totals.add(result, rewards, self.teaming.alerted)
         ended = result.terminated | result.truncated
         extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
+        if self.seat == TEAM:
+            extras["rewards"] = {
+                agent: self._tensor(values.astype(np.float32))
+                for agent, values in result.rewards.items()
+            }
         if ended.any():
             extras |= self._farewell(ended)
             self._episodes += ended
@@ -330,44 +337,6 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
                 f"whole number from 0 to {self.action_sizes[column] - 1}"
             )
         return values.astype(np.int64)
-
-
-class _Totals:
-    """Sums over the present episode of each of N teams."""
-
-    _names = ("return", *TERMS, "length", "alerts")
-
-    def __init__(self, num_teams: int) -> None:
-        self._sums = np.zeros((len(self._names), num_teams))
-
-    def add(
-        self, result: StepResult, rewards: NDArray[np.float64], alerted: NDArray[np.int64]
-    ) -> None:
-        """Take in one step."""
-        terms = [result.terms[name] for name in TERMS]
-        self._sums += np.stack([rewards, *terms, np.ones_like(rewards), alerted])
-
-    def of(self, which: NDArray[np.bool_]) -> dict[str, torch.Tensor]:
-        """The marked teams' sums, float32 on the CPU."""
-        sums = torch.from_numpy(self._sums[:, which].astype(np.float32))
-        return {f"Episode/{name}": row for name, row in zip(self._names, sums, strict=True)}
-
-    def clear(self, which: NDArray[np.bool_] | None = None) -> None:
-        """Back to nothing in the marked teams, all by default."""
-        self._sums[:, slice(None) if which is None else which] = 0.0
-
-
-def plain(value: Any) -> Any:
-    """``value`` as JSON has it: a dataclass becomes a dict, what JSON does not know its repr."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return value if value is None or isinstance(value, (bool, int, float, str)) else repr(value)
 
 
 def _check_seat(seat: str, partner: Policy | None) -> None:

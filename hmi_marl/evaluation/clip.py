@@ -19,7 +19,7 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import Snapshot
-from hmi_marl.evaluation.files import write_atomically
+from hmi_marl.files import write_atomically
 from hmi_marl.evaluation.rollout import begin, turn
 
 Pictures = Iterator[NDArray[np.uint8]]

@@ -14,7 +14,7 @@ from typing import Any
 
 import hmi_marl
 from hmi_marl.evaluation.figures import table_figure
-from hmi_marl.evaluation.files import write_bytes, write_json, write_text
+from hmi_marl.files import write_bytes, write_json, write_text
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.table import Cell, TableConfig
 

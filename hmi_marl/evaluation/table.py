@@ -18,10 +18,9 @@ import numpy as np
 from hmi_marl.agents import oracle
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import AttentionRule
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.config import TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import RewardWeights
-from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
@@ -34,7 +33,7 @@ EPISODES_PER_TASK = {"highway": 4, "batched": 256}
 
 
 @dataclass(frozen=True)
-class TableSettings:
+class TableSettings(TeamSettings):
     """What to put in a table, as it was typed: nothing is checked yet."""
 
     drivers: tuple[str, ...] = PAPER_DRIVERS
@@ -48,16 +47,6 @@ class TableSettings:
     """Episodes in each cell."""
     seed: int = 0
     """Seed of the first episode; the others count on from it."""
-    alert_window: int = 7
-    """N, the intervention window in steps."""
-    duration: float = 20.0
-    """Length of an episode [s]."""
-    end_at_crash: bool = True
-    """Whether a crash ends the episode."""
-    ai_sees_attention: bool = True
-    """Whether the HMI sees d, i and c; if not, optimal HMIs work on the Bayes belief."""
-    vehicles: tuple[int, int] = (1, 20)
-    """Least and most other vehicles."""
     world: str = "highway"
     """Which world to drive in."""
 
@@ -87,17 +76,6 @@ class TableConfig(TableSettings):
             make_driver_policy(self.driver_policy, config)
             for hmi in self.hmis:
                 make_hmi(hmi, config)
-
-    def team(self, driver: str) -> TeamConfig:
-        """How the teams of this driver's column are set up."""
-        return TeamConfig(
-            driver=driver,
-            ai_sees_attention=self.ai_sees_attention,
-            alert_window=self.alert_window,
-            duration=self.duration,
-            end_at_crash=self.end_at_crash,
-            scene=Scene(vehicles=self.vehicles),
-        )
 
 
 def _check_names(field: str, names: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ from hmi_marl.evaluation.audit import (
     audit_json,
     audit_text,
 )
-from hmi_marl.evaluation.files import write_json
+from hmi_marl.files import write_json
 
 Cells = dict[tuple[str, str], AuditedCell]
 

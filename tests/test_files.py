@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hmi_marl.evaluation.files import (
+from hmi_marl.files import (
     make_folder,
     write_atomically,
     write_bytes,

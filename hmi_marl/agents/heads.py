@@ -1,0 +1,167 @@
+"""Categorical heads for rsl_rl: one seat's action, or the composite π_H∘π_AI of both seats.
+
+rsl_rl stores actions as floats; these heads take and give indices as floats, shape (..., columns).
+"""
+
+from __future__ import annotations
+
+import torch
+from rsl_rl.modules.distribution import Distribution  # type: ignore[import-untyped]
+
+from hmi_marl.agents.learned import ACTIONS
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+
+INTENTS, ALERTS = ACTIONS[DRIVER], ACTIONS[VEHICLE_AI]
+
+
+class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
+    """One of ``choices`` actions. Parameters: log-probabilities of shape (..., choices)."""
+
+    def __init__(self, output_dim: int, choices: int) -> None:
+        super().__init__(output_dim)
+        self.choices = choices
+
+    @property
+    def input_dim(self) -> int:
+        """Logits that it takes."""
+        return self.choices
+
+    def update(self, mlp_output: torch.Tensor) -> None:
+        """Take the network's logits, shape (..., choices)."""
+        self._log_probs = torch.log_softmax(mlp_output, dim=-1)
+
+    def sample(self) -> torch.Tensor:
+        """Indices as floats, shape (..., 1)."""
+        return draw(self._log_probs)
+
+    def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
+        """The likeliest action, shape (..., 1)."""
+        return mlp_output.argmax(dim=-1, keepdim=True).to(mlp_output.dtype)
+
+    @property
+    def mean(self) -> torch.Tensor:
+        """Probabilities, the mean of the one-hot action."""
+        return self._log_probs.exp()
+
+    @property
+    def std(self) -> torch.Tensor:
+        """Standard deviations of the one-hot action."""
+        return spread(self._log_probs)
+
+    @property
+    def entropy(self) -> torch.Tensor:
+        """Shape (...)."""
+        return entropy(self._log_probs)
+
+    @property
+    def params(self) -> tuple[torch.Tensor, ...]:
+        """Log-probabilities."""
+        return (self._log_probs,)
+
+    def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
+        """log π(a), shape (...), of indices of shape (..., 1)."""
+        return self._log_probs.gather(-1, outputs.long()).squeeze(-1)
+
+    def kl_divergence(
+        self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]
+    ) -> torch.Tensor:
+        """KL(old || new), shape (...)."""
+        return divergence(old_params[0], new_params[0])
+
+
+class IntentThenAlert(Distribution):  # type: ignore[misc]
+    r"""a^H, then a^A given the a^H that was drawn: π(a^H) π(a^A | a^H).
+
+    Takes 5 logits of a^H and then, for each a^H, 2 of a^A. Entropy and KL follow the chain rule,
+    H(a^H, a^A) = H(a^H) + Σ π(a^H) H(a^A | a^H), and need no sampling.
+    """
+
+    @property
+    def input_dim(self) -> int:
+        """Logits that it takes."""
+        return INTENTS + INTENTS * ALERTS
+
+    def update(self, mlp_output: torch.Tensor) -> None:
+        """Take the network's logits, shape (..., 15)."""
+        intent, alert = self._split(mlp_output)
+        self._intent = torch.log_softmax(intent, dim=-1)
+        self._alert = torch.log_softmax(alert, dim=-1)
+
+    def sample(self) -> torch.Tensor:
+        """a^H and a^A as floats, shape (..., 2)."""
+        intent = draw(self._intent)
+        return torch.cat([intent, draw(_row(self._alert, intent))], dim=-1)
+
+    def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
+        """The likeliest a^H, and the likeliest a^A given that, shape (..., 2)."""
+        intents, alerts = self._split(mlp_output)
+        intent = intents.argmax(dim=-1, keepdim=True)
+        alert = _row(alerts, intent).argmax(dim=-1, keepdim=True)
+        return torch.cat([intent, alert], dim=-1).to(mlp_output.dtype)
+
+    @property
+    def mean(self) -> torch.Tensor:
+        """Probabilities of a^H, and of a^A given each a^H, shape (..., 15)."""
+        return torch.cat([self._intent, self._alert.flatten(-2)], dim=-1).exp()
+
+    @property
+    def std(self) -> torch.Tensor:
+        """Standard deviations of the one-hot actions."""
+        return spread(torch.cat([self._intent, self._alert.flatten(-2)], dim=-1))
+
+    @property
+    def entropy(self) -> torch.Tensor:
+        """Of the pair, shape (...)."""
+        return entropy(self._intent) + (self._intent.exp() * entropy(self._alert)).sum(-1)
+
+    @property
+    def params(self) -> tuple[torch.Tensor, ...]:
+        """Log-probabilities of a^H, shape (..., 5), and of a^A given a^H, shape (..., 5, 2)."""
+        return self._intent, self._alert
+
+    def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
+        """log π(a^H, a^A), shape (...), of indices of shape (..., 2)."""
+        intent, alert = outputs.long().split(1, dim=-1)
+        given = _row(self._alert, intent).gather(-1, alert)
+        return (self._intent.gather(-1, intent) + given).squeeze(-1)
+
+    def kl_divergence(
+        self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]
+    ) -> torch.Tensor:
+        """KL(old || new) of the pair, shape (...)."""
+        of_alert = divergence(old_params[1], new_params[1])
+        return divergence(old_params[0], new_params[0]) + (old_params[0].exp() * of_alert).sum(-1)
+
+    @staticmethod
+    def _split(logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        intent, alert = logits.split([INTENTS, INTENTS * ALERTS], dim=-1)
+        return intent, alert.unflatten(-1, (INTENTS, ALERTS))
+
+
+def draw(log_probs: torch.Tensor) -> torch.Tensor:
+    """One index per row as a float, shape (..., 1), by inverting the cumulative distribution."""
+    below = log_probs.exp().cumsum(-1)[..., :-1]
+    chance = torch.rand(log_probs.shape[:-1], device=log_probs.device)
+    return (chance.unsqueeze(-1) >= below).sum(-1, keepdim=True).to(log_probs.dtype)
+
+
+def spread(log_probs: torch.Tensor) -> torch.Tensor:
+    """Standard deviation of each component of the one-hot action, sqrt(p (1 - p))."""
+    probs = log_probs.exp()
+    return (probs * (1.0 - probs)).sqrt()
+
+
+def entropy(log_probs: torch.Tensor) -> torch.Tensor:
+    """Over the last dimension."""
+    return -(log_probs.exp() * log_probs).sum(-1)
+
+
+def divergence(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
+    """KL(old || new) over the last dimension of log-probabilities."""
+    return (old.exp() * (old - new)).sum(-1)
+
+
+def _row(table: torch.Tensor, intent: torch.Tensor) -> torch.Tensor:
+    """The row of a^H, shape (..., 2), out of (..., 5, 2)."""
+    index = intent.long().unsqueeze(-1).expand(*intent.shape, ALERTS)
+    return table.gather(-2, index).squeeze(-2)

@@ -1,0 +1,1 @@
+"""Learning the policies of both seats, by every protocol that the paper names or implies."""

@@ -1,0 +1,53 @@
+"""Best responses in rounds: the driver learns beside the HMI as it stands, then the HMI."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.rewards import Sharing
+from hmi_marl.training.phase import LEARNT, Phase
+from hmi_marl.training.settings import TrainSettings, check_steps
+
+
+@dataclass(frozen=True)
+class Alternating(TrainSettings):
+    """Alternating: in every round each policy learns a while beside the other as it stands.
+
+    Example: hmi-marl train alternating --rounds 4 --out runs/rounds
+    """
+
+    rounds: int = 4
+    """In the first one the driver has no HMI yet."""
+    driver_steps: int = 12_000_000
+    """Environment steps in which the driver learns, over all rounds."""
+    hmi_steps: int = 2_000_000
+    """Environment steps in which the HMI learns, over all rounds."""
+    reward: Sharing = "team"
+    """What both learn from."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("rounds", "driver_steps", "hmi_steps"):
+            check_steps(name, getattr(self, name))
+
+    def phases(self) -> tuple[Phase, ...]:
+        """See :meth:`TrainSettings.phases`."""
+        team = self.team(self.drivers, self.reward)
+        steps = {DRIVER: self.driver_steps, VEHICLE_AI: self.hmi_steps}
+        phases = []
+        for k in range(self.rounds):
+            for seat in (DRIVER, VEHICLE_AI):
+                first = k == 0 and seat == DRIVER
+                phases.append(
+                    Phase(
+                        f"round {k + 1}, {seat}",
+                        seat,
+                        team,
+                        max(1, steps[seat] // self.rounds),
+                        "never" if first else LEARNT,
+                        (self.card(seat, team),),
+                        progress=(k / self.rounds, (k + 1) / self.rounds),
+                    )
+                )
+        return tuple(phases)

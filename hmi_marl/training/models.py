@@ -1,0 +1,113 @@
+"""rsl_rl's models for the seats, and their weights as learned policies keep them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rsl_rl.models import MLPModel, RNNModel  # type: ignore[import-untyped]
+from rsl_rl.modules import MLP  # type: ignore[import-untyped]
+from tensordict import TensorDict
+
+from hmi_marl.agents.heads import INTENTS, IntentThenAlert, OneAction
+from hmi_marl.agents.learned import ACTIONS, PolicyCard
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.envs.config import DRIVER
+
+GROUPS = {"actor": ["actor"], "critic": ["critic"]}
+"""What actor and critic read: each the group of its own name."""
+
+
+def make_actor(card: PolicyCard) -> MLPModel:
+    """An actor for one seat, as its card says."""
+    network = card.network
+    head = {"class_name": OneAction, "choices": ACTIONS[card.seat]}
+    template = _template("actor", card.inputs)
+    sizes = (template, GROUPS, "actor", 1, network.hidden, network.activation)
+    if not network.memory:
+        return MLPModel(*sizes, distribution_cfg=head)
+    return RNNModel(
+        *sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.memory
+    )
+
+
+class TwoSeats(torch.nn.Module):
+    """The networks of both seats side by side, each reading its own part of the input."""
+
+    def __init__(self, driver: PolicyCard, vehicle_ai: PolicyCard) -> None:
+        super().__init__()
+        self.driver = _mlp(driver)
+        self.vehicle_ai = _mlp(vehicle_ai)
+        self._inputs = [driver.inputs, vehicle_ai.inputs]
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Logits of a^H, then of a^A for each a^H: shape (..., 15)."""
+        driver, vehicle_ai = inputs.split(self._inputs, dim=-1)
+        return torch.cat([self.driver(driver), self.vehicle_ai(vehicle_ai)], dim=-1)
+
+
+def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
+    """The composite π_H∘π_AI. Each half sees its own seat alone, so that it can sit there alone.
+
+    Raises:
+        ValueError: a recurrent network, or a vehicle AI that is not ``by_intent``.
+    """
+    if driver.network.memory or vehicle_ai.network.memory:
+        raise ValueError("the composite policy has no memory; choose memory = 0")
+    if not vehicle_ai.by_intent:
+        raise ValueError("in the composite policy the vehicle AI gives logits by intent")
+    template = _template("actor", driver.inputs + vehicle_ai.inputs)
+    head = {"class_name": IntentThenAlert}
+    model = MLPModel(template, GROUPS, "actor", 2, (1,), distribution_cfg=head)
+    model.mlp = TwoSeats(driver, vehicle_ai)
+    return model
+
+
+def make_critic(inputs: int, network: NetworkConfig) -> MLPModel:
+    """V of what it reads; never recurrent."""
+    template = _template("critic", inputs)
+    return MLPModel(template, GROUPS, "critic", 1, network.hidden, network.activation)
+
+
+def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
+    """The actor's weights, by the names of :meth:`NetworkConfig.shapes`."""
+    weights = _layers(actor.mlp)
+    if actor.is_recurrent:
+        for name, its in _MEMORY.items():
+            weights[f"memory.{name}"] = _array(getattr(actor.rnn.rnn, its))
+    return weights
+
+
+def weights_of_both(actor: MLPModel) -> tuple[dict[str, NDArray[np.float32]], ...]:
+    """The weights of the composite policy's two halves, the driver's first."""
+    return _layers(actor.mlp.driver), _layers(actor.mlp.vehicle_ai)
+
+
+_MEMORY = {
+    "input_weight": "weight_ih_l0",
+    "hidden_weight": "weight_hh_l0",
+    "input_bias": "bias_ih_l0",
+    "hidden_bias": "bias_hh_l0",
+}
+
+
+def _mlp(card: PolicyCard) -> MLP:
+    outputs = INTENTS if card.seat == DRIVER else card.outputs
+    return MLP(card.inputs, outputs, card.network.hidden, card.network.activation)
+
+
+def _layers(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
+    linear = [layer for layer in mlp.modules() if isinstance(layer, torch.nn.Linear)]
+    weights = {}
+    for place, layer in enumerate(linear):
+        weights[f"layer{place}.weight"] = _array(layer.weight)
+        weights[f"layer{place}.bias"] = _array(layer.bias)
+    return weights
+
+
+def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
+    return tensor.detach().cpu().numpy().copy()
+
+
+def _template(group: str, size: int) -> TensorDict:
+    return TensorDict({group: torch.zeros(1, size)}, batch_size=[1])

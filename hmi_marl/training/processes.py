@@ -1,0 +1,84 @@
+"""Several processes that learn as one, as torchrun starts them: each with teams of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+
+
+@dataclass(frozen=True)
+class Processes:
+    """How many processes learn together, and which of them this is."""
+
+    count: int = 1
+    rank: int = 0
+    local_rank: int = 0
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this one writes and tells."""
+        return self.rank == 0
+
+    def as_rsl_rl(self) -> dict[str, int] | None:
+        """As rsl_rl's ``multi_gpu_cfg``; None if there is one process."""
+        if self.count == 1:
+            return None
+        return {
+            "global_rank": self.rank,
+            "local_rank": self.local_rank,
+            "world_size": self.count,
+        }
+
+    def device(self, wanted: str) -> str:
+        """The device to learn on: ``auto`` is this process's GPU if there is one.
+
+        Raises:
+            ValueError: there is no such device.
+        """
+        if wanted == "auto":
+            wanted = f"cuda:{self.local_rank}" if torch.cuda.is_available() else "cpu"
+        if wanted.startswith("cuda") and not torch.cuda.is_available():
+            raise ValueError(f"device {wanted!r} was asked for, but torch sees no GPU; use cpu")
+        try:
+            torch.empty(0, device=wanted)
+        except RuntimeError as error:
+            raise ValueError(f"no device {wanted!r}: {str(error).splitlines()[0]}") from None
+        return wanted
+
+    def wait(self) -> None:
+        """Until every process has come here."""
+        if self.count > 1:
+            torch.distributed.barrier()
+
+    def mean(self, values: dict[str, float]) -> dict[str, float]:
+        """The mean of every value over the processes, in each of them."""
+        if self.count == 1:
+            return values
+        together = torch.tensor(list(values.values()), dtype=torch.float64)
+        torch.distributed.all_reduce(together)
+        return dict(zip(values, (together / self.count).tolist(), strict=True))
+
+
+@contextmanager
+def joined() -> Iterator[Processes]:
+    """The processes that torchrun started, connected while the context lasts; else just this one.
+
+    Gradients of a CPU learner go through gloo, those of a GPU through NCCL.
+    """
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    if count == 1:
+        yield Processes()
+        return
+    torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if _has_nccl() else "gloo")
+    try:
+        yield Processes(count, torch.distributed.get_rank(), int(os.environ["LOCAL_RANK"]))
+    finally:
+        torch.distributed.destroy_process_group()
+
+
+def _has_nccl() -> bool:
+    return torch.cuda.is_available() and torch.distributed.is_nccl_available()
