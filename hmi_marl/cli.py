@@ -23,8 +23,8 @@ from hmi_marl.envs.scene import Scene
 from hmi_marl.evaluation import clip, report
 from hmi_marl.evaluation.alert_report import alert_report
 from hmi_marl.evaluation.bench_config import BenchConfig
-from hmi_marl.files import make_folder, write_json
 from hmi_marl.evaluation.table import TableConfig, TableSettings, check_workers, make_table
+from hmi_marl.files import make_folder, write_json
 
 CLIP_FRAMES_PER_STEP = 2
 WINDOW_FRAMES_PER_STEP = 6

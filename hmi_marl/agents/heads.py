@@ -59,7 +59,7 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
         return (self._log_probs,)
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
-        """log π(a), shape (...), of indices of shape (..., 1)."""
+        """Log π(a), shape (...), of indices of shape (..., 1)."""
         return self._log_probs.gather(-1, outputs.long()).squeeze(-1)
 
     def kl_divergence(
@@ -120,8 +120,8 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
         return self._intent, self._alert
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
-        """log π(a^H, a^A), shape (...), of indices of shape (..., 2)."""
-        intent, alert = outputs.long().split(1, dim=-1)
+        """Log π(a^H, a^A), shape (...), of indices of shape (..., 2)."""
+        intent, alert = outputs[..., :1].long(), outputs[..., 1:].long()
         given = _row(self._alert, intent).gather(-1, alert)
         return (self._intent.gather(-1, intent) + given).squeeze(-1)
 
@@ -134,8 +134,7 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
     @staticmethod
     def _split(logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        intent, alert = logits.split([INTENTS, INTENTS * ALERTS], dim=-1)
-        return intent, alert.unflatten(-1, (INTENTS, ALERTS))
+        return logits[..., :INTENTS], logits[..., INTENTS:].unflatten(-1, (INTENTS, ALERTS))
 
 
 def draw(log_probs: torch.Tensor) -> torch.Tensor:

@@ -19,8 +19,8 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import Snapshot
-from hmi_marl.files import write_atomically
 from hmi_marl.evaluation.rollout import begin, turn
+from hmi_marl.files import write_atomically
 
 Pictures = Iterator[NDArray[np.uint8]]
 """Each of shape (height, width, 3)."""

@@ -14,9 +14,9 @@ from typing import Any
 
 import hmi_marl
 from hmi_marl.evaluation.figures import table_figure
-from hmi_marl.files import write_bytes, write_json, write_text
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.table import Cell, TableConfig
+from hmi_marl.files import write_bytes, write_json, write_text
 
 METRICS: tuple[tuple[str, str, str], ...] = (
     ("speed_return", "Speed return", ".0f"),

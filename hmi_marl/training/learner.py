@@ -29,9 +29,7 @@ class Learner(Protocol):
         """Explore: actions of shape (N, columns)."""
         ...
 
-    def record(
-        self, rewards: torch.Tensor, dones: torch.Tensor, extras: Extras
-    ) -> None:
+    def record(self, rewards: torch.Tensor, dones: torch.Tensor, extras: Extras) -> None:
         """What the last actions led to, as the environment told it."""
 
     def learn(self, observations: TensorDict) -> dict[str, float]:

@@ -26,9 +26,7 @@ def make_actor(card: PolicyCard) -> MLPModel:
     sizes = (template, GROUPS, "actor", 1, network.hidden, network.activation)
     if not network.memory:
         return MLPModel(*sizes, distribution_cfg=head)
-    return RNNModel(
-        *sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.memory
-    )
+    return RNNModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.memory)
 
 
 class TwoSeats(torch.nn.Module):
@@ -38,12 +36,12 @@ class TwoSeats(torch.nn.Module):
         super().__init__()
         self.driver = _mlp(driver)
         self.vehicle_ai = _mlp(vehicle_ai)
-        self._inputs = [driver.inputs, vehicle_ai.inputs]
+        self._of_driver = driver.inputs
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Logits of a^H, then of a^A for each a^H: shape (..., 15)."""
-        driver, vehicle_ai = inputs.split(self._inputs, dim=-1)
-        return torch.cat([self.driver(driver), self.vehicle_ai(vehicle_ai)], dim=-1)
+        of_driver, of_vehicle_ai = inputs[..., : self._of_driver], inputs[..., self._of_driver :]
+        return torch.cat([self.driver(of_driver), self.vehicle_ai(of_vehicle_ai)], dim=-1)
 
 
 def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:

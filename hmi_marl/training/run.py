@@ -18,7 +18,7 @@ import torch
 
 import hmi_marl
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned import PolicyCard
+from hmi_marl.agents.learned import LearnedPolicy, PolicyCard
 from hmi_marl.agents.network import NetworkConfig, Weights
 from hmi_marl.agents.policy_files import load_policy, save_policy
 from hmi_marl.agents.vectors import make_vec
@@ -182,10 +182,13 @@ class _Run:
         if phase.partner is None:
             return None
         other = OTHER[phase.seat]
-        if phase.partner != LEARNT:
-            make = make_driver_policy if other == DRIVER else make_hmi
-            return make(phase.partner, phase.team)
-        return load_policy(self._folder, other, phase.team)
+        if phase.partner == LEARNT:
+            return load_policy(self._folder, other, phase.team)
+        make = make_driver_policy if other == DRIVER else make_hmi
+        partner = make(phase.partner, phase.team)
+        if isinstance(partner, LearnedPolicy) and self._processes.is_first:
+            save_policy(self._folder, partner.card, partner.weights)  # so that the run is whole
+        return partner
 
     def _make_learner(self, phase: Phase, env: TeamVecEnv) -> Learner:
         if phase.seat != TEAM or phase.joint:

@@ -50,7 +50,7 @@ class Telling:
     ) -> None:
         self._bar.close()
         if self._writer is not None:
-            self._writer.close()  # type: ignore[no-untyped-call]
+            self._writer.close()
 
     def phase(self, name: str) -> None:
         """A phase begins."""
@@ -64,4 +64,4 @@ class Telling:
             return
         for name, value in row.items():
             group = "learning" if name.endswith(_LEARNING) else "episode"
-            self._writer.add_scalar(f"{group}/{name}", value, steps)  # type: ignore[no-untyped-call]
+            self._writer.add_scalar(f"{group}/{name}", value, steps)

@@ -11,6 +11,7 @@ from hmi_marl.agents.learned import ACTIONS, INTENT, PolicyCard
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.vector import TeamVecEnv
 
+
 class Context(Protocol):
     """Gives a vector z for each driver."""
 

@@ -7,9 +7,9 @@ import pytest
 
 from hmi_marl.agents import oracle
 from hmi_marl.envs.rewards import TERMS
-from hmi_marl.files import write_json
 from hmi_marl.evaluation.rollout import Episodes
 from hmi_marl.evaluation.table import Cell, TableConfig, make_cell, make_table, play_cell
+from hmi_marl.files import write_json
 
 ESTIMATES = ("steps", "speed_return", "distraction_return", "attention_return", "min_time_headway")
 
