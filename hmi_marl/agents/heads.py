@@ -134,7 +134,9 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
     @staticmethod
     def _split(logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return logits[..., :INTENTS], logits[..., INTENTS:].unflatten(-1, (INTENTS, ALERTS))
+        return logits[..., :INTENTS], logits[..., INTENTS:].reshape(
+            *logits.shape[:-1], INTENTS, ALERTS
+        )
 
 
 def draw(log_probs: torch.Tensor) -> torch.Tensor:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
@@ -62,7 +63,7 @@ class NetworkConfig:
             shapes["memory.input_bias"] = (gates,)
             shapes["memory.hidden_bias"] = (gates,)
         sizes = (self.memory or inputs, *self.hidden, outputs)
-        for layer, (size_in, size_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
+        for layer, (size_in, size_out) in enumerate(pairwise(sizes)):
             shapes[f"layer{layer}.weight"] = size_out, size_in
             shapes[f"layer{layer}.bias"] = (size_out,)
         return shapes
