@@ -176,6 +176,11 @@ class LearnedPolicy:
         self._context: NDArray[np.float32] | None = None
 
     @property
+    def takes_turns(self) -> bool:
+        """Whether a vehicle AI that acts so expects to see a^H_t, not a^H_{t-1}."""
+        return self.card.taking_turns
+
+    @property
     def context(self) -> NDArray[np.float32] | None:
         """The vector z, shape (Z,) for all teams or (N, Z); to be set if the policy reads one.
 

@@ -59,11 +59,17 @@ def begin(
     return teaming
 
 
-def turn(teaming: Teaming, driver: Policy, hmi: Policy, taking_turns: bool = True) -> StepResult:
-    """One step, in which the driver acts first and the HMI sees it unless both act at once."""
-    at_once = None if taking_turns else hmi.act(teaming.observe(VEHICLE_AI))
+def turn(teaming: Teaming, driver: Policy, hmi: Policy) -> StepResult:
+    """One step, in which the driver acts first and the HMI sees it.
+
+    An HMI that has learnt to act at once with the driver does so: it sees a^H_{t-1}.
+    """
+    if getattr(hmi, "takes_turns", True):
+        teaming.intend(driver.act(teaming.observe(DRIVER)))
+        return teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
+    alerts = hmi.act(teaming.observe(VEHICLE_AI))
     teaming.intend(driver.act(teaming.observe(DRIVER)))
-    return teaming.step(hmi.act(teaming.observe(VEHICLE_AI)) if at_once is None else at_once)
+    return teaming.step(alerts)
 
 
 def play(
@@ -72,7 +78,6 @@ def play(
     hmi: Policy,
     seeds: ArrayLike,
     world: str = "highway",
-    taking_turns: bool = True,
 ) -> Episodes:
     """Play one episode for each seed, side by side until the last has ended.
 
@@ -82,7 +87,6 @@ def play(
         hmi: policy for the vehicle AI's seat.
         seeds: shape (E,).
         world: which world to drive in.
-        taking_turns: the HMI sees a^H_t; otherwise both act at once and it sees a^H_{t-1}.
     """
     seeds = np.asarray(seeds, np.uint64)
     teaming = begin(config, driver, hmi, seeds, world)
@@ -92,7 +96,7 @@ def play(
     headway = np.full(count, np.inf)
     while not teaming.over.all():
         active = ~teaming.over
-        result = turn(teaming, driver, hmi, taking_turns)
+        result = turn(teaming, driver, hmi)
         for name, values in result.terms.items():
             returns[name] += values
         alerts += active & (teaming.alerted == 1)
