@@ -228,9 +228,9 @@ class LearnedPolicy:
             inputs = np.concatenate([inputs, z], axis=1)
         logits = self._network(inputs)
         if self.card.by_intent:
-            intent = self._layout.chosen(observations, INTENT)
+            intent = self._layout.get(observations, INTENT)  # one-hot; zeros, so even odds, if none
             logits = logits.reshape(len(logits), len(VEHICLE_ACTIONS), -1)
-            logits = logits[np.arange(len(logits)), intent]
+            logits = (logits * intent[:, :, None]).sum(axis=1)
         logits = logits - logits.max(axis=1, keepdims=True)
         odds = np.exp(logits)
         return odds / odds.sum(axis=1, keepdims=True)

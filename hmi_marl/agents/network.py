@@ -90,7 +90,11 @@ class Network:
             self._memory = np.where(which[:, None], 0.0, self._memory)
 
     def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Outputs of shape (N, outputs) for inputs of shape (N, inputs); remembers them."""
+        """Outputs of shape (N, outputs) for inputs of shape (N, inputs); remembers them.
+
+        Raises:
+            RuntimeError: a memory of another number of teams.
+        """
         x = inputs.astype(np.float64)
         if self.config.memory:
             x = self._memory = self._remember(x)
@@ -103,6 +107,11 @@ class Network:
 
     def _remember(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         w, old = self._weights, self._memory
+        if len(old) != len(x):
+            raise RuntimeError(
+                "a policy with a memory needs to know when episodes begin: call reset(seeds) for "
+                f"{len(x)} teams first"
+            )
         seen = x @ w["memory.input_weight"].T + w["memory.input_bias"]
         kept = old @ w["memory.hidden_weight"].T + w["memory.hidden_bias"]
         reset_in, update_in, new_in = np.split(seen, 3, axis=1)

@@ -11,14 +11,21 @@ import tyro
 
 from hmi_marl.training.alternating import Alternating
 from hmi_marl.training.joint import Joint
+from hmi_marl.training.settings import TrainSettings
 from hmi_marl.training.simultaneous import Simultaneous
 from hmi_marl.training.two_stage import TwoStage
 
+_NAMES: dict[type[TrainSettings], str] = {
+    TwoStage: "two-stage",
+    Joint: "joint",
+    Simultaneous: "simultaneous",
+    Alternating: "alternating",
+}
 Protocol = (
-    Annotated[TwoStage, tyro.conf.subcommand("two-stage")]
-    | Annotated[Joint, tyro.conf.subcommand("joint")]
-    | Annotated[Simultaneous, tyro.conf.subcommand("simultaneous")]
-    | Annotated[Alternating, tyro.conf.subcommand("alternating")]
+    Annotated[TwoStage, tyro.conf.subcommand(_NAMES[TwoStage])]
+    | Annotated[Joint, tyro.conf.subcommand(_NAMES[Joint])]
+    | Annotated[Simultaneous, tyro.conf.subcommand(_NAMES[Simultaneous])]
+    | Annotated[Alternating, tyro.conf.subcommand(_NAMES[Alternating])]
 )
 
 
@@ -49,8 +56,7 @@ class Train:
             raise ModuleNotFoundError(
                 f"training needs {error.name}: pip install 'hmi-marl[train]'", name=error.name
             ) from error
-        name = {TwoStage: "two-stage"}.get(type(self.protocol), type(self.protocol).__name__)
-        out = Path("runs") / name.lower() if self.out is None else self.out
+        out = Path("runs") / _NAMES[type(self.protocol)] if self.out is None else self.out
         train(self.protocol, out, typed=typed)
         print(f"learnt: {out}; curves: tensorboard --logdir {out}")
         print(f"see it: hmi-marl watch --hmi {out} --policy {out} --out clip.gif")

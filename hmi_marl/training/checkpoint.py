@@ -34,8 +34,6 @@ class Checkpoint:
     """Spent so far."""
     tensors: dict[str, dict[str, torch.Tensor]] = field(default_factory=dict)
     """What each learner has learnt, by its name."""
-    learning_rates: dict[str, float] = field(default_factory=dict)
-    """Of each learner."""
     curve: list[dict[str, Any]] = field(default_factory=list)
     """A row for each batch."""
 
@@ -52,7 +50,6 @@ class Checkpoint:
             "iteration": self.iteration,
             "steps": self.steps,
             "seconds": self.seconds,
-            "learning_rates": self.learning_rates,
             "curve": self.curve,
         }
         write_bytes(path, save_tensors(flat, {"hmi_marl": json.dumps(header)}))

@@ -81,7 +81,7 @@ class PPOLearner:
             learning_rate=settings.learning_rate,
             max_grad_norm=settings.gradient_norm,
             use_clipped_value_loss=False,  # its range is that of the policy's ratio, not of values
-            desired_kl=settings.desired_kl,
+            schedule="fixed",  # begin() sets the learning rate
             device=device,
             multi_gpu_cfg=processes.as_rsl_rl(),
         )
@@ -90,8 +90,12 @@ class PPOLearner:
 
     def begin(self, progress: float) -> None:
         """See :meth:`Learner.begin`."""
-        start, end = self.settings.entropy, self.settings.final_entropy
-        self.ppo.entropy_coef = start + (end - start) * progress
+        settings = self.settings
+        self.ppo.entropy_coef = _between(settings.entropy, settings.final_entropy, progress)
+        rate = _between(settings.learning_rate, settings.final_learning_rate, progress)
+        self.ppo.learning_rate = rate
+        for group in self.ppo.optimizer.param_groups:
+            group["lr"] = rate
         self.ppo.train_mode()
         self.ppo.actor.reset()  # whole episodes begin, so nothing is to be remembered
 
@@ -140,8 +144,8 @@ class PPOLearner:
                 tensors[f"optimizer.{parameter}.{name}"] = torch.as_tensor(value)
         return tensors
 
-    def load(self, tensors: Mapping[str, torch.Tensor], learning_rate: float) -> None:
-        """Go back to what :meth:`tensors` gave and ``ppo.learning_rate`` was.
+    def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Go back to what :meth:`tensors` gave.
 
         Raises:
             RuntimeError: they are of other networks.
@@ -156,7 +160,6 @@ class PPOLearner:
             else:
                 models[kind][name] = value
         optimizer = self.ppo.optimizer.state_dict() | {"state": moments}
-        optimizer["param_groups"][0]["lr"] = learning_rate
         self.ppo.load(
             {f"{name}_state_dict": values for name, values in models.items()}
             | {"optimizer_state_dict": optimizer},
@@ -208,3 +211,7 @@ class TwoLearners:
 
     def _show(self, observations: TensorDict, intents: torch.Tensor) -> TensorDict:
         return self._intent_shown(observations, intents) if self._intent_shown else observations
+
+
+def _between(start: float, end: float, progress: float) -> float:
+    return start + (end - start) * progress

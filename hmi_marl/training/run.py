@@ -216,7 +216,7 @@ class _Run:
             self._processes,
         )
         if name in state.tensors:
-            learner.load(state.tensors[name], state.learning_rates[name])
+            learner.load(state.tensors[name])
         self._learners[name] = learner
         return learner
 
@@ -257,7 +257,6 @@ class _Run:
             return
         for name, learner in self._learners.items():
             self._state.tensors[name] = learner.tensors()
-            self._state.learning_rates[name] = learner.ppo.learning_rate
         self._state.save(self._folder / CHECKPOINT)
         write_json(self._folder / CURVE, self._state.curve)
 

@@ -27,20 +27,20 @@ class PPOSettings:
 
     epochs: int = 3
     """Times that each batch is learnt from."""
-    mini_batches: int = 8
+    mini_batches: int = 16
     """Parts of a batch, a gradient step each."""
     discount: float = 0.98
     """γ per step: 0.98 looks about 10 s ahead."""
     trace: float = 0.95
     """λ of generalised advantage estimation."""
     learning_rate: float = 1e-3
-    """At the start; then adapted to keep the policy's change near desired_kl."""
-    desired_kl: float = 0.01
-    """KL divergence between the policies before and after an update."""
+    """At the start."""
+    final_learning_rate: float = 2e-5
+    """At the end; in between it falls along a line."""
     entropy: float = 0.01
     """Bonus for the policy's entropy at the start."""
-    final_entropy: float = 0.001
-    """The same at the end; in between it falls along a line."""
+    final_entropy: float = 0.0
+    """The same at the end."""
     clip: float = 0.2
     """How far an update may move the probability of an action, as a ratio."""
     gradient_norm: float = 1.0
@@ -55,7 +55,13 @@ class PPOSettings:
         for name in ("discount", "trace"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} lies in [0, 1], but got {getattr(self, name)}")
-        for name in ("learning_rate", "desired_kl", "clip", "gradient_norm", "reward_scale"):
+        for name in (
+            "learning_rate",
+            "final_learning_rate",
+            "clip",
+            "gradient_norm",
+            "reward_scale",
+        ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} is a positive number, but got {value}")
