@@ -1,3 +1,4 @@
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,10 @@ TINY = {
     "new_driver": ([], "with the optimal one"),
     "supersuit_vector": (["--cars", "2", "--steps", "5"], "2 cars, 4 agents"),
     "policy_gradient_hmi": (["--episodes", "2", "--duration", "1"], "attention return"),
+    "sb3_parameter_sharing": (
+        ["--steps", "64", "--cars", "2", "--batch", "16", "--duration", "2", "--episodes", "2"],
+        "vehicle_ai",
+    ),
 }
 
 
@@ -26,16 +31,34 @@ def test_every_example_is_run():
     assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(TINY)
 
 
-def test_the_benchmark_runs(tmp_path):
-    script = ROOT / "benchmarks" / "highway_world.py"
-    arguments = ["--steps", "3", "--episodes", "1", "--vehicles", "2"]
-    command = [sys.executable, str(script), *arguments]
-    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
+def test_the_benchmark_of_the_highway_world_runs(tmp_path):
+    run_benchmark("highway_world", "--steps 3 --episodes 1 --vehicles 2", tmp_path)
     assert (tmp_path / "runs" / "benchmarks" / "highway_world.json").exists()
 
 
-def test_the_other_benchmark_is_the_command():
+def test_the_benchmark_of_training_tells_where_time_goes(tmp_path):
+    ours = "--rounds 1 --steps 2 --teams 32 --vehicles 2"
+    sb3 = "--processes 1 --sb3-steps 4 --sb3-batch 4"
+    run_benchmark("training", f"{ours} {sb3}", tmp_path)
+    written = json.loads((tmp_path / "runs" / "bench" / "training.json").read_text())
+    driver, hmi, both, plain = written["rows"]
+    parts = ("world", "partner", "policy", "record", "learn", "rest")
+    for row in (driver, hmi, both):
+        assert sum(row[part] for part in parts) == pytest.approx(1)
+        assert all(0 <= row[part] < 1 for part in parts)
+    assert driver["partner"] == 0 < hmi["partner"]
+    assert driver["steps"] == hmi["steps"] == 3200  # a whole batch
+    assert plain["steps"] == 4
+    assert plain["ratio"] == 1
+
+
+def run_benchmark(name, arguments, folder):
+    command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *arguments.split()]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+
+
+def test_the_benchmark_of_worlds_is_the_command():
     command = [sys.executable, str(ROOT / "benchmarks" / "worlds.py"), "--rounds", "0"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 2

@@ -73,7 +73,7 @@ def read_policy(path: Path) -> tuple[PolicyCard, dict[str, NDArray[np.float32]]]
         raise ValueError(f"{weights_path} is not the file that {path.name} was written with")
     try:
         weights = load_tensors(content)
-    except SafetensorError as error:
+    except (SafetensorError, KeyError) as error:  # KeyError: of numbers that NumPy does not know
         raise ValueError(f"{weights_path} is no safetensors file: {error}") from None
     try:
         check_weights(card, weights)

@@ -1,0 +1,119 @@
+"""Both agents learn with one policy, by stable-baselines3's PPO: parameter sharing via SuperSuit.
+
+SuperSuit pads both agents' spaces to one size, marks whose turn a row is, and makes a batch of
+several cars' agents, which stable-baselines3 takes for so many cars with one agent each. Both
+agents act at once, so the AI sees what the driver wanted in the last step.
+Needs the interop extra: pip install 'hmi-marl[interop]'
+
+Run: python examples/sb3_parameter_sharing.py --driver homer --steps 40000
+"""
+
+import argparse
+
+import numpy as np
+import supersuit
+from pettingzoo.utils import BaseParallelWrapper
+from stable_baselines3 import PPO
+from stable_baselines3.common.utils import set_random_seed
+
+from hmi_marl import merge_v0
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--driver", default="homer")
+parser.add_argument("--steps", type=int, default=40_000, help="of all cars together")
+parser.add_argument("--cars", type=int, default=8)
+parser.add_argument("--batch", type=int, default=256, help="steps of each car to learn from")
+parser.add_argument("--duration", type=float, default=20.0, help="of an episode [s]")
+parser.add_argument("--episodes", type=int, default=20, help="to evaluate on")
+parser.add_argument("--seed", type=int, default=0)
+args = parser.parse_args()
+
+
+class TellsTruncation(BaseParallelWrapper):
+    """Says which episodes ended by their time alone, where stable-baselines3 looks for it.
+
+    SuperSuit's vector environment gives terminated *or* truncated as done. The value of what
+    follows would then be learnt as 0 at the end of every episode that no crash ended.
+    """
+
+    def step(self, actions):
+        """One step of the team."""
+        observations, rewards, terminated, truncated, infos = super().step(actions)
+        for agent, info in infos.items():
+            info["TimeLimit.truncated"] = truncated[agent] and not terminated[agent]
+        return observations, rewards, terminated, truncated, infos
+
+
+# Each agent is paid for its own: the driver for driving and attention, the AI for its alerts.
+env = merge_v0.parallel_env(
+    driver=args.driver, world="batched", duration=args.duration, reward="individual"
+)
+own_actions = {agent: env.action_space(agent).n for agent in env.possible_agents}  # 5 and 2
+
+# The driver's 52 numbers are followed by zeros up to the AI's 65. One policy acts for both, so
+# it has to know for whom: two more numbers, one of them above 0. (In this order: the indicator
+# wants observations of one size. It is as large as the largest bound of the spaces, 5, and lies
+# outside its own bound, which stable-baselines3 does not check.)
+padded = supersuit.agent_indicator_v0(supersuit.pad_observations_v0(env))
+
+# Both choose from 5 actions. What an agent does not have counts as its action 0, it is not
+# clipped to the last one: 2, 3 and 4 of the AI mean no alert. So a policy that knows nothing yet
+# alerts in one step of five, and nothing tells the four ways of keeping quiet apart.
+learning = supersuit.pad_action_space_v0(TellsTruncation(padded))
+
+
+def unpadded(agent: str, action: int) -> int:
+    """The agent's own action for one from the padded space, as SuperSuit reads it."""
+    return action if action < own_actions[agent] else 0
+
+
+# Rewards of up to 30 a step make values of hundreds; a tenth of them is learnt from.
+learning = supersuit.reward_lambda_v0(learning, lambda reward: 0.1 * reward)
+cars = supersuit.pettingzoo_env_to_vec_env_v1(learning)  # one car, a row for each agent
+cars = supersuit.concat_vec_envs_v1(cars, args.cars, base_class="stable_baselines3")
+
+# This vector environment has no seed(), so neither PPO(seed=...) nor cars.seed() work. Seed
+# torch and NumPy by hand and the cars below the wrapper: car k plays the series of seed + k, and
+# each reset that follows goes on with it.
+set_random_seed(args.seed)
+cars.venv.reset(seed=args.seed)
+model = PPO(
+    "MlpPolicy",
+    cars,
+    n_steps=args.batch,
+    batch_size=2 * args.cars * args.batch // 8,
+    n_epochs=5,
+    learning_rate=1e-3,
+    gamma=0.98,
+    ent_coef=0.01,
+    device="cpu",
+)
+
+
+def act(observation: np.ndarray) -> int:
+    """An action of the shared policy, drawn as in learning, for the agent that sees this."""
+    return int(model.predict(observation)[0])
+
+
+def mean_returns() -> dict[str, float]:
+    """Of each agent, over episodes that nobody learns from, the same ones at each call."""
+    totals = dict.fromkeys(padded.possible_agents, 0.0)
+    for episode in range(args.episodes):
+        observations, _ = padded.reset(seed=10_000 + episode)
+        while padded.agents:
+            actions = {agent: unpadded(agent, act(seen)) for agent, seen in observations.items()}
+            observations, rewards, *_ = padded.step(actions)
+            for agent, reward in rewards.items():
+                totals[agent] += reward / args.episodes
+    return totals
+
+
+before = mean_returns()
+model.learn(2 * args.steps)  # stable-baselines3 counts each agent's step
+after = mean_returns()
+print(f"{args.driver}, mean return over {args.episodes} episodes")
+print(f"{'':<12}{'before':>10}{'after':>10}")
+for agent in padded.possible_agents:
+    print(f"{agent:<12}{before[agent]:>10.1f}{after[agent]:>10.1f}")
+print(f"{'together':<12}{sum(before.values()):>10.1f}{sum(after.values()):>10.1f}")
+cars.close()
