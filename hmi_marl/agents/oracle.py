@@ -14,6 +14,7 @@ successors, and a step of it costs O(N).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -58,8 +59,10 @@ class AlertReturns:
         """Expected number of alerts."""
         return float(self.alert_rate.sum())
 
-    def distraction_return_after(self, steps: ArrayLike) -> NDArray[np.float64]:
-        """Expected sum of R_distraction over the first ``steps`` steps, of any shape.
+    def return_after(
+        self, steps: ArrayLike, terms: Sequence[str] = ATTENTION_TERMS
+    ) -> NDArray[np.float64]:
+        """Expected sum of some reward terms over the first ``steps`` steps, of any shape.
 
         Raises:
             ValueError: not whole numbers from 0 to the horizon.
@@ -68,7 +71,8 @@ class AlertReturns:
         whole = np.issubdtype(count.dtype, np.integer)
         if not whole or np.any((count < 0) | (count > self.horizon)):
             raise ValueError(f"steps are whole numbers from 0 to {self.horizon}, but got {steps!r}")
-        return np.concatenate(([0.0], np.cumsum(self.rewards["distraction"])))[count]
+        by_step = np.sum([self.rewards[term] for term in terms], axis=0)
+        return np.concatenate(([0.0], np.cumsum(by_step)))[count]
 
 
 @dataclass(frozen=True)

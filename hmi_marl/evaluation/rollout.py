@@ -28,6 +28,8 @@ class Episodes:
     """Steps with d = 1."""
     min_time_headway: NDArray[np.float64]
     """[s], inf if nobody was ever ahead."""
+    median_time_headway: NDArray[np.float64]
+    """[s], over the steps in which somebody was ahead; inf if nobody ever was."""
     returns: dict[str, NDArray[np.float64]]
     """Sum of each reward term."""
 
@@ -93,7 +95,8 @@ def play(
     count = len(seeds)
     returns = {name: np.zeros(count) for name in TERMS}
     alerts, distracted = np.zeros((2, count), np.int64)
-    headway = np.full(count, np.inf)
+    headways = np.full((config.horizon, count), np.inf)
+    step = 0
     while not teaming.over.all():
         active = ~teaming.over
         result = turn(teaming, driver, hmi)
@@ -101,13 +104,24 @@ def play(
             returns[name] += values
         alerts += active & (teaming.alerted == 1)
         distracted += active & (teaming.attention.distracted == 1)
-        headway = np.where(active, np.minimum(headway, teaming.time_headway()), headway)
+        headways[step] = np.where(active, teaming.time_headway(), np.inf)
+        step += 1
     return Episodes(
         seeds,
         teaming.steps.copy(),
         teaming.ego.crashed.copy(),
         alerts,
         distracted,
-        headway,
+        headways.min(axis=0),
+        _medians(headways),
         returns,
     )
+
+
+def _medians(headways: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The median over steps of the finite values of each column of (steps, E); inf if none."""
+    ordered = np.sort(headways, axis=0)
+    known = np.isfinite(ordered).sum(axis=0)
+    below, above = np.maximum(known - 1, 0) // 2, known // 2
+    columns = np.arange(ordered.shape[1])
+    return 0.5 * ordered[below, columns] + 0.5 * ordered[above, columns]

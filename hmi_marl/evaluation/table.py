@@ -14,13 +14,16 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hmi_marl.agents import oracle
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.hmis import AttentionRule
-from hmi_marl.envs.config import TeamSettings
-from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
+from hmi_marl.agents.hmis import AttentionRule, OptimalAlert
+from hmi_marl.agents.learned import LearnedPolicy
+from hmi_marl.envs.config import TeamConfig, TeamSettings
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, get_driver
 from hmi_marl.envs.rewards import RewardWeights
+from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
@@ -109,9 +112,12 @@ class Cell:
     min_time_headway: Estimate
     """Shortest of an episode [s]."""
     exact_distraction_return: float | None
-    """The exact expectation over an episode that runs its whole time; None if not known."""
+    """The exact expectation over an episode that runs its whole time; None if not known. For a
+    learned HMI that sees attention it is that of the optimum for the driver it was trained for."""
     exact_distraction_return_same_steps: float | None
     """The same, over as many steps as the episodes really had."""
+    optimal_attention_return_same_steps: float
+    """Attention return of the exact optimum for this driver, attention seen, over as many steps."""
     optimal_distraction_return: float
     """Of the exact alert optimum for this driver, attention seen."""
     reachable_distraction_return: oracle.Reachable
@@ -138,12 +144,13 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
     """Sum up the episodes of one cell, beside what is known exactly."""
     team = config.team(driver)
     settings = (get_driver(driver), team.alert_window, team.horizon, RewardWeights())
-    policy = make_hmi(hmi, team)
+    best = oracle.solve_alerts(*settings)
     exact = same_steps = None
-    if isinstance(policy, AttentionRule):
-        returns = oracle.evaluate(policy.alert_probability(), *settings)
+    rule = known_rule(make_hmi(hmi, team), team)
+    if rule is not None:
+        returns = oracle.evaluate(rule, *settings)
         exact = returns.distraction_return
-        same_steps = float(returns.distraction_return_after(episodes.length).mean())
+        same_steps = float(returns.return_after(episodes.length, ["distraction"]).mean())
     minutes = episodes.length / team.scene.policy_frequency / 60
     return Cell(
         driver=driver,
@@ -158,8 +165,29 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
         min_time_headway=statistics.mean(episodes.min_time_headway, lowest=0.0),
         exact_distraction_return=exact,
         exact_distraction_return_same_steps=same_steps,
-        optimal_distraction_return=oracle.solve_alerts(*settings).distraction_return,
+        optimal_attention_return_same_steps=float(best.return_after(episodes.length).mean()),
+        optimal_distraction_return=best.distraction_return,
         reachable_distraction_return=oracle.reachable(*settings),
+    )
+
+
+def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
+    """The alert rule over (t, d, i, c) that an HMI follows, or was trained to follow, if known.
+
+    A learned HMI that sees attention should have become the optimum for the driver that it was
+    trained for, or, trained for several, for the one at the wheel.
+    """
+    if isinstance(hmi, AttentionRule):
+        return hmi.alert_probability()
+    if not isinstance(hmi, LearnedPolicy) or "distracted" not in dict(hmi.card.reads):
+        return None
+    trained_for = hmi.card.training.get("team", {}).get("driver", {}).get("drivers", [])
+    if len(trained_for) == 1:
+        return OptimalAlert(Driver(**trained_for[0]), team).alert_probability()
+    return (
+        None
+        if team.only_driver is None
+        else OptimalAlert(team.only_driver, team).alert_probability()
     )
 
 

@@ -67,7 +67,7 @@ class Checkpoint:
                 flat = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except (SafetensorError, json.JSONDecodeError) as error:
             raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
-        if header.pop("format", None) != FORMAT:
+        if not isinstance(header, dict) or header.pop("format", None) != FORMAT:
             raise ValueError(f"{path} is not a checkpoint that can be read here")
         tensors: dict[str, dict[str, torch.Tensor]] = {}
         for full_name, tensor in flat.items():

@@ -56,6 +56,7 @@ def train(
     context: Context | None = None,
     quiet: bool = False,
     typed: str = "",
+    line: int = 0,
 ) -> None:
     """Learn what ``settings`` say in ``folder``, going on where a run there was cut off.
 
@@ -66,6 +67,7 @@ def train(
             instead of the traits. (The driver knows their own traits.)
         quiet: no progress bar and no TensorBoard.
         typed: the command, kept with the policies.
+        line: of the terminal for the progress bar, where several runs go on side by side.
 
     Raises:
         ValueError: the folder holds a run with other settings, or the vehicle AI is to learn from
@@ -74,7 +76,8 @@ def train(
     with joined() as processes, torch.random.fork_rng():
         if processes.is_first:
             make_folder(folder)
-        _Run(settings, folder, processes, context, quiet or not processes.is_first, typed).go()
+        quiet = quiet or not processes.is_first
+        _Run(settings, folder, processes, context, quiet, typed).go(line)
 
 
 class _Run:
@@ -106,13 +109,13 @@ class _Run:
         self._state = Checkpoint()
         self._saved_at = time.monotonic()
 
-    def go(self) -> None:
+    def go(self, line: int) -> None:
         self._claim_folder()
         phases, state = self._phases, self._state
         total = sum(self._steps(phase) * self._iterations(phase) for phase in phases)
         name = self._folder.name
         board = self._folder / "tensorboard"
-        with Telling(board, name, total, state.steps, self._quiet) as telling:
+        with Telling(board, name, total, state.steps, self._quiet, line) as telling:
             while state.phase < len(phases):
                 phase = phases[state.phase]
                 telling.phase(f"{name}: {phase.name}")

@@ -21,9 +21,12 @@ class Telling:
         total: environment steps of the whole run.
         done: steps taken before; what TensorBoard's files say of later ones is dropped.
         quiet: tell nothing.
+        line: of the terminal, counted from this one, for the bar.
     """
 
-    def __init__(self, folder: Path, name: str, total: int, done: int, quiet: bool) -> None:
+    def __init__(
+        self, folder: Path, name: str, total: int, done: int, quiet: bool, line: int = 0
+    ) -> None:
         self._writer = None
         self._bar = tqdm(
             total=total,
@@ -32,6 +35,7 @@ class Telling:
             unit=" steps",
             unit_scale=True,
             disable=quiet,
+            position=line,
             smoothing=0.05,
         )
         if not quiet:

@@ -87,10 +87,13 @@ def test_never_alerting_by_hand():
     assert returns.alerts == 0
     # R_alert: +10 in the first step for sure, then whenever the last d was 0.
     assert returns.total_return == pytest.approx(-100 + 10 + 49 * 0.8 * 10)
-    assert returns.distraction_return_after([0, 1, 50]).tolist() == pytest.approx([0, -2, -100])
+    after = returns.return_after([0, 1, 50], ["distraction"])
+    assert after.tolist() == pytest.approx([0, -2, -100])
+    assert returns.return_after(1) == pytest.approx(-2 + 10)
+    assert returns.return_after(50) == pytest.approx(returns.total_return)
     for steps in (-1, 51, [3, 60], 2.5):
         with pytest.raises(ValueError, match="whole numbers from 0 to 50"):
-            returns.distraction_return_after(steps)
+            returns.return_after(steps)
 
 
 def test_values_and_flow_are_those_of_the_transition_matrix():

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -10,9 +8,7 @@ from hmi_marl.agents import oracle
 from hmi_marl.agents.learned import LearnedPolicy, PolicyCard, make_card
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.envs.attention import successors
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import get_driver
 from hmi_marl.envs.streams import uniform
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
@@ -245,13 +241,15 @@ def test_two_that_learn_at_once_see_and_get_what_their_seats_do(turns):
 
 
 class Everything:
-    """A view that shows the actor and the critic the same."""
+    """A view that shows the critic the state, and the actor too, once for each seat."""
+
+    def __init__(self, seats):
+        self.seats = seats
 
     def __call__(self, observations):
-        return TensorDict(
-            {"actor": observations["state"], "critic": observations["state"]},
-            batch_size=observations.batch_size,
-        )
+        state = observations["state"]
+        groups = {"actor": torch.cat([state] * self.seats, dim=-1), "critic": state}
+        return TensorDict(groups, batch_size=observations.batch_size)
 
 
 def state_of(index, sizes):
@@ -267,7 +265,7 @@ def bandit(actor, columns, worth, iterations=60, teams=64, steps=4):
     learner = PPOLearner(
         actor,
         make_critic(states, TINY),
-        Everything(),
+        Everything(columns),
         state_of(torch.zeros(teams, dtype=torch.long), states),
         steps,
         columns,
@@ -303,8 +301,8 @@ def test_one_head_learns_the_best_action_of_every_state():
 def test_the_composite_head_learns_an_alert_for_every_intent():
     # Which alert is right depends on the intent, and the intent's worth on the alert being right.
     torch.manual_seed(0)
-    driver = PolicyCard("driver", (("speed", 2),), TINY)
-    vehicle_ai = PolicyCard("vehicle_ai", (("speed", 3),), TINY, by_intent=True)
+    driver = PolicyCard("driver", (("speed", 5),), TINY)
+    vehicle_ai = PolicyCard("vehicle_ai", (("speed", 5),), TINY, by_intent=True)
     best = torch.tensor([4, 3, 2, 1, 0])
 
     def worth(state, actions):
@@ -312,21 +310,7 @@ def test_the_composite_head_learns_an_alert_for_every_intent():
         right = (alert == intent % 2).float()
         return right + right * (intent == best[state]).float()
 
-    actor = make_joint_actor(driver, vehicle_ai)
-
-    class Shared(torch.nn.Module):
-        """Both seats see the whole state."""
-
-        def __init__(self, seats):
-            super().__init__()
-            self.seats = seats
-
-        def forward(self, x):
-            return self.seats(torch.cat([x, x], dim=-1))
-
-    both = [replace(card, reads=(("speed", 5),)) for card in (driver, vehicle_ai)]
-    actor.mlp = Shared(make_joint_actor(*both).mlp)
-    learnt = bandit(actor, 2, worth, iterations=100)
+    learnt = bandit(make_joint_actor(driver, vehicle_ai), 2, worth, iterations=100)
     assert learnt == [[4, 0], [3, 1], [2, 0], [1, 1], [0, 0]]
 
 
