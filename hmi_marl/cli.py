@@ -14,6 +14,7 @@ import hmi_marl
 from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES
 from hmi_marl.commands.bench import Bench
 from hmi_marl.commands.oracle import Oracle
+from hmi_marl.commands.reproduce import Reproduce
 from hmi_marl.commands.table import Table
 from hmi_marl.commands.train import Train
 from hmi_marl.commands.watch import Watch
@@ -28,6 +29,7 @@ ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, Type
 Command = (
     Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Oracle, tyro.conf.subcommand("oracle")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Table, tyro.conf.subcommand("table")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Watch, tyro.conf.subcommand("watch")]

@@ -11,14 +11,9 @@ from typing import Any
 
 from hmi_marl.agents import oracle
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
+from hmi_marl.evaluation.paper import DISTRACTION_RETURNS
 
 HORIZONS = range(94, 101)
-PAPER_DISTRACTION_RETURNS = {
-    "own": {"lisa": -85.0, "marge": -80.0, "bart": -123.0, "homer": -117.0},
-    "AvgHMI": {"lisa": -181.0, "marge": -45.0, "bart": -744.0, "homer": -162.0},
-    "NoHMI": {"lisa": -192.0, "marge": -176.0, "bart": -745.0, "homer": -770.0},
-}
-"""The right half of the paper's metrics table."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +48,7 @@ def audit(window: int = oracle.DEFAULT_WINDOW) -> list[AuditedCell]:
             optimum=optimum,
             optimum_if_eta_1=optimum_if_eta_1,
         )
-        for hmi, row in PAPER_DISTRACTION_RETURNS.items()
+        for hmi, row in DISTRACTION_RETURNS.items()
         for name, ((least, most), optimum, optimum_if_eta_1) in exact.items()
     ]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import math
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from typing import Any
 
 import hmi_marl
 from hmi_marl.evaluation.figures import table_figure
+from hmi_marl.evaluation.page import html_table, image, page, text_table
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.table import Cell, TableConfig
 from hmi_marl.files import write_bytes, write_json, write_text
@@ -66,13 +66,8 @@ def as_text(config: TableConfig, cells: list[Cell]) -> str:
     """A block for each metric, HMIs in rows and drivers in columns."""
     blocks = []
     for metric, title, form in METRICS:
-        rows = [["", *config.drivers], *_rows(config, cells, metric, form)]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-        lines = (
-            "  ".join(entry.ljust(width) for entry, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        )
-        blocks.append("\n".join([title, *(f"  {line}" for line in lines)]))
+        rows = text_table(["", *config.drivers], _rows(config, cells, metric, form))
+        blocks.append(f"{title}\n{rows}")
     return "\n\n".join(blocks)
 
 
@@ -123,49 +118,15 @@ def as_html(
         command: that makes the page again.
     """
     tables = "".join(
-        f"<h2>{escape(title)}</h2>{_html_table(config, _rows(config, cells, metric, form))}"
+        f"<h2>{escape(title)}</h2>"
+        + html_table(["", *config.drivers], _rows(config, cells, metric, form))
         for metric, title, form in METRICS
     )
-    moving = (
-        f'<h2>One episode</h2><img alt="clip of one episode" src="{_data("gif", clip)}">'
-        if clip
-        else ""
-    )
-    settings = ", ".join(f"{name} = {value}" for name, value in asdict(config).items())
-    return f"""<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>hmi-marl: HMIs and drivers</title>
-<style>
- body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto;
-        padding: 0 1rem; color: #222; }}
- table {{ border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }}
- th, td {{ padding: .35rem .6rem; border-bottom: 1px solid #ddd; text-align: left; }}
- img {{ max-width: 100%; }} h2 {{ font-size: 1.1rem; margin-top: 2rem; }}
- code, .small {{ font-size: .85rem; color: #555; }}
-</style>
-<h1>HMIs and drivers</h1>
-<p>{len(cells)} cells of {config.episodes} episodes each. {escape(NOTE)}</p>
-<img alt="bars of each metric by driver and HMI" src="{_data("png", figure)}">
-{moving}{tables}
-<p class="small">Made by hmi-marl {hmi_marl.__version__}: <code>{escape(command)}</code><br>
-{escape(settings)}</p>
-</html>
-"""
-
-
-def _html_table(config: TableConfig, rows: list[list[str]]) -> str:
-    head = "".join(f"<th>{escape(driver)}</th>" for driver in config.drivers)
-    body = "".join(
-        "<tr>"
-        + f"<th>{escape(row[0])}</th>"
-        + "".join(f"<td>{escape(e)}</td>" for e in row[1:])
-        + "</tr>"
-        for row in rows
-    )
-    return f"<table><tr><th></th>{head}</tr>{body}</table>"
-
-
-def _data(kind: str, content: bytes) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
+    moving = f"<h2>One episode</h2>{image('gif', clip, 'clip of one episode')}" if clip else ""
+    body = f"""<p>{len(cells)} cells of {config.episodes} episodes each. {escape(NOTE)}</p>
+{image("png", figure, "bars of each metric by driver and HMI")}
+{moving}{tables}"""
+    return page("HMIs and drivers", body, command, asdict(config))
 
 
 def write_report(

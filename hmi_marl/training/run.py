@@ -2,7 +2,8 @@
 
 A run's folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``,
 ``curve.json`` (a row for each batch), ``tensorboard/``, and the policies it has learnt,
-``driver.json`` and ``vehicle_ai.json`` with their weights.
+``driver.json`` and ``vehicle_ai.json`` with their weights; on request also ``snapshots/STEPS/``,
+the same as they stood after so many environment steps.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ class _Run:
                 phase = phases[state.phase]
                 telling.phase(f"{name}: {phase.name}")
                 self._learn(phase, telling)
-                self._save_policies(phase)
+                self._save_policies(phase, self._folder)
                 state.phase, state.iteration = state.phase + 1, 0
                 self._save()
 
@@ -145,8 +146,6 @@ class _Run:
 
     def _learn(self, phase: Phase, telling: Telling) -> None:
         state, iterations = self._state, self._iterations(phase)
-        if state.iteration == iterations:
-            return
         env = self._make_env(phase)
         learner = self._make_learner(phase, env)
         start, end = phase.progress
@@ -167,6 +166,9 @@ class _Run:
             row["seconds"] = state.seconds
             state.curve.append({"phase": phase.name, "steps": state.steps} | row)
             telling.batch(row, state.steps, self._steps(phase))
+            every = max(1, iterations // (self._settings.snapshots or iterations))
+            if self._settings.snapshots and state.iteration % every == 0:
+                self._save_policies(phase, self._folder / "snapshots" / str(state.steps))
             if now - self._saved_at > self._settings.checkpoint_every:
                 self._save()
 
@@ -233,8 +235,8 @@ class _Run:
     def _draw(self, stream: Stream, counter: int) -> int:
         return int(mix(self._settings.seed, stream, counter))
 
-    def _save_policies(self, phase: Phase) -> None:
-        """Write the policies that this phase learnt."""
+    def _save_policies(self, phase: Phase, folder: Path) -> None:
+        """Write the policies that learn in this phase."""
         if not self._processes.is_first:
             self._processes.wait()
             return
@@ -244,7 +246,7 @@ class _Run:
             "command": self._typed,
         }
         for card, weights in self._learnt(phase):
-            save_policy(self._folder, replace(card, training=training), weights)
+            save_policy(folder, replace(card, training=training), weights)
         self._processes.wait()
 
     def _learnt(self, phase: Phase) -> Iterable[tuple[PolicyCard, Weights]]:

@@ -99,6 +99,8 @@ class TrainSettings(TeamSettings):
     """Of the learner: cpu, cuda, or auto, a GPU if there is one. The world stays on the CPU."""
     threads: int | None = None
     """That the world shares its teams among; all cores by default. Does not change results."""
+    snapshots: int = 0
+    """How many times in each phase to keep the policies as they stand, in snapshots/STEPS."""
     checkpoint_every: float = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
@@ -106,6 +108,8 @@ class TrainSettings(TeamSettings):
         object.__setattr__(self, "seed", check_seed(self.seed))
         if self.teams < 1:
             raise ValueError(f"there is at least one team, but got teams = {self.teams}")
+        if self.snapshots < 0:
+            raise ValueError(f"snapshots is a number of times, but got {self.snapshots}")
         if self.checkpoint_every < 0:
             raise ValueError(f"checkpoint_every is a time [s], but got {self.checkpoint_every}")
         if self.network.memory:

@@ -25,7 +25,7 @@ class TwoStage(TrainSettings):
     driver_steps: int = 12_000_000
     """Environment steps of the first stage."""
     hmi_steps: int = 2_000_000
-    """Environment steps of the second stage."""
+    """Environment steps of the second stage; 0 for the driver alone."""
     driver_policy: str | None = None
     """Skip the first stage: a trained run whose driver to take, or rule or random."""
     driver_reward: Sharing = "driving"
@@ -36,7 +36,8 @@ class TwoStage(TrainSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_steps("driver_steps", self.driver_steps)
-        check_steps("hmi_steps", self.hmi_steps)
+        if self.hmi_steps != 0 or self.driver_policy is not None:
+            check_steps("hmi_steps", self.hmi_steps)
         self.team(self._assisted)
 
     @property
@@ -53,4 +54,5 @@ class TwoStage(TrainSettings):
         if self.driver_policy is not None:
             return (second,)
         driver = (self.card(DRIVER, driving),)
-        return Phase("driver", DRIVER, driving, self.driver_steps, "never", driver), second
+        first = Phase("driver", DRIVER, driving, self.driver_steps, "never", driver)
+        return (first, second) if self.hmi_steps else (first,)

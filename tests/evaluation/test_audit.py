@@ -8,7 +8,7 @@ import pytest
 from hmi_marl.agents import oracle
 from hmi_marl.evaluation.audit import (
     HORIZONS,
-    PAPER_DISTRACTION_RETURNS,
+    DISTRACTION_RETURNS,
     AuditedCell,
     audit,
     audit_json,
@@ -64,7 +64,7 @@ def test_the_other_rows_are_reachable(cells: Cells, hmi: str, driver: str) -> No
 
 def test_too_bad_is_as_far_out_of_reach_as_too_good(monkeypatch: pytest.MonkeyPatch) -> None:
     printed = {"lisa": -201.0, "marge": -199.0, "bart": -742.0, "homer": -801.0}
-    monkeypatch.setattr("hmi_marl.evaluation.audit.PAPER_DISTRACTION_RETURNS", {"new": printed})
+    monkeypatch.setattr("hmi_marl.evaluation.audit.DISTRACTION_RETURNS", {"new": printed})
     verdicts = {cell.driver: cell.reachable for cell in audit()}
     assert verdicts == {"lisa": False, "marge": True, "bart": False, "homer": False}
 
@@ -106,14 +106,14 @@ def test_the_ranges_are_over_all_horizons(cells: Cells) -> None:
 
 
 def test_a_row_does_not_change_what_is_exact(cells: Cells) -> None:
-    for driver in PAPER_DISTRACTION_RETURNS["own"]:
+    for driver in DISTRACTION_RETURNS["own"]:
         own, none = cells["own", driver], cells["NoHMI", driver]
         assert (own.least, own.most, own.optimum) == (none.least, none.most, none.optimum)
 
 
 def test_the_window_matters_to_the_audit(cells: Cells, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = {"own": PAPER_DISTRACTION_RETURNS["own"]}
-    monkeypatch.setattr("hmi_marl.evaluation.audit.PAPER_DISTRACTION_RETURNS", own)
+    own = {"own": DISTRACTION_RETURNS["own"]}
+    monkeypatch.setattr("hmi_marl.evaluation.audit.DISTRACTION_RETURNS", own)
     homer = audit(window=1)[3]
     best = oracle.solve_alerts("homer", window=1, horizon=94).distraction_return
     assert homer.optimum[1] == best < cells["own", "homer"].optimum[1]

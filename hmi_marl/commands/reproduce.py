@@ -1,0 +1,177 @@
+"""``hmi-marl reproduce``."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tqdm import tqdm
+
+from hmi_marl.commands.train import use_quiet_threads
+from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.evaluation import attentive, hidden, reproduction, reproduction_report
+from hmi_marl.evaluation.hidden import HiddenSettings
+from hmi_marl.evaluation.reproduction import VARIANTS, ReproductionSettings
+from hmi_marl.evaluation.table import check_workers
+from hmi_marl.files import make_folder, write_json, write_text
+from hmi_marl.training.jobs import Job, train_all
+from hmi_marl.training.two_stage import TwoStage
+
+QUICK = {"driver_steps": 1_000_000, "hmi_steps": 300_000, "episodes": 400}
+
+
+@dataclass(frozen=True)
+class ReproduceTable:
+    """The paper's table of HMIs and drivers, every policy in it learnt.
+
+    Goes on by itself where it was cut off.
+
+    Example: hmi-marl reproduce table --quick
+    """
+
+    size: tyro.conf.OmitArgPrefixes[ReproductionSettings] = field(
+        default_factory=ReproductionSettings
+    )
+    """How large."""
+    quick: bool = False
+    """A coarse one in a few minutes instead."""
+    workers: int | None = None
+    """Trainings and evaluations at a time; all cores by default. Does not change results."""
+    out: Path | None = None
+    """Folder; by default runs/reproduce/table, with --quick runs/reproduce/table-quick."""
+
+    def run(self, typed: str) -> None:
+        """Learn what is not learnt yet, play, write and print."""
+        use_quiet_threads()
+        size = ReproductionSettings(**QUICK, seed=self.size.seed) if self.quick else self.size
+        out = self.out or Path("runs/reproduce") / ("table-quick" if self.quick else "table")
+        workers = check_workers(self.workers)
+        make_folder(out)
+        began = time.monotonic()
+        first, others = size.driver_job(out), size.hmi_jobs(out)
+        train_all([first], 1, typed)
+        train_all(others, workers, typed)
+        trained = time.monotonic()
+        cells = sum(6 * len(variant.drivers) for variant in VARIANTS)
+        with tqdm(total=cells * size.episodes, unit=" episodes", desc="playing") as bar:
+            tables = [
+                reproduction.play_table(variant, size, out, workers, bar.update)
+                for variant in VARIANTS
+            ]
+        seconds = {
+            f"training {name}": spent
+            for name, spent in reproduction.seconds_of(out, [first, *others]).items()
+        }
+        seconds["all training of this call, side by side"] = trained - began
+        seconds["playing"] = time.monotonic() - trained
+        text = reproduction_report.as_text(tables, seconds)
+        write_text(out / "table.txt", text + "\n")
+        content = reproduction_report.as_json(tables, seconds)
+        write_json(out / "table.json", content | {"command": typed, "settings": vars(size)})
+        page = out / "index.html"
+        write_text(page, reproduction_report.as_html(tables, seconds, typed, vars(size)))
+        print(text)
+        print(f"\nthe page: {page.resolve().as_uri()}")
+
+
+@dataclass(frozen=True)
+class ReproduceDriver:
+    """How drivers without distraction learn to drive: speed, crashes and headway by steps.
+
+    Example: hmi-marl reproduce driver --steps 12_000_000
+    """
+
+    steps: int = 12_000_000
+    """Environment steps to learn from."""
+    snapshots: int = 6
+    """At how many points on the way to look."""
+    episodes: int = 2000
+    """Episodes of each driver at each point."""
+    seed: int = 0
+    """Of the training."""
+    out: Path = Path("runs/reproduce/driver")
+    """Folder."""
+
+    def run(self, typed: str) -> None:
+        """Learn, play, write and print."""
+        use_quiet_threads()
+        drivers = attentive.CONFIDENT, attentive.CAUTIOUS
+        settings = TwoStage(
+            drivers=tuple(reproduction.spec(driver) for driver in drivers),
+            driver_steps=self.steps,
+            hmi_steps=0,
+            seed=self.seed,
+            snapshots=self.snapshots,
+        )
+        make_folder(self.out)
+        train_all([Job(settings, self.out)], 1, typed)
+        points = sorted((int(path.name), path) for path in (self.out / "snapshots").iterdir())
+        rows = [
+            attentive.assess(path, steps, driver, self.episodes, reproduction.EVALUATION_SEED)
+            for steps, path in tqdm(points, desc="playing")
+            for driver in drivers
+        ]
+        verdicts = attentive.verdicts(*rows[-2:])
+        write_json(
+            self.out / "driver.table.json",
+            {"rows": [asdict(row) for row in rows], "verdicts": verdicts, "command": typed},
+        )
+        print(attentive.as_text(rows, verdicts))
+
+
+@dataclass(frozen=True)
+class ReproduceHidden:
+    """HMIs that do not see attention: learned ones beside Bayes filters, driver by driver.
+
+    Example: hmi-marl reproduce hidden --driver-run runs/reproduce/table/driver
+    """
+
+    size: tyro.conf.OmitArgPrefixes[HiddenSettings] = field(default_factory=HiddenSettings)
+    """How large."""
+    driver_run: Path | None = None
+    """A trained run whose driver to take; without it one is trained here."""
+    workers: int | None = None
+    """Trainings at a time; all cores by default. Does not change results."""
+    out: Path = Path("runs/reproduce/hidden")
+    """Folder."""
+
+    def run(self, typed: str) -> None:
+        """Learn what is not learnt yet, play, write and print."""
+        use_quiet_threads()
+        workers = check_workers(self.workers)
+        make_folder(self.out)
+        driver_run = self.driver_run
+        if driver_run is None:
+            job = self.size.driver_job(self.out)
+            driver_run = job.folder
+            train_all([job], 1, typed)
+        train_all(self.size.hmi_jobs(self.out, driver_run), workers, typed)
+        with tqdm(total=len(PAPER_DRIVERS), unit=" drivers", desc="playing") as bar:
+            rows = hidden.compare_hidden(self.size, self.out, driver_run, lambda name: bar.update())
+        write_json(
+            self.out / "hidden.json",
+            {"rows": [asdict(row) for row in rows], "command": typed, "settings": vars(self.size)},
+        )
+        print(hidden.as_text(rows))
+
+
+What = (
+    Annotated[ReproduceTable, tyro.conf.subcommand("table")]
+    | Annotated[ReproduceDriver, tyro.conf.subcommand("driver")]
+    | Annotated[ReproduceHidden, tyro.conf.subcommand("hidden")]
+)
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Make what the paper shows again, with the exact values and a verdict beside each number."""
+
+    what: Annotated[tyro.conf.OmitSubcommandPrefixes[What], tyro.conf.arg(prefix_name=False)]
+    """Which part of it."""
+
+    def run(self, typed: str) -> None:
+        """Make it."""
+        self.what.run(typed)

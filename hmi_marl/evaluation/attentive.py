@@ -1,0 +1,95 @@
+"""How drivers without distraction drive, and how that changes as they learn.
+
+The cautious one perceives other vehicles nine times their size, the confident one three times;
+one policy is learnt for both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Driver
+from hmi_marl.evaluation import statistics
+from hmi_marl.evaluation.page import text_table
+from hmi_marl.evaluation.rollout import play
+from hmi_marl.evaluation.statistics import Estimate
+
+CONFIDENT = Driver("confident", beta=0.0, alpha=1.0, eta=0.0, inflation=3.0)
+CAUTIOUS = Driver("cautious", beta=0.0, alpha=1.0, eta=0.0, inflation=9.0)
+LEAST_SPEED_RETURN = {CONFIDENT.name: 460.0, CAUTIOUS.name: 405.0}
+MOST_CRASHES = 0.04
+"""Of the confident driver, as a share of episodes."""
+LEAST_HEADWAY_RATIO = 1.2
+"""Of the cautious driver's median time headway to the confident one's."""
+
+
+@dataclass(frozen=True)
+class Driving:
+    """How one driver drives."""
+
+    driver: str
+    steps: int
+    """Environment steps learnt from."""
+    speed_return: Estimate
+    """Per episode; an episode that crashes earns no more."""
+    crash_rate: Estimate
+    time_headway: float
+    """Median over episodes of each episode's median while somebody is ahead [s]."""
+
+
+def assess(policy: Path, steps: int, driver: Driver, episodes: int, seed: int) -> Driving:
+    """Let a driver drive with a learned policy, without alerts."""
+    team = TeamConfig(driver=driver)
+    seats = make_driver_policy(str(policy), team), make_hmi("never", team)
+    seeds = np.arange(seed, seed + episodes, dtype=np.uint64)
+    played = play(team, *seats, seeds, world="batched")
+    headways = played.median_time_headway
+    return Driving(
+        driver=driver.name,
+        steps=steps,
+        speed_return=statistics.mean(played.returns["speed_reward"]),
+        crash_rate=statistics.share(int(played.crashed.sum()), episodes),
+        time_headway=float(np.median(headways[np.isfinite(headways)])),
+    )
+
+
+def verdicts(confident: Driving, cautious: Driving) -> dict[str, bool]:
+    """What is asked of trained drivers, and whether it holds."""
+    ratio = cautious.time_headway / confident.time_headway
+    return {
+        f"confident: speed return of at least {LEAST_SPEED_RETURN['confident']:.0f}": (
+            confident.speed_return.mean >= LEAST_SPEED_RETURN["confident"]
+        ),
+        f"confident: crashes under {100 * MOST_CRASHES:.0f} %": (
+            confident.crash_rate.mean < MOST_CRASHES
+        ),
+        f"cautious: speed return of at least {LEAST_SPEED_RETURN['cautious']:.0f}": (
+            cautious.speed_return.mean >= LEAST_SPEED_RETURN["cautious"]
+        ),
+        f"cautious keep {LEAST_HEADWAY_RATIO} times the headway ({ratio:.2f})": (
+            ratio >= LEAST_HEADWAY_RATIO
+        ),
+    }
+
+
+def as_text(rows: list[Driving], verdicts: dict[str, bool]) -> str:
+    """For a terminal: a line for each driver at each point, and the verdicts at the last."""
+    lines = [
+        [
+            f"{row.steps / 1e6:.2f}",
+            row.driver,
+            f"{row.speed_return.mean:.1f} [{row.speed_return.low:.1f}, {row.speed_return.high:.1f}]",
+            f"{100 * row.crash_rate.mean:.1f} % [{100 * row.crash_rate.low:.1f}, "
+            f"{100 * row.crash_rate.high:.1f}]",
+            f"{row.time_headway:.2f}",
+        ]
+        for row in rows
+    ]
+    head = ["million steps", "driver", "speed return", "crashes", "median time headway [s]"]
+    told = [f"{'holds ' if holds else 'MISSED'}  {claim}" for claim, holds in verdicts.items()]
+    return "\n".join([text_table(head, lines, indent=""), "", *told])

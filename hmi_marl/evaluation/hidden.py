@@ -1,0 +1,193 @@
+"""HMIs that do not see attention: learned ones beside Bayes filters, for each driver.
+
+Here knowing the driver can be worth something. Every HMI plays the same episodes with the same
+driver, so that differences between them are paired.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.belief import solve_belief
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
+from hmi_marl.evaluation import statistics
+from hmi_marl.evaluation.page import text_table
+from hmi_marl.evaluation.rollout import begin, play
+from hmi_marl.evaluation.statistics import Estimate
+from hmi_marl.training.jobs import Job
+from hmi_marl.training.settings import check_steps
+from hmi_marl.training.two_stage import TwoStage
+
+DRIVER_RUN = "driver"
+MODELS = (*PAPER_DRIVERS, "average")
+LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
+    "learned, own",
+    "learned, AvgHMI",
+    "Bayes, own",
+    "Bayes, AvgHMI",
+    "NoHMI",
+)
+
+
+@dataclass(frozen=True)
+class HiddenSettings:
+    """How large the comparison is.
+
+    Raises:
+        ValueError: no steps or no episodes.
+    """
+
+    driver_steps: int = 12_000_000
+    """Environment steps in which the driver learns, unless one is given."""
+    hmi_steps: int = 4_000_000
+    """Environment steps in which each HMI learns."""
+    memory: int = 32
+    """Units of the HMIs' recurrent layer."""
+    episodes: int = 2000
+    """Episodes of each driver with each HMI."""
+    seed: int = 0
+    """Of all training."""
+
+    def __post_init__(self) -> None:
+        for name in ("driver_steps", "hmi_steps", "memory", "episodes"):
+            check_steps(name, getattr(self, name))
+
+    def driver_job(self, folder: Path) -> Job:
+        """One driver policy over the four drivers and the average one."""
+        settings = TwoStage(
+            drivers=MODELS, driver_steps=self.driver_steps, hmi_steps=0, seed=self.seed
+        )
+        return Job(settings, folder / DRIVER_RUN)
+
+    def hmi_jobs(self, folder: Path, driver_run: Path) -> list[Job]:
+        """An HMI with a memory for each driver model."""
+        return [
+            Job(
+                TwoStage(
+                    hmi_for=model,
+                    driver_policy=str(driver_run),
+                    hmi_steps=self.hmi_steps,
+                    ai_sees_attention=False,
+                    memory=self.memory,
+                    seed=self.seed,
+                ),
+                folder / f"hmi-{model}",
+            )
+            for model in MODELS
+        ]
+
+
+@dataclass(frozen=True)
+class HiddenRow:
+    """One driver with every HMI: attention returns over the same episodes."""
+
+    driver: str
+    revealing: float
+    """Share of steps, after the first, in which a^H differs from the last applied action."""
+    attention_return: dict[str, Estimate]
+    """By HMI."""
+    learned_minus_bayes: Estimate
+    """Own HMIs, paired by episode."""
+    own_minus_average: Estimate
+    """Learned HMIs, paired by episode: what knowing the driver is worth."""
+    exact_own: float
+    """Expectation of the rule that is optimal on the belief, if steps reveal d independently with
+    that probability and the episode runs its whole time."""
+
+
+def revealing_share(team: TeamConfig, driver_run: Path, seeds: NDArray[np.uint64]) -> float:
+    """How often what a learned driver does shows whether they are distracted."""
+    driver, hmi = make_driver_policy(str(driver_run), team), make_hmi("belief", team)
+    teaming = begin(team, driver, hmi, seeds, "batched")
+    shown = steps = 0
+    while not teaming.over.all():
+        before = teaming.applied
+        teaming.intend(driver.act(teaming.observe(DRIVER)))
+        counts = ~teaming.over & (teaming.steps > 0)
+        shown += int((counts & (teaming.intended != before)).sum())
+        steps += int(counts.sum())
+        teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
+    return shown / steps
+
+
+def compare_hidden(
+    settings: HiddenSettings,
+    folder: Path,
+    driver_run: Path,
+    progress: Callable[[str], object],
+) -> list[HiddenRow]:
+    """Play every driver with every HMI; ``progress`` is told each driver's name when done."""
+    seeds = np.arange(10**9, 10**9 + settings.episodes, dtype=np.uint64)
+    rows = []
+    for name in PAPER_DRIVERS:
+        team = TeamConfig(driver=name, ai_sees_attention=False)
+        share = revealing_share(team, driver_run, seeds[:500] + np.uint64(10**6))
+        hmis = {
+            LEARNED_OWN: str(folder / f"hmi-{name}"),
+            LEARNED_AVERAGE: str(folder / "hmi-average"),
+            BAYES_OWN: f"belief:{name}:{share}",
+            BAYES_AVERAGE: f"belief:average:{share}",
+            NONE: "never",
+        }
+        returns = {}
+        for label, hmi in hmis.items():
+            seats = make_driver_policy(str(driver_run), team), make_hmi(hmi, team)
+            returns[label] = play(team, *seats, seeds, world="batched").attention_return()
+        exact = solve_belief(DRIVERS[name], team.alert_window, team.horizon, team.weights, share)
+        rows.append(
+            HiddenRow(
+                driver=name,
+                revealing=share,
+                attention_return={k: statistics.mean(values) for k, values in returns.items()},
+                learned_minus_bayes=statistics.mean(returns[LEARNED_OWN] - returns[BAYES_OWN]),
+                own_minus_average=statistics.mean(returns[LEARNED_OWN] - returns[LEARNED_AVERAGE]),
+                exact_own=exact.total_return,
+            )
+        )
+        progress(name)
+    return rows
+
+
+def as_text(rows: list[HiddenRow]) -> str:
+    """For a terminal."""
+    hmis = list(rows[0].attention_return)
+    returns = [
+        [row.driver, f"{100 * row.revealing:.1f} %", f"{row.exact_own:.1f}"]
+        + [f"{e.mean:.1f} [{e.low:.1f}, {e.high:.1f}]" for e in row.attention_return.values()]
+        for row in rows
+    ]
+    differences = [
+        [
+            row.driver,
+            *(
+                f"{e.mean:+.1f} [{e.low:+.1f}, {e.high:+.1f}]"
+                for e in (row.learned_minus_bayes, row.own_minus_average)
+            ),
+            "as good as Bayes" if as_good(row) else "MISSED",
+        ]
+        for row in rows
+    ]
+    return "\n".join(
+        [
+            "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if steps",
+            "reveal d independently with the share that was measured)",
+            text_table(["driver", "revealing", "exact, own", *hmis], returns),
+            "",
+            "Paired differences per episode",
+            text_table(
+                ["driver", "learned - Bayes, own", "own - AvgHMI, learned", "verdict"], differences
+            ),
+        ]
+    )
+
+
+def as_good(row: HiddenRow) -> bool:
+    """Whether the learned HMI is at least as good as the Bayes filter, within the interval."""
+    return row.learned_minus_bayes.high >= 0.0

@@ -1,0 +1,32 @@
+"""What the paper prints in its metrics table, by HMI (rows) and driver (columns).
+
+The cells of a driver with another driver's HMI are left as ``*`` there. A row "own" is the
+diagonal of the first four.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+Row = Mapping[str, float]
+
+DISTRACTION_RETURNS: Mapping[str, Row] = MappingProxyType(
+    {
+        "own": {"lisa": -85.0, "marge": -80.0, "bart": -123.0, "homer": -117.0},
+        "AvgHMI": {"lisa": -181.0, "marge": -45.0, "bart": -744.0, "homer": -162.0},
+        "NoHMI": {"lisa": -192.0, "marge": -176.0, "bart": -745.0, "homer": -770.0},
+    }
+)
+SPEED_RETURNS: Mapping[str, Row] = MappingProxyType(
+    {
+        "own": {"lisa": 445.0, "marge": 446.0, "bart": 444.0, "homer": 458.0},
+        "AvgHMI": {"lisa": 447.0, "marge": 421.0, "bart": 432.0, "homer": 391.0},
+        "NoHMI": {"lisa": 451.0, "marge": 423.0, "bart": 428.0, "homer": 404.0},
+    }
+)
+
+
+def mean_over_drivers(row: Row) -> float:
+    """The average that the paper's text gives."""
+    return sum(row.values()) / len(row)
