@@ -6,7 +6,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 .PHONY: help run test test-slow parity soak lint format clean
 
 help:
-	@echo "make run        make the table of HMIs and drivers on highway-env, and say where it is"
+	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
 	@echo "make test       run the tests"
 	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
 	@echo "make parity     hold the batched world against highway-env, for hundreds of seeds"
@@ -16,7 +16,9 @@ help:
 	@echo "make clean      remove $(VENV) and what was made"
 
 run: $(VENV)/.for-run
-	$(BIN)/hmi-marl table
+	$(BIN)/hmi-marl train two-stage --driver-steps 4_000_000 --hmi-steps 600_000 --out runs/first
+	$(BIN)/hmi-marl table --hmis NoHMI AvgHMI own runs/first --driver-policy runs/first \
+	  --world batched --episodes 256
 
 test: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-fail-under=90
@@ -48,7 +50,8 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.for-run: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP_INSTALL) -e .
+	$(PIP_INSTALL) torch
+	$(PIP_INSTALL) -e '.[train]'
 	touch $@
 
 $(VENV)/.for-test: pyproject.toml constraints.txt | $(BIN)/python

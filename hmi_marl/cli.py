@@ -13,6 +13,7 @@ import tyro
 import hmi_marl
 from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES
 from hmi_marl.commands.bench import Bench
+from hmi_marl.commands.compare import Compare
 from hmi_marl.commands.oracle import Oracle
 from hmi_marl.commands.reproduce import Reproduce
 from hmi_marl.commands.table import Table
@@ -28,6 +29,7 @@ ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, Type
 
 Command = (
     Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Oracle, tyro.conf.subcommand("oracle")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Table, tyro.conf.subcommand("table")]
@@ -69,19 +71,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def parse(arguments: Sequence[str]) -> Command:
+    """The subcommand that was typed, its arguments understood but not yet checked."""
+    return tyro.cli(
+        Command,
+        prog="hmi-marl",
+        description=_description(),
+        args=list(arguments) or ["--help"],
+        config=(tyro.conf.CascadeSubcommandArgs,),
+    )
+
+
 def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
         print(f"hmi-marl {hmi_marl.__version__}")
         return
     try:
-        command = tyro.cli(
-            Command,
-            prog="hmi-marl",
-            description=_description(),
-            args=arguments or ["--help"],
-            config=(tyro.conf.CascadeSubcommandArgs,),
-        )
-        command.run(shlex.join(["hmi-marl", *arguments]))
+        parse(arguments).run(shlex.join(["hmi-marl", *arguments]))
     finally:
         sys.stdout.flush()  # here, where a broken pipe can still be dealt with
 

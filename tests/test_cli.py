@@ -286,7 +286,7 @@ def test_what_fails_on_the_way_is_told_in_one_line(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("hmi_marl.cli.write_json", fail)
+    monkeypatch.setattr("hmi_marl.commands.oracle.write_json", fail)
     assert main(["oracle", "--horizon", "3"]) == 2
     printed = capsys.readouterr()
     assert re.fullmatch(r"hmi-marl: [^\n]+\n", printed.err)
@@ -299,7 +299,7 @@ def test_an_interrupt_is_told_in_one_line(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hmi_marl.cli.alert_report", interrupt)
+    monkeypatch.setattr("hmi_marl.commands.oracle.alert_report", interrupt)
     assert main(["oracle"]) == 130
     assert capsys.readouterr().err == "hmi-marl: interrupted\n"
 

@@ -48,5 +48,6 @@ class Table:
 
 def _record(config: TableConfig, path: Path) -> None:
     team = config.team(config.drivers[-1])
-    moments = clip.episode(team, config.hmis[-1], config.driver_policy, config.seed, config.world)
+    # On highway-env itself, whatever world the table was played on.
+    moments = clip.episode(team, config.hmis[-1], config.driver_policy, config.seed, "highway")
     clip.record(path, team, moments, CLIP_FRAMES_PER_STEP)

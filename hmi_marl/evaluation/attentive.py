@@ -79,17 +79,18 @@ def verdicts(confident: Driving, cautious: Driving) -> dict[str, bool]:
 
 def as_text(rows: list[Driving], verdicts: dict[str, bool]) -> str:
     """For a terminal: a line for each driver at each point, and the verdicts at the last."""
-    lines = [
-        [
-            f"{row.steps / 1e6:.2f}",
-            row.driver,
-            f"{row.speed_return.mean:.1f} [{row.speed_return.low:.1f}, {row.speed_return.high:.1f}]",
-            f"{100 * row.crash_rate.mean:.1f} % [{100 * row.crash_rate.low:.1f}, "
-            f"{100 * row.crash_rate.high:.1f}]",
-            f"{row.time_headway:.2f}",
-        ]
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        speed, crashes = row.speed_return, row.crash_rate
+        lines.append(
+            [
+                f"{row.steps / 1e6:.2f}",
+                row.driver,
+                f"{speed.mean:.1f} [{speed.low:.1f}, {speed.high:.1f}]",
+                f"{100 * crashes.mean:.1f} % [{100 * crashes.low:.1f}, {100 * crashes.high:.1f}]",
+                f"{row.time_headway:.2f}",
+            ]
+        )
     head = ["million steps", "driver", "speed return", "crashes", "median time headway [s]"]
     told = [f"{'holds ' if holds else 'MISSED'}  {claim}" for claim, holds in verdicts.items()]
     return "\n".join([text_table(head, lines, indent=""), "", *told])

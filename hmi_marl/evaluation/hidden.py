@@ -52,6 +52,8 @@ class HiddenSettings:
     """Units of the HMIs' recurrent layer."""
     episodes: int = 2000
     """Episodes of each driver with each HMI."""
+    teams: int = 512
+    """Teams that train side by side."""
     seed: int = 0
     """Of all training."""
 
@@ -62,7 +64,11 @@ class HiddenSettings:
     def driver_job(self, folder: Path) -> Job:
         """One driver policy over the four drivers and the average one."""
         settings = TwoStage(
-            drivers=MODELS, driver_steps=self.driver_steps, hmi_steps=0, seed=self.seed
+            drivers=MODELS,
+            driver_steps=self.driver_steps,
+            hmi_steps=0,
+            teams=self.teams,
+            seed=self.seed,
         )
         return Job(settings, folder / DRIVER_RUN)
 
@@ -76,6 +82,7 @@ class HiddenSettings:
                     hmi_steps=self.hmi_steps,
                     ai_sees_attention=False,
                     memory=self.memory,
+                    teams=self.teams,
                     seed=self.seed,
                 ),
                 folder / f"hmi-{model}",

@@ -66,6 +66,8 @@ class ReproductionSettings:
     """Environment steps in which each HMI learns."""
     episodes: int = 2000
     """Episodes in each cell."""
+    teams: int = 512
+    """Teams that train side by side."""
     seed: int = 0
     """Of all training."""
 
@@ -78,7 +80,11 @@ class ReproductionSettings:
         drivers = {spec(driver) for variant in VARIANTS for driver in variant.drivers}
         everybody = (*sorted(drivers), spec(DRIVERS["average"]))
         settings = TwoStage(
-            drivers=everybody, driver_steps=self.driver_steps, hmi_steps=0, seed=self.seed
+            drivers=everybody,
+            driver_steps=self.driver_steps,
+            hmi_steps=0,
+            teams=self.teams,
+            seed=self.seed,
         )
         return Job(settings, folder / DRIVER_RUN)
 
@@ -94,6 +100,7 @@ class ReproductionSettings:
                     hmi_for=spec(driver),
                     driver_policy=str(folder / DRIVER_RUN),
                     hmi_steps=self.hmi_steps,
+                    teams=self.teams,
                     seed=self.seed,
                 ),
                 folder / run,

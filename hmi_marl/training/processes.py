@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -65,18 +66,23 @@ class Processes:
 
 @contextmanager
 def joined() -> Iterator[Processes]:
-    """The processes that torchrun started, connected while the context lasts; else just this one.
+    """The processes that torchrun started, connected; else just this one.
 
-    Gradients of a CPU learner go through gloo, those of a GPU through NCCL.
+    Gradients of a CPU learner go through gloo, those of a GPU through NCCL. Once connected they
+    stay so until they end: to connect again after parting fails at times.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
         yield Processes()
         return
-    torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if _has_nccl() else "gloo")
-    try:
-        yield Processes(count, torch.distributed.get_rank(), int(os.environ["LOCAL_RANK"]))
-    finally:
+    if not torch.distributed.is_initialized():
+        torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if _has_nccl() else "gloo")
+        atexit.register(_part)
+    yield Processes(count, torch.distributed.get_rank(), int(os.environ["LOCAL_RANK"]))
+
+
+def _part() -> None:
+    if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
 
 

@@ -166,8 +166,11 @@ class _Run:
             row["seconds"] = state.seconds
             state.curve.append({"phase": phase.name, "steps": state.steps} | row)
             telling.batch(row, state.steps, self._steps(phase))
-            every = max(1, iterations // (self._settings.snapshots or iterations))
-            if self._settings.snapshots and state.iteration % every == 0:
+            wanted = self._settings.snapshots
+            if (
+                state.iteration * wanted // iterations
+                > (state.iteration - 1) * wanted // iterations
+            ):
                 self._save_policies(phase, self._folder / "snapshots" / str(state.steps))
             if now - self._saved_at > self._settings.checkpoint_every:
                 self._save()

@@ -7,8 +7,8 @@ import pytest
 
 from hmi_marl.agents import oracle
 from hmi_marl.evaluation.audit import (
-    HORIZONS,
     DISTRACTION_RETURNS,
+    HORIZONS,
     AuditedCell,
     audit,
     audit_json,

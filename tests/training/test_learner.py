@@ -23,6 +23,15 @@ TINY = NetworkConfig((8,))
 KEEP_SPEED = 1
 
 
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Tiny networks only wait for a second one, and for long if the machine is busy."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 class Crashing(StandingWorld):
     """Every car that moves crashes with probability 0.1, by its own seed and step."""
 

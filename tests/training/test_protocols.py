@@ -38,6 +38,11 @@ def test_a_driver_that_is_there_already_is_not_learnt_again(partner):
     assert (only.seat, only.partner) == ("vehicle_ai", partner)
 
 
+def test_the_driver_may_be_learnt_alone():
+    (only,) = TwoStage(hmi_steps=0).phases()
+    assert (only.seat, only.partner) == ("driver", "never")
+
+
 def test_one_composite_policy_for_both_seats():
     (only,) = Joint(steps=700).phases()
     assert (only.seat, only.joint, only.steps, only.partner) == ("team", True, 700, None)

@@ -51,6 +51,15 @@ WEIGHTS = tuple(f"{seat}.safetensors" for seat in SEATS)
 TEAM = TeamConfig(duration=1.0, scene=Scene(vehicles=(1, 3)))
 
 
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Tiny networks only wait for a second one, and for long if the machine is busy."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 class TwoTraits:
     """z is β and the inflation as they are."""
 
@@ -213,7 +222,8 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(name, batches, before, 
     folder = tmp_path / "killed"
     path = os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, "-c", KILLED.format(name=name, batches=batches), str(folder)]
-    killed = subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, check=False)
+    env = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+    killed = subprocess.run(command, env=env, check=False)
     assert killed.returncode == -signal.SIGKILL
     state = Checkpoint.load(folder / "checkpoint.safetensors")
     assert (state.phase, state.iteration) == before
@@ -283,6 +293,26 @@ def test_a_run_that_was_cut_off_before_its_first_checkpoint_begins_anew(tmp_path
     train(TWO_STAGE, tmp_path / "cut", quiet=True)
     (tmp_path / "cut" / "checkpoint.safetensors").unlink()
     assert learnt(tmp_path / "cut", TWO_STAGE) == whole
+
+
+def test_snapshots_are_the_policies_on_their_way(tmp_path):
+    settings = replace(TWO_STAGE, driver_steps=5 * 40, hmi_steps=40, snapshots=2)
+    whole = learnt(tmp_path, settings)
+    taken = {int(path.name): path for path in (tmp_path / "snapshots").iterdir()}
+    assert sorted(taken) == [120, 200, 240]  # batches 3 and 5 of the driver's, 1 of the HMI's
+    names = {steps: {path.name for path in place.iterdir()} for steps, place in taken.items()}
+    assert names[120] == names[200] == {"driver.json", "driver.safetensors"}
+    assert names[240] == {"vehicle_ai.json", "vehicle_ai.safetensors"}
+    for steps, name in ((200, "driver.safetensors"), (240, "vehicle_ai.safetensors")):
+        assert (taken[steps] / name).read_bytes() == whole[name]
+    assert (taken[120] / "driver.safetensors").read_bytes() != whole["driver.safetensors"]
+    assert read_policy(taken[120] / "driver.json")[0].training["steps"] == 120
+
+
+def test_a_driver_is_learnt_alone(tmp_path):
+    train(replace(TWO_STAGE, hmi_steps=0), tmp_path, quiet=True)
+    assert (tmp_path / "driver.json").exists()
+    assert not (tmp_path / "vehicle_ai.json").exists()
 
 
 def test_an_hmi_learns_beside_the_driver_of_another_run(tmp_path):

@@ -48,6 +48,7 @@ def test_what_ppo_may_be_told_at_the_edges():
         ({"seed": -1}, ValueError, r"a seed lies in \[0, 2\^64\), but got -1"),
         ({"seed": 0.5}, TypeError, "a seed is an integer, not 0.5"),
         ({"teams": 0}, ValueError, "at least one team, but got teams = 0"),
+        ({"snapshots": -1}, ValueError, "snapshots is a number of times, but got -1"),
         ({"checkpoint_every": -1.0}, ValueError, "checkpoint_every is a time"),
         ({"network": NetworkConfig(memory=3)}, ValueError, "set memory, not network.memory"),
         ({"memory": -1}, ValueError, "memory = -1"),
@@ -73,7 +74,8 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
     ("make", "told"),
     [
         (lambda: TwoStage(driver_steps=0), "driver_steps is at least 1, but got 0"),
-        (lambda: TwoStage(hmi_steps=0), "hmi_steps is at least 1"),
+        (lambda: TwoStage(hmi_steps=-1), "hmi_steps is at least 1, but got -1"),
+        (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps is at least 1"),
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
         (lambda: Joint(steps=0), "steps is at least 1"),
         (lambda: Joint(memory=4), "the composite policy has no memory; use another protocol, or 0"),
