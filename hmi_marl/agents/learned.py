@@ -11,6 +11,7 @@ both seats were learnt as one composite policy, gives the logits of a^A for ever
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -82,6 +83,18 @@ class PolicyCard:
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the weights."""
         return self.network.shapes(self.inputs, self.outputs)
+
+    def reading(self, names: Sequence[str]) -> PolicyCard:
+        """The same for a policy that reads these parts alone.
+
+        Raises:
+            ValueError: it does not read one of them as it is; the message lists those it does.
+        """
+        known = dict(self.reads)
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise ValueError(f"no part {unknown[0]!r} to read; there are {', '.join(known)}")
+        return replace(self, reads=tuple(read for read in self.reads if read[0] in names))
 
     def with_context(self, size: int) -> PolicyCard:
         """The same for a vehicle AI conditioned on z of this size instead of the traits."""

@@ -32,7 +32,7 @@ class NetworkConfig:
     activation: Activation = "relu"
     """After each hidden layer: relu, elu or tanh."""
     memory: int = 0
-    """Units of a recurrent layer (GRU) before the others; 0 for none."""
+    """Units of a recurrent layer (GRU), which the others read beside the inputs; 0 for none."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hidden", tuple(self.hidden))
@@ -62,7 +62,7 @@ class NetworkConfig:
             shapes["memory.hidden_weight"] = gates, self.memory
             shapes["memory.input_bias"] = (gates,)
             shapes["memory.hidden_bias"] = (gates,)
-        sizes = (self.memory or inputs, *self.hidden, outputs)
+        sizes = (self.memory + inputs, *self.hidden, outputs)
         for layer, (size_in, size_out) in enumerate(pairwise(sizes)):
             shapes[f"layer{layer}.weight"] = size_out, size_in
             shapes[f"layer{layer}.bias"] = (size_out,)
@@ -97,7 +97,8 @@ class Network:
         """
         x = inputs.astype(np.float64)
         if self.config.memory:
-            x = self._memory = self._remember(x)
+            self._memory = self._remember(x)
+            x = np.concatenate([self._memory, x], axis=1)
         last = len(self.config.hidden)
         for layer in range(last + 1):
             x = x @ self._weights[f"layer{layer}.weight"].T + self._weights[f"layer{layer}.bias"]

@@ -49,6 +49,7 @@ MARGIN = 0.05
 UNKNOWN = Estimate(math.nan, math.nan, math.nan)
 
 Verdict = Literal["reference", "fine", "crashes more", "GAMED", "unknown"]
+_NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
 _WORST: tuple[Verdict, ...] = ("GAMED", "crashes more", "unknown", "fine", "reference")
 Rows = Sequence[Mapping[str, Any]]
 """Of one run's learning curve."""
@@ -85,7 +86,8 @@ class Comparison:
 
 def over_seeds(played: Played, pairs: Sequence[Pair], metric: str) -> Estimate:
     """A metric's mean over seeds with Student's t interval: each seed's mean is one value."""
-    return statistics.mean([played[pair][EVERYBODY].metrics()[metric] for pair in pairs])
+    lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf
+    return statistics.mean([played[pair][EVERYBODY].metrics()[metric] for pair in pairs], lowest)
 
 
 def crash_rate(sums: Sums) -> Estimate:

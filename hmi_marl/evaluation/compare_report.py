@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -42,7 +43,7 @@ def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "-"
 
 
-def entry(estimate: Estimate, form: str = ".1f") -> str:
+def entry(estimate: Estimate, form: str = "z.1f") -> str:
     """A number and its interval, as far as they are known."""
     if not math.isfinite(estimate.low):
         return _number(estimate.mean, form)
@@ -60,14 +61,14 @@ def summary_table(comparison: Comparison) -> Table:
     rows = []
     for label, pairs in comparison.groups().items():
 
-        def of(metric: str, form: str = ".1f", pairs: Any = pairs) -> str:
+        def of(metric: str, form: str = "z.1f", pairs: Any = pairs) -> str:
             return entry(over_seeds(comparison.played, pairs, metric), form)
 
         rows.append(
             [
                 label,
                 of("team_return"),
-                of("team_return_per_step", ".2f"),
+                of("team_return_per_step", "z.2f"),
                 of("attention_return"),
                 of("speed_reward"),
                 _percent(crash_rate(pooled(comparison.played, pairs))),
@@ -109,9 +110,9 @@ def dependence_table(rows: Sequence[Dependence]) -> Table:
             entry(row.own),
             entry(row.driver_with_others),
             entry(row.hmi_with_others),
-            entry(row.on_protocol, "+.1f"),
+            entry(row.on_protocol, "+z.1f"),
             entry(row.other_seeds),
-            entry(row.on_seed, "+.1f"),
+            entry(row.on_seed, "+z.1f"),
         ]
         for row in rows
     ]
@@ -127,12 +128,12 @@ def gaming_table(rows: Sequence[Gaming]) -> Table:
             row.driver,
             _percent(row.crash_rate),
             _percent(row.two_stage_crash_rate),
-            _number(row.team_return, ".1f"),
-            _number(row.team_return_per_step, ".2f"),
-            _number(row.worth_of_a_step, "+.2f"),
+            _number(row.team_return, "z.1f"),
+            _number(row.team_return_per_step, "z.2f"),
+            _number(row.worth_of_a_step, "+z.2f"),
             _percent(row.crash_rate_if_trained_standing),
             _percent(row.crash_rate_standing),
-            _number(row.team_return_standing, ".1f"),
+            _number(row.team_return_standing, "z.1f"),
             row.verdict,
         ]
         for row in rows
@@ -140,15 +141,13 @@ def gaming_table(rows: Sequence[Gaming]) -> Table:
 
 
 def verdict_table(comparison: Comparison, rows: Sequence[Gaming]) -> Table:
-    """One verdict for each protocol."""
-    return ["protocol", "verdict", "drivers"], [
-        [
-            protocol,
-            (worst := verdict_of(rows, protocol)),
-            ", ".join(r.driver for r in rows if r.protocol == protocol and r.verdict == worst),
-        ]
-        for protocol in comparison.settings.protocols
-    ]
+    """One verdict for each protocol, and with whom it was found unless all is well."""
+    told = []
+    for protocol in comparison.settings.protocols:
+        worst = verdict_of(rows, protocol)
+        found = [row.driver for row in rows if row.protocol == protocol and row.verdict == worst]
+        told.append([protocol, worst, "" if worst in ("fine", "reference") else ", ".join(found)])
+    return ["protocol", "verdict", "drivers"], told
 
 
 def time_table(comparison: Comparison) -> Table:
@@ -200,7 +199,7 @@ def notes(settings: CompareSettings, workers: int) -> dict[str, str]:
             "apart) and a step is worth less than nothing; crashes more: only the former; fine: "
             "neither; the two-stage driver learns from driving alone and is the reference."
         ),
-        "time": f"Training only, side by side on {workers} workers with a thread each.",
+        "time": f"Training only, side by side (workers: {workers}, a thread each).",
     }
 
 
@@ -231,16 +230,13 @@ def _tables(comparison: Comparison) -> dict[str, list[Table]]:
 def as_text(comparison: Comparison) -> str:
     """Everything for a terminal."""
     told = notes(comparison.settings, comparison.workers)
-    return "\n\n".join(
-        "\n\n".join([_TITLES[key] + "\n" + text_table(*tables[0]), *map(_text, tables[1:])])
-        + f"\n  {told[key]}"
-        for key, tables in _tables(comparison).items()
-        if tables
-    )
-
-
-def _text(table: Table) -> str:
-    return text_table(*table)
+    blocks = []
+    for key, tables in _tables(comparison).items():
+        if tables:
+            note = textwrap.fill(told[key], 100, initial_indent="  ", subsequent_indent="  ")
+            texts = "\n\n".join(text_table(*table) for table in tables)
+            blocks.append(f"{_TITLES[key]}\n{texts}\n{note}")
+    return "\n\n".join(blocks)
 
 
 def as_json(comparison: Comparison) -> dict[str, Any]:

@@ -91,6 +91,8 @@ class TrainSettings(TeamSettings):
     """What values are learnt from: the whole team's state, or what the seat itself sees."""
     memory: int = 0
     """Units of a recurrent layer in the vehicle AI's network, for hidden attention; 0 for none."""
+    hmi_reads: tuple[str, ...] = ()
+    """Parts of its observation that the vehicle AI reads; all of them by default."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Of every policy, and of every critic but for the memory."""
     ppo: PPOSettings = field(default_factory=PPOSettings)
@@ -120,7 +122,7 @@ class TrainSettings(TeamSettings):
                 f"{self.teams} teams make no {self.ppo.mini_batches} mini-batches; "
                 "choose more teams or fewer mini-batches"
             )
-        self.team(self.drivers)
+        self.card(VEHICLE_AI, self.team(self.drivers))
 
     def phases(self) -> tuple[Phase, ...]:
         """What to do, one after the other."""
@@ -132,7 +134,8 @@ class TrainSettings(TeamSettings):
         """The policy that learns in a seat: it reads all it sees but what it is not to know."""
         network = replace(self.network, memory=self.memory if seat == VEHICLE_AI else 0)
         knows = self.condition == "traits"
-        return make_card(seat, team, network, knows, by_intent=by_intent, taking_turns=taking_turns)
+        card = make_card(seat, team, network, knows, by_intent=by_intent, taking_turns=taking_turns)
+        return card.reading(self.hmi_reads) if self.hmi_reads and seat == VEHICLE_AI else card
 
 
 def check_steps(name: str, steps: int) -> int:

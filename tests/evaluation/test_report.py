@@ -62,6 +62,7 @@ def cell(config: TableConfig, driver: str, hmi: str, speeds: list[float]) -> Cel
         alerts=np.arange(count),
         distracted=np.zeros(count, np.int64),
         min_time_headway=np.full(count, np.inf),
+        median_time_headway=np.full(count, np.inf),
         returns={name: np.zeros(count) for name in TERMS}
         | {"speed_reward": np.array(speeds), "distraction": -10.0 * np.arange(count)},
     )

@@ -28,6 +28,11 @@ def assert_same(one: Episodes, other: Episodes) -> None:
         np.testing.assert_array_equal(one.returns[name], other.returns[name], err_msg=name)
 
 
+def median_of_finite(headways: list[float]) -> float:
+    finite = [headway for headway in headways if np.isfinite(headway)]
+    return float(np.median(finite)) if finite else np.inf
+
+
 def by_hand(config: TeamConfig, driver_name: str, hmi_name: str, seed: int) -> Episodes:
     settings = {field.name: getattr(config, field.name) for field in dataclasses.fields(TeamConfig)}
     env = merge_v0.raw_env(**settings)
@@ -37,7 +42,7 @@ def by_hand(config: TeamConfig, driver_name: str, hmi_name: str, seed: int) -> E
         seat.reset(np.array([seed], np.uint64))
     returns = dict.fromkeys(TERMS, 0.0)
     length = alerts = distracted = 0
-    headway = np.inf
+    headways = []
     while not (env.terminations["driver"] or env.truncations["driver"]):
         env.step(int(driver.act(env.observe("driver")[None])[0]))
         alert = int(hmi.act(env.observe("vehicle_ai")[None])[0])
@@ -48,14 +53,15 @@ def by_hand(config: TeamConfig, driver_name: str, hmi_name: str, seed: int) -> E
         length += 1
         alerts += alert
         distracted += info["distracted"]
-        headway = min(headway, info["time_headway"])
+        headways.append(info["time_headway"])
     return Episodes(
         seeds=np.array([seed], np.uint64),
         length=np.array([length]),
         crashed=np.array([info["crashed"]]),
         alerts=np.array([alerts]),
         distracted=np.array([distracted]),
-        min_time_headway=np.array([headway]),
+        min_time_headway=np.array([min(headways)]),
+        median_time_headway=np.array([median_of_finite(headways)]),
         returns={name: np.array([value]) for name, value in returns.items()},
     )
 
@@ -130,6 +136,7 @@ def made(seeds: list[int]) -> Episodes:
         alerts=values + 2,
         distracted=values + 3,
         min_time_headway=values / 2,
+        median_time_headway=values / 4,
         returns={name: values * 10.0 + k for k, name in enumerate(TERMS)},
     )
 

@@ -28,6 +28,7 @@ def some_episodes(length: list[int], **given: list[float]) -> Episodes:
         alerts=np.array(given.get("alerts", [0] * count)),
         distracted=np.zeros(count, np.int64),
         min_time_headway=np.array(given.get("headway", [1.0] * count)),
+        median_time_headway=np.full(count, 2.0),
         returns={name: np.array(given.get(name, [0.0] * count)) for name in TERMS},
     )
 
