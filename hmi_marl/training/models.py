@@ -7,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 from rsl_rl.models import MLPModel, RNNModel  # type: ignore[import-untyped]
 from rsl_rl.modules import MLP  # type: ignore[import-untyped]
+from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
 from hmi_marl.agents.heads import INTENTS, IntentThenAlert, OneAction
@@ -26,7 +27,27 @@ def make_actor(card: PolicyCard) -> MLPModel:
     sizes = (template, GROUPS, "actor", 1, network.hidden, network.activation)
     if not network.memory:
         return MLPModel(*sizes, distribution_cfg=head)
-    return RNNModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.memory)
+    return MemoryModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.memory)
+
+
+class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
+    """rsl_rl's recurrent model whose layers also read the inputs, beside the memory."""
+
+    def get_latent(
+        self,
+        obs: TensorDict,
+        masks: torch.Tensor | None = None,
+        hidden_state: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """The memory, then the inputs: shape (..., memory + inputs)."""
+        inputs = MLPModel.get_latent(self, obs)
+        remembered = self.rnn(inputs, masks, hidden_state).squeeze(0)
+        if masks is not None:
+            inputs = unpad_trajectories(inputs, masks)
+        return torch.cat([remembered, inputs], dim=-1)
+
+    def _get_latent_dim(self) -> int:
+        return int(self.latent_dim + self.obs_dim)
 
 
 class TwoSeats(torch.nn.Module):

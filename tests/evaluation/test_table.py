@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -6,9 +7,21 @@ import numpy as np
 import pytest
 
 from hmi_marl.agents import oracle
+from hmi_marl.agents.learned import LearnedPolicy, make_card
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.oracle import solve_alerts
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.plain import plain
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.evaluation.rollout import Episodes
-from hmi_marl.evaluation.table import Cell, TableConfig, make_cell, make_table, play_cell
+from hmi_marl.evaluation.table import (
+    Cell,
+    TableConfig,
+    known_rule,
+    make_cell,
+    make_table,
+    play_cell,
+)
 from hmi_marl.files import write_json
 
 ESTIMATES = ("steps", "speed_return", "distraction_return", "attention_return", "min_time_headway")
@@ -249,3 +262,34 @@ def test_alerts_and_crashes_of_a_played_table_make_sense(cells: list[Cell]) -> N
         assert 0.0 < cell.speed_return.mean <= 5.0 * 10
         least, most = cell.reachable_distraction_return
         assert least <= cell.optimal_distraction_return <= most
+
+
+def learned_hmi(config: TeamConfig, **training: Any) -> LearnedPolicy:
+    card = make_card("vehicle_ai", config, NetworkConfig((4,)), knows_traits=True)
+    weights = {name: np.zeros(shape, np.float32) for name, shape in card.shapes.items()}
+    return LearnedPolicy(dataclasses.replace(card, training=training), weights, config)
+
+
+def test_a_learned_hmi_should_have_become_the_optimum_for_whom_it_was_trained() -> None:
+    team = TeamConfig(driver="homer")
+    for_lisa = {"team": plain(TeamConfig(driver="lisa"))}
+    lisas, homers = (solve_alerts(name).policy for name in ("lisa", "homer"))
+    rule = known_rule(learned_hmi(team, **for_lisa), team)
+    np.testing.assert_array_equal(rule, lisas)
+    for_both = {"team": plain(TeamConfig(driver=["lisa", "homer"]))}
+    np.testing.assert_array_equal(known_rule(learned_hmi(team, **for_both), team), homers)
+
+
+def test_a_learned_hmi_that_does_not_see_attention_has_no_known_rule() -> None:
+    team = TeamConfig(driver="homer", ai_sees_attention=False)
+    assert known_rule(learned_hmi(team), team) is None
+
+
+def test_the_optimal_attention_return_is_over_as_many_steps_as_the_episodes() -> None:
+    config = TableConfig(drivers=("homer",), hmis=("never",), episodes=2)
+    cell = make_cell(config, "homer", "never", some_episodes([1, 100]))
+    best = solve_alerts("homer")
+    first_step = -10 * 0.8 + 10  # attentive before: not alerting earns 10
+    assert best.return_after(1) == pytest.approx(first_step)
+    expected = (first_step + best.total_return) / 2
+    assert cell.optimal_attention_return_same_steps == pytest.approx(expected)
