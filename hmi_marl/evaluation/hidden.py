@@ -22,11 +22,14 @@ from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.rollout import begin, play
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.training.jobs import Job
-from hmi_marl.training.settings import check_steps
+from hmi_marl.training.settings import PPOSettings, check_steps
 from hmi_marl.training.two_stage import TwoStage
 
 DRIVER_RUN = "driver"
 MODELS = (*PAPER_DRIVERS, "average")
+READS = ("intended_action", "previous_intended_action", "applied_action", "alerted", "time")
+"""What there is to infer attention from. Lidar and lanes would only have to
+be ignored."""
 LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
     "learned, own",
     "learned, AvgHMI",
@@ -82,6 +85,8 @@ class HiddenSettings:
                     hmi_steps=self.hmi_steps,
                     ai_sees_attention=False,
                     memory=self.memory,
+                    hmi_reads=READS,
+                    ppo=PPOSettings(learning_rate=2e-3, mini_batches=8),
                     teams=self.teams,
                     seed=self.seed,
                 ),
