@@ -5,6 +5,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+TEXTS = (README, *(path.read_text() for path in (ROOT / "docs").glob("*.md")))
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
@@ -28,7 +29,8 @@ def test_the_command_lines_of_the_readme_are_understood():
 
     lines = [
         line.split("#")[0].split()[1:]
-        for line in README.splitlines()
+        for text in TEXTS
+        for line in text.splitlines()
         if line.startswith("hmi-marl ")
     ]
     assert len(lines) >= 4

@@ -89,7 +89,8 @@ def _model(card: PolicyCard, weights: Weights) -> onnx.ModelProto:
     nodes = _Nodes(weights)
     x = _read(nodes, card)
     if card.network.memory:
-        x = _remember(nodes, card, weights, x)
+        remembered = _remember(nodes, card, weights, x)
+        x = nodes.add("Concat", remembered, x, to="remembered", axis=1)
     logits = _layers(nodes, card, x)
     nodes.add("Softmax", logits, to="probabilities", axis=1)
     nodes.add("ArgMax", "probabilities", to="action", axis=1, keepdims=0)
@@ -149,7 +150,7 @@ def _read(nodes: _Nodes, card: PolicyCard) -> str:
 
 
 def _remember(nodes: _Nodes, card: PolicyCard, weights: Weights, x: str) -> str:
-    """The recurrent layer."""
+    """The recurrent layer; what it now remembers."""
     gates = {name: _reordered(weights[f"memory.{name}"]) for name in _GRU}
     biases = np.concatenate([gates["input_bias"], gates["hidden_bias"]])
     kernels = [

@@ -20,7 +20,7 @@ class Oracle:
     """
 
     driver: str = "homer"
-    """lisa, marge, bart, homer or average."""
+    """lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     window: int = oracle.DEFAULT_WINDOW
     """N, for how many steps an alert stays in effect."""
     horizon: int = oracle.DEFAULT_HORIZON

@@ -25,11 +25,12 @@ class Watch:
     """
 
     driver: str = "homer"
-    """lisa, marge, bart, homer or average."""
+    """lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     hmi: str = "optimal"
-    """never, always, random[:RATE], when-distracted, optimal[:DRIVER], average, belief[:DRIVER]."""
+    """never, always, random[:RATE], when-distracted, optimal[:DRIVER], average, belief[:DRIVER], or
+    the folder of a trained run."""
     policy: str = "rule"
-    """Who steers: rule or random."""
+    """Who steers: rule, random, or the folder of a trained run."""
     seed: int = 0
     """Of the episode."""
     out: Path | None = None

@@ -40,12 +40,12 @@ class TableSettings(TeamSettings):
     """What to put in a table, as it was typed: nothing is checked yet."""
 
     drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Columns: lisa, marge, bart, homer, average."""
+    """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     hmis: tuple[str, ...] = PAPER_HMIS
     """Rows: NoHMI (or never), always, random[:RATE], when-distracted, AvgHMI (or average), own (or
-    optimal), optimal:DRIVER, belief[:DRIVER]."""
+    optimal), optimal:DRIVER, belief[:DRIVER], or the folders of trained runs."""
     driver_policy: str = "rule"
-    """Who steers: rule or random."""
+    """Who steers: rule, random, or the folder of a trained run."""
     episodes: int = 16
     """Episodes in each cell."""
     seed: int = 0

@@ -124,6 +124,7 @@ class _Run:
                 self._save_policies(phase, self._folder)
                 state.phase, state.iteration = state.phase + 1, 0
                 self._save()
+        self._processes.wait()  # until the last checkpoint is there for all
 
     def _claim_folder(self) -> None:
         """Begin a run here, or go on with the one that is here."""

@@ -163,6 +163,13 @@ def test_a_context_takes_the_place_of_the_vehicle_ais_traits():
     assert conditioned.inputs == ai.inputs - 4 + 3
 
 
+def test_a_policy_may_read_some_parts_alone():
+    card = policy_for("vehicle_ai").card.reading(["time", "speed"])
+    assert card.reads == (("speed", 1), ("time", 1))  # in the order of the observation
+    with pytest.raises(ValueError, match="no part 'weather' to read; there are lidar, speed, "):
+        policy_for("vehicle_ai").card.reading(["speed", "weather"])
+
+
 def test_weights_are_checked_against_the_card():
     card = PolicyCard("driver", (("speed", 1),), TINY)
     weights = weights_for(card)

@@ -76,10 +76,10 @@ def test_one_unit_of_memory_by_hand():
         "memory.hidden_weight": np.array([[0.25], [-1.0], [3.0]], np.float32),
         "memory.input_bias": np.array([0.0, 0.5, -1.0], np.float32),
         "memory.hidden_bias": np.array([0.125, 0.0, 0.75], np.float32),
-        "layer0.weight": np.ones((1, 1), np.float32),
-        "layer0.bias": np.array([2.0], np.float32),  # keeps relu out of it
+        "layer0.weight": np.array([[1.0, 0.5]], np.float32),  # of h and x
+        "layer0.bias": np.array([9.0], np.float32),  # keeps relu out of it
         "layer1.weight": np.ones((1, 1), np.float32),
-        "layer1.bias": np.array([-2.0], np.float32),
+        "layer1.bias": np.array([-9.0], np.float32),
     }
 
     def sigmoid(x):
@@ -92,7 +92,8 @@ def test_one_unit_of_memory_by_hand():
         update = sigmoid(x + 0.5 - h)
         new = np.tanh(2 * x - 1 + reset * (3 * h + 0.75))
         h = (1 - update) * new + update * h
-        assert network(np.array([[x]], np.float32))[0, 0] == pytest.approx(h, abs=1e-14)
+        answer = network(np.array([[x]], np.float32))[0, 0]
+        assert answer == pytest.approx(h + 0.5 * x, abs=1e-14)
 
 
 @pytest.mark.parametrize("memory", [0, 16])
@@ -160,7 +161,7 @@ def test_the_shapes_of_the_weights():
         "memory.hidden_weight": (12, 4),
         "memory.input_bias": (12,),
         "memory.hidden_bias": (12,),
-        "layer0.weight": (8, 4),
+        "layer0.weight": (8, 4 + 10),
         "layer0.bias": (8,),
         "layer1.weight": (2, 8),
         "layer1.bias": (2,),

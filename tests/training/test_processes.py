@@ -114,8 +114,9 @@ def two(tmp_path_factory):
     command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2", "--standalone"]
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     env = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+    command += [str(script), str(folder)]
     done = subprocess.run(
-        [*command, str(script), str(folder)], env=env, capture_output=True, text=True, check=False
+        command, env=env, capture_output=True, text=True, check=False, timeout=240
     )
     assert done.returncode == 0, done.stderr
     return folder, [json.loads((folder / f"{rank}.json").read_text()) for rank in range(2)]

@@ -93,6 +93,15 @@ def test_hidden_attention_is_not_read(protocol):
     assert not any("distracted" in names(card) for card in cards)
 
 
+@pytest.mark.parametrize("protocol", [TwoStage, Joint, Simultaneous, Alternating])
+def test_the_vehicle_ai_may_be_told_what_to_read(protocol):
+    for phase in protocol(hmi_reads=("speed", "distracted")).phases():
+        for card in phase.cards:
+            everything = card.seat == "driver"
+            assert ("lidar" in names(card)) == everything
+            assert everything or names(card) == {"speed", "distracted"}
+
+
 @pytest.mark.parametrize("protocol", [TwoStage, Simultaneous, Alternating])
 def test_only_the_vehicle_ai_has_a_memory(protocol):
     for phase in protocol(memory=6).phases():

@@ -57,6 +57,7 @@ def test_what_ppo_may_be_told_at_the_edges():
             ValueError,
             "4 teams make no 5 mini-batches; choose more teams or fewer mini-batches",
         ),
+        ({"hmi_reads": ("weather",)}, ValueError, "no part 'weather' to read; there are lidar"),
         ({"drivers": ("ned",)}, ValueError, "unknown driver 'ned'"),
         ({"drivers": ()}, ValueError, "at least one"),
         ({"duration": 0.3}, ValueError, "not a whole number of steps"),
