@@ -35,7 +35,7 @@ class TeamConfig:
     ai_sees_attention: bool = True
     """Whether the vehicle AI sees d, i and c of the last step (a driver-monitoring camera)."""
     reward: Sharing = "team"
-    """Whose reward: "team", "individual" or "driving" (see :func:`rewards.share`)."""
+    """Whose reward: "team", "individual", "driving" or "attention" (see :func:`rewards.share`)."""
     alert_window: int = 7
     """N, the intervention window in steps."""
     duration: float = 20.0

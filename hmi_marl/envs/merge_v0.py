@@ -72,7 +72,8 @@ merge_v0.env(
     observe_traits=True,     # both seats see β, α, η, inflation
     ai_sees_attention=True,  # the AI sees d, i, c of the last step
     reward="team",           # or "individual" (driving and distraction to the driver, alert terms
-                             # to the AI) or "driving" (the five driving terms to both)
+                             # to the AI), "driving" (the five driving terms to both) or
+                             # "attention" (the three others to both)
     alert_window=7,          # N, in steps
     duration=20.0,           # s
     end_at_crash=True,       # False: the crashed car stands until the time is over

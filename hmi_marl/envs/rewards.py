@@ -15,7 +15,7 @@ ALERT_TERMS = ("alert", "accept_alert")
 ATTENTION_TERMS = ("distraction", *ALERT_TERMS)
 TERMS = (*DRIVER_TERMS, *ALERT_TERMS)
 
-Sharing = Literal["team", "individual", "driving"]
+Sharing = Literal["team", "individual", "driving", "attention"]
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,7 @@ _SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "team": (TERMS, TERMS),
     "individual": (DRIVER_TERMS, ALERT_TERMS),
     "driving": (DRIVING_TERMS, DRIVING_TERMS),
+    "attention": (ATTENTION_TERMS, ATTENTION_TERMS),
 }
 
 
@@ -140,7 +141,8 @@ def share(
     """What the driver and the vehicle AI each receive, shapes (N,).
 
     ``team``: the sum of all eight to both. ``individual``: driving and distraction to the driver,
-    alert and accept to the AI. ``driving``: the five driving terms to both.
+    alert and accept to the AI. ``driving``: the five driving terms to both. ``attention``: the three
+    attention terms (distraction, alert, accept), all that alerts can change by themselves, to both.
     """
     driver, vehicle_ai = (
         np.sum([terms[name] for name in names], axis=0) for names in _SHARES[sharing]

@@ -86,6 +86,7 @@ class HiddenSettings:
                     ai_sees_attention=False,
                     memory=self.memory,
                     hmi_reads=READS,
+                    hmi_reward="attention",
                     ppo=PPOSettings(learning_rate=2e-3, mini_batches=8),
                     teams=self.teams,
                     seed=self.seed,

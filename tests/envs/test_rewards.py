@@ -72,6 +72,7 @@ def test_sharing_by_hand():
         "team": (11111111.0, 11111111.0),
         "individual": (111111.0, 11000000.0),
         "driving": (11111.0, 11111.0),
+        "attention": (11100000.0, 11100000.0),
     }
     for sharing, (driver, vehicle_ai) in expected.items():
         both = share(terms, check_sharing(sharing))
@@ -81,7 +82,7 @@ def test_sharing_by_hand():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: check_sharing("selfish"), "'team', 'individual', 'driving'"),
+        (lambda: check_sharing("selfish"), "'team', 'individual', 'driving', 'attention'"),
         (lambda: RewardWeights(collision=math.nan), "collision is a finite number"),
         (lambda: RewardWeights(max_speed=0.0), "max_speed is positive"),
     ],

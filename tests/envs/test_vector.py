@@ -333,7 +333,7 @@ def test_statistics_by_hand():
     assert extras["log"]["Episode/return"].tolist() == pytest.approx([3 * step + 10.0])
 
 
-@pytest.mark.parametrize("reward", ["team", "individual", "driving"])
+@pytest.mark.parametrize("reward", ["team", "individual", "driving", "attention"])
 def test_each_seat_gets_its_own_reward_and_the_team_all_of_it(reward):
     config = TeamConfig(reward=reward, driver=ATTENTIVE)
     rewards = {}
@@ -351,6 +351,7 @@ def test_each_seat_gets_its_own_reward_and_the_team_all_of_it(reward):
         "team": (driving + 10.0,) * 3,
         "individual": (driving, 10.0, driving + 10.0),
         "driving": (driving,) * 3,
+        "attention": (10.0,) * 3,
     }[reward]
     assert tuple(rewards[seat] for seat in SEATS) == pytest.approx(expected)
 
