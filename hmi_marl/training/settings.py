@@ -117,10 +117,11 @@ class TrainSettings(TeamSettings):
         if self.network.memory:
             raise ValueError("only the vehicle AI has a memory: set memory, not network.memory")
         NetworkConfig(memory=self.memory)  # checks it
-        if self.ppo.mini_batches > self.teams:
+        least = 2 if self.memory else 1  # rsl_rl mixes up the axes of one team with a memory
+        if self.ppo.mini_batches * least > self.teams:
             raise ValueError(
-                f"{self.teams} teams make no {self.ppo.mini_batches} mini-batches; "
-                "choose more teams or fewer mini-batches"
+                f"{self.teams} teams make no {self.ppo.mini_batches} mini-batches of at least "
+                f"{least}; choose more teams or fewer mini-batches"
             )
         self.card(VEHICLE_AI, self.team(self.drivers))
 

@@ -265,7 +265,7 @@ def state_of(index, sizes):
     return TensorDict({"state": torch.eye(sizes)[index]}, batch_size=[len(index)])
 
 
-def bandit(actor, columns, worth, iterations=60, teams=64, steps=4):
+def bandit(actor, columns, worth, iterations=50, teams=64, steps=4):
     """Learn a bandit of as many states as ``worth(state, actions)`` takes."""
     settings = PPOSettings(
         mini_batches=4, learning_rate=1e-2, final_learning_rate=1e-2, reward_scale=1.0
@@ -319,7 +319,7 @@ def test_the_composite_head_learns_an_alert_for_every_intent():
         right = (alert == intent % 2).float()
         return right + right * (intent == best[state]).float()
 
-    learnt = bandit(make_joint_actor(driver, vehicle_ai), 2, worth, iterations=100)
+    learnt = bandit(make_joint_actor(driver, vehicle_ai), 2, worth)
     assert learnt == [[4, 0], [3, 1], [2, 0], [1, 1], [0, 0]]
 
 

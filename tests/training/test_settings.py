@@ -55,7 +55,7 @@ def test_what_ppo_may_be_told_at_the_edges():
         (
             {"teams": 4, "ppo": PPOSettings(mini_batches=5)},
             ValueError,
-            "4 teams make no 5 mini-batches; choose more teams or fewer mini-batches",
+            "4 teams make no 5 mini-batches of at least 1; choose more teams or fewer mini-batches",
         ),
         ({"hmi_reads": ("weather",)}, ValueError, "no part 'weather' to read; there are lidar"),
         ({"drivers": ("ned",)}, ValueError, "unknown driver 'ned'"),
@@ -78,6 +78,10 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
         (lambda: TwoStage(hmi_steps=-1), "hmi_steps is at least 1, but got -1"),
         (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps is at least 1"),
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
+        (
+            lambda: TwoStage(teams=8, memory=4, ppo=PPOSettings(mini_batches=5)),
+            "8 teams make no 5 mini-batches of at least 2; choose more teams or fewer",
+        ),
         (lambda: Joint(steps=0), "steps is at least 1"),
         (lambda: Joint(memory=4), "the composite policy has no memory; use another protocol, or 0"),
         (lambda: Simultaneous(steps=-5), "steps is at least 1, but got -5"),
