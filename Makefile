@@ -21,10 +21,10 @@ run: $(VENV)/.for-run
 	  --world batched --episodes 256
 
 test: $(VENV)/.for-test
-	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-fail-under=90
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-fail-under=90
 
 test-slow: $(VENV)/.for-test
-	$(BIN)/python -m pytest -n 2 -m "slow or not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "slow or not slow"
 
 parity: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 2 -m "slow or not slow" -k follows_highway_env tests/envs/worlds

@@ -141,8 +141,8 @@ def share(
     """What the driver and the vehicle AI each receive, shapes (N,).
 
     ``team``: the sum of all eight to both. ``individual``: driving and distraction to the driver,
-    alert and accept to the AI. ``driving``: the five driving terms to both. ``attention``: the three
-    attention terms (distraction, alert, accept), all that alerts can change by themselves, to both.
+    alert and accept to the AI. ``driving``: the five driving terms to both. ``attention``:
+    distraction, alert and accept to both.
     """
     driver, vehicle_ai = (
         np.sum([terms[name] for name in names], axis=0) for names in _SHARES[sharing]

@@ -244,7 +244,8 @@ class Gaming:
     crash_rate_if_trained_standing: Estimate
     """Of the first seed's run trained with ``end_at_crash=False``; a crash ends the episode now."""
     crash_rate_standing: Estimate
-    """The same run in its own setting: the crashed car stands until the time is over."""
+    """The same run in its own setting: the crashed car stands until the time is over. Policies
+    that draw nothing crash in the same episodes."""
     team_return_standing: float
     """Per episode, in that setting."""
     verdict: Verdict

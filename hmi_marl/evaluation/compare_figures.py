@@ -29,7 +29,11 @@ TITLES = {
 
 
 def curves_figure(comparison: Comparison) -> bytes:
-    """Learning curves: mean over seeds with the 95 % band, over environment steps."""
+    """Learning curves: mean over seeds with the 95 % band, over environment steps.
+
+    The band of two seeds is nine times their standard deviation to either side and hides all
+    else; they are drawn as thin lines instead.
+    """
     figure = Figure(figsize=(11, 7), layout="constrained")
     panels = dict(zip(CURVES, figure.subplots(2, 2).flat, strict=True))
     for protocol in comparison.settings.protocols:
@@ -37,11 +41,14 @@ def curves_figure(comparison: Comparison) -> bytes:
             axes, colour = panels[name], COLOURS[protocol]
             million = curve.steps / 1e6
             axes.plot(million, curve.mean, color=colour, linewidth=1.4, label=protocol)
-            axes.fill_between(million, curve.low, curve.high, color=colour, alpha=0.18, lw=0)
-    shown = [
-        comparison.curves[run.name]
-        for run in comparison.settings.main_runs  # what was seen, not how far a band may reach
-    ]
+            if comparison.settings.seeds > 2:
+                axes.fill_between(million, curve.low, curve.high, color=colour, alpha=0.15, lw=0)
+                continue
+            for run in comparison.runs(protocol):
+                rows = comparison.curves[run.name]
+                seen = [row["steps"] / 1e6 for row in rows], [row[name] for row in rows]
+                axes.plot(*seen, color=colour, linewidth=0.6, alpha=0.6)
+    shown = [comparison.curves[run.name] for run in comparison.settings.main_runs]
     for name, axes in panels.items():
         values = [row[name] for rows in shown for row in rows]
         edge = 0.05 * (max(values) - min(values)) or 0.05

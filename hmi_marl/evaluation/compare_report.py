@@ -121,7 +121,7 @@ def dependence_table(rows: Sequence[Dependence]) -> Table:
 def gaming_table(rows: Sequence[Gaming]) -> Table:
     """Crash rates with and without an end at the crash, and whether crashing pays."""
     head = ["protocol", "driver", "crashes [%]", "two-stage's [%]", "team return", "per step"]
-    head += ["worth of a step", "trained standing [%]", "stands [%]", "return, stands", "verdict"]
+    head += ["worth of a step", "trained standing [%]", "return, stands", "verdict"]
     return head, [
         [
             row.protocol,
@@ -132,7 +132,6 @@ def gaming_table(rows: Sequence[Gaming]) -> Table:
             _number(row.team_return_per_step, "z.2f"),
             _number(row.worth_of_a_step, "+z.2f"),
             _percent(row.crash_rate_if_trained_standing),
-            _percent(row.crash_rate_standing),
             _number(row.team_return_standing, "z.1f"),
             row.verdict,
         ]
@@ -173,8 +172,8 @@ def notes(settings: CompareSettings, workers: int) -> dict[str, str]:
             "episodes' medians while somebody is ahead."
         ),
         "curves": (
-            "Means over the seeds with the 95 % band of Student's t, interpolated on common "
-            "environment steps; the axes show what was seen, bands are cut off there. These are "
+            "Means over the seeds, interpolated on common environment steps, with the 95 % band of "
+            "Student's t, cut off at what was seen (two seeds: thin lines instead). These are "
             "the episodes that were learnt from, so with actions that were drawn (explored), not "
             "the likeliest. In two-stage's first part, and alternating's, there is no HMI."
         ),
@@ -192,12 +191,14 @@ def notes(settings: CompareSettings, workers: int) -> dict[str, str]:
         ),
         "gaming": (
             "Crashes: a crash ends the episode, in training and now. Trained standing: one run "
-            "trained with end_at_crash=False, a crash ends the episode now; stands: the same run "
-            "in its own setting. worth of a step: mean reward of a step to the driver in what "
-            "they learn from, without the collision term; where it is negative, ending early "
-            f"pays. GAMED: crashes more often than two-stage's (intervals more than {MARGIN:g} "
-            "apart) and a step is worth less than nothing; crashes more: only the former; fine: "
-            "neither; the two-stage driver learns from driving alone and is the reference."
+            "trained with end_at_crash=False, where a crashed car stands until the time is over "
+            "(whether it crashes does not depend on what would follow, so the rate is that of "
+            "both settings); return, stands: its team return in that setting. worth of a step: "
+            "mean reward of a step to the driver in what they learn from, without the collision "
+            "term; where it is negative, ending early pays. GAMED: crashes more often than "
+            f"two-stage's (intervals more than {MARGIN:g} apart) and a step is worth less than "
+            "nothing; crashes more: only the former; fine: neither. The two-stage driver learns "
+            "from driving alone and is the reference, a mild one if it has not learnt long enough."
         ),
         "time": f"Training only, side by side (workers: {workers}, a thread each).",
     }

@@ -102,6 +102,7 @@ class _Run:
             "protocol": type(settings).__name__,
             "settings": plain(settings),
             "processes": processes.count,
+            "context": 0 if context is None else context.size,
         }
         self._typed = typed
         self._device = processes.device(settings.device)
@@ -130,7 +131,7 @@ class _Run:
         """Begin a run here, or go on with the one that is here."""
         path = self._folder / SETTINGS
         if path.is_file():
-            _check_same(json.loads(path.read_text(encoding="utf-8")), self._about, self._folder)
+            _check_same(_read_settings(path), self._about, self._folder)
             checkpoint = self._folder / CHECKPOINT
             if checkpoint.is_file():
                 self._state = Checkpoint.load(checkpoint)
@@ -279,12 +280,22 @@ def _in_context(phase: Phase, context: Context | None) -> Phase:
     return replace(phase, cards=tuple(card.with_context(context.size) for card in phase.cards))
 
 
+def _read_settings(path: Path) -> dict[str, Any]:
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
+    if not isinstance(about, dict):
+        raise ValueError(f"{path} does not tell the settings of a run")
+    return about
+
+
 def _check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> None:
     """Raise unless a run that is there was begun with these settings."""
 
     def binding(about: dict[str, Any]) -> dict[str, Any]:
         settings = {k: v for k, v in about.get("settings", {}).items() if k not in _FREE}
-        return {k: about.get(k) for k in ("protocol", "version", "processes")} | settings
+        return {k: about.get(k) for k in ("protocol", "version", "processes", "context")} | settings
 
     old, new = binding(before), binding(now)
     differing = [name for name in new if old.get(name) != new[name]]

@@ -9,7 +9,8 @@ from types import TracebackType
 from tqdm import tqdm
 
 _ON_THE_BAR = ("return", "crash_rate", "alerts")
-_LEARNING = ("value", "surrogate", "entropy", "learning_rate", "steps_per_second")
+_LEARNING = ("value", "surrogate", "entropy", "learning_rate")
+_SPEED = ("steps_per_second", "share_of_time_learning", "seconds")
 
 
 class Telling:
@@ -68,4 +69,5 @@ class Telling:
             return
         for name, value in row.items():
             group = "learning" if name.endswith(_LEARNING) else "episode"
+            group = "speed" if name in _SPEED else group
             self._writer.add_scalar(f"{group}/{name}", value, steps)

@@ -182,6 +182,7 @@ def test_the_figures_show_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert line.get_label() == "two-stage"
     assert list(line.get_ydata()) == pytest.approx([0.6, 0.7, 0.8])
     assert list(line.get_xdata()) == pytest.approx([1e-4, 2e-4, 3e-4])
+    assert [list(seed.get_ydata())[0] for seed in curves.axes[0].lines[1:3]] == [0.1, 1.1]
     low, high = curves.axes[0].get_ylim()
     assert low < 0.1
     assert 1.3 < high < 1.5, "the axes show what was seen, not the band"
@@ -190,3 +191,11 @@ def test_the_figures_show_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     distraction = terms.axes[TERMS.index("distraction")]
     assert [bar.get_height() for bar in distraction.patches] == [-80.0, -50.0]
     assert list(distraction.lines[0].get_ydata()) == [-100.0, -60.0]
+
+
+@pytest.mark.parametrize(("seeds", "bands"), [(1, 0), (2, 0), (3, 2)])
+def test_two_seeds_have_no_band(seeds: int, bands: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    compare_figures.curves_figure(made(replace(SETTINGS, seeds=seeds)))
+    assert len(drawn[0].axes[0].collections) == bands

@@ -385,3 +385,16 @@ def test_a_folder_that_cannot_be_written_to_is_told(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match=r"cannot write to .*file"):
         train(TWO_STAGE, tmp_path / "file", quiet=True)
+
+
+@pytest.mark.parametrize("content", ["{", "[]"])
+def test_damaged_settings_of_a_run_are_told_by_their_file(content, tmp_path):
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(ValueError, match=r"run\.json"):
+        train(TWO_STAGE, tmp_path, quiet=True)
+
+
+def test_a_run_does_not_go_on_with_another_context(tmp_path):
+    train(TWO_STAGE, tmp_path, quiet=True)
+    with pytest.raises(ValueError, match="context = 0, now 2"):
+        train(TWO_STAGE, tmp_path, context=TwoTraits(), quiet=True)
