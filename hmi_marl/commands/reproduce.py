@@ -81,10 +81,10 @@ class ReproduceTable:
 class ReproduceDriver:
     """How drivers without distraction learn to drive: speed, crashes and headway by steps.
 
-    Example: hmi-marl reproduce driver --steps 12_000_000
+    Example: hmi-marl reproduce driver --steps 18_000_000
     """
 
-    steps: int = 12_000_000
+    steps: int = 18_000_000
     """Environment steps to learn from."""
     snapshots: int = 6
     """At how many points on the way to look."""

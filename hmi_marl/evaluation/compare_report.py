@@ -175,7 +175,8 @@ def notes(settings: CompareSettings, workers: int) -> dict[str, str]:
             "Means over the seeds, interpolated on common environment steps, with the 95 % band of "
             "Student's t, cut off at what was seen (two seeds: thin lines instead). These are "
             "the episodes that were learnt from, so with actions that were drawn (explored), not "
-            "the likeliest. In two-stage's first part, and alternating's, there is no HMI."
+            "the likeliest, by those who learn at the time. In two-stage's first part, and "
+            "alternating's, there is no HMI."
         ),
         "terms": "Per episode. In the figure a dot for each seed.",
         "swap": (

@@ -182,7 +182,7 @@ def test_the_figures_show_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert line.get_label() == "two-stage"
     assert list(line.get_ydata()) == pytest.approx([0.6, 0.7, 0.8])
     assert list(line.get_xdata()) == pytest.approx([1e-4, 2e-4, 3e-4])
-    assert [list(seed.get_ydata())[0] for seed in curves.axes[0].lines[1:3]] == [0.1, 1.1]
+    assert [next(iter(seed.get_ydata())) for seed in curves.axes[0].lines[1:3]] == [0.1, 1.1]
     low, high = curves.axes[0].get_ylim()
     assert low < 0.1
     assert 1.3 < high < 1.5, "the axes show what was seen, not the band"
