@@ -6,8 +6,8 @@ one would otherwise do: stable-baselines3's PPO on highway-env's own ``merge-gen
 own lidar, in a process for each core. Both drive the same road with as many other vehicles, both
 learn with two networks of the same layers, as many epochs and as many mini-batches. (SB3's read
 the lidar alone, since plain highway-env has no human.) A step is one policy step of one car; resets
-are counted in. They take turns, round by round, after a warm-up
-that is not counted.
+are counted in. They take turns, round by round, after a warm-up that is not counted. Ours runs in
+one process, and once more in a process for each core that learn as one.
 
 Writes JSON beside what it prints. Needs two extras: pip install 'hmi-marl[train,interop]'
 
@@ -20,6 +20,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads slow eac
 
 import argparse
 import json
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -120,6 +122,37 @@ def run_ours(settings: TwoStage) -> dict[str, dict[str, float]]:
     return rows
 
 
+def run_processes(settings: TwoStage, processes: int) -> dict[str, dict[str, float]]:
+    """Train once in several processes that learn as one; what each stage took.
+
+    The first batch of a stage, in which a fresh process loads the compiled world, is left out.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        numbers = {
+            "--processes": processes,
+            "--teams": settings.teams,
+            "--driver-steps": settings.driver_steps,
+            "--hmi-steps": settings.hmi_steps,
+        }
+        command = [sys.executable, "-m", "hmi_marl", "train", "two-stage", "--device", "cpu"]
+        command += [text for name, value in numbers.items() for text in (name, str(value))]
+        command += ["--vehicles", *map(str, settings.vehicles), "--out", folder]
+        subprocess.run(command, check=True, capture_output=True)
+        curve = json.loads((Path(folder) / CURVE).read_text(encoding="utf-8"))
+    rows = {}
+    for name in STAGES.values():
+        batches = [batch for batch in curve if batch["phase"] == name]
+        batches = batches[1:] or batches
+        steps = len(batches) * settings.teams * processes * settings.team("homer").horizon
+        seconds = sum(steps / len(batches) / batch["steps_per_second"] for batch in batches)
+        learning = sum(
+            steps / len(batches) / batch["steps_per_second"] * batch["share_of_time_learning"]
+            for batch in batches
+        )
+        rows[f"ours, {name}, {processes} processes"] = _row(steps, seconds, {"learn": learning})
+    return rows
+
+
 def _row(steps: int, seconds: float, parts: dict[str, float]) -> dict[str, float]:
     shares = {part: spent / seconds for part, spent in parts.items()}
     rest = {"rest": 1 - sum(shares.values())}
@@ -202,7 +235,10 @@ def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
         sb3.run(1)
         for number in range(args.rounds):
             print(f"round {number + 1} of {args.rounds}", flush=True)
-            rounds.append(run_ours(settings) | {"SB3": sb3.run(args.sb3_steps)})
+            ours = run_ours(settings)
+            if args.processes > 1:
+                ours |= run_processes(settings, args.processes)
+            rounds.append(ours | {"SB3": sb3.run(args.sb3_steps)})
     finally:
         sb3.close()
     rows = []
@@ -220,11 +256,11 @@ def as_text(rows: list[dict[str, Any]]) -> str:
     """A table for people."""
     names = (*PARTS, "rest")
     head = "".join(f"{name:>9}" for name in names)
-    lines = [f"{'':<24}{'steps':>10}{'steps/s':>10}{'ratio':>9}{'s per 1e6':>11}{head}"]
+    lines = [f"{'':<27}{'steps':>10}{'steps/s':>10}{'ratio':>9}{'s per 1e6':>11}{head}"]
     for row in rows:
         shares = "".join(f"{row[name]:>9.0%}" if name in row else f"{'':>9}" for name in names)
         lines.append(
-            f"{row['name']:<24}{row['steps']:>10,.0f}{row['steps_per_s']:>10,.0f}"
+            f"{row['name']:<27}{row['steps']:>10,.0f}{row['steps_per_s']:>10,.0f}"
             f"{row['ratio']:>9,.1f}{1e6 / row['steps_per_s']:>11,.1f}{shares}"
         )
     return "\n".join(lines)
@@ -244,7 +280,9 @@ def main() -> None:
     parser.add_argument(
         "--sb3-batch", **whole, default=256, help="steps of each process in a batch"
     )
-    parser.add_argument("--processes", **whole, default=cores, help="of SB3; one for each core")
+    parser.add_argument(
+        "--processes", **whole, default=cores, help="of SB3 and, once more, of ours"
+    )
     parser.add_argument(
         "--vehicles", **whole, default=10, help="other vehicles: about the mean of our 1 to 20"
     )

@@ -6,6 +6,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
@@ -14,6 +15,7 @@ import hmi_marl
 from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES
 from hmi_marl.commands.bench import Bench
 from hmi_marl.commands.compare import Compare
+from hmi_marl.commands.export import Export
 from hmi_marl.commands.oracle import Oracle
 from hmi_marl.commands.reproduce import Reproduce
 from hmi_marl.commands.table import Table
@@ -30,12 +32,20 @@ ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, Type
 Command = (
     Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Oracle, tyro.conf.subcommand("oracle")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Table, tyro.conf.subcommand("table")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Watch, tyro.conf.subcommand("watch")]
 )
+
+
+@dataclass(frozen=True)
+class _CommandLine:
+    """What was typed. Its one field gives errors a name to begin with."""
+
+    command: Annotated[tyro.conf.OmitSubcommandPrefixes[Command], tyro.conf.arg(prefix_name=False)]
 
 
 def _description() -> str:
@@ -73,13 +83,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parse(arguments: Sequence[str]) -> Command:
     """The subcommand that was typed, its arguments understood but not yet checked."""
-    return tyro.cli(
-        Command,
+    typed = tyro.cli(
+        _CommandLine,
         prog="hmi-marl",
         description=_description(),
         args=list(arguments) or ["--help"],
         config=(tyro.conf.CascadeSubcommandArgs,),
     )
+    return typed.command
 
 
 def _run(arguments: list[str]) -> None:

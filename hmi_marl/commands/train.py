@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -33,8 +35,7 @@ Protocol = (
 class Train:
     """Learn the driver's and the HMI's policies, by one of four protocols.
 
-    Goes on by itself where a run in the same folder was cut off. Several processes:
-    torchrun --nproc-per-node 2 -m hmi_marl train ...
+    Goes on by itself where a run in the same folder was cut off.
 
     Example: hmi-marl train two-stage --hmi-for homer --out runs/homer
     """
@@ -47,9 +48,17 @@ class Train:
     """Folder of the run, which watch and table take as an HMI or a driver; by default
     runs/ and the protocol's name."""
 
+    processes: int = 1
+    """That learn as one on this machine, each with teams of its own and a thread: with N of them
+    a batch is N times as large. Over several machines use torchrun -m hmi_marl train ..."""
+
     def run(self, typed: str) -> None:
         """Learn, and say what can be done with it."""
         use_quiet_threads()
+        if self.processes < 1:
+            raise ValueError(f"there is at least one process, but got {self.processes}")
+        if self.processes > 1 and "WORLD_SIZE" not in os.environ:
+            start_again_in_processes(self.processes, typed)
         try:
             from hmi_marl.training.run import train
         except ModuleNotFoundError as error:
@@ -58,11 +67,18 @@ class Train:
             ) from error
         out = Path("runs") / _NAMES[type(self.protocol)] if self.out is None else self.out
         train(self.protocol, out, typed=typed)
-        print(f"learnt: {out}; curves: tensorboard --logdir {out}")
-        print(f"see it: hmi-marl watch --hmi {out} --policy {out} --out clip.gif")
-        print(
-            f"        hmi-marl table --hmis NoHMI own {out} --driver-policy {out} --world batched"
-        )
+        if os.environ.get("RANK", "0") == "0":
+            print(f"learnt: {out}; curves: tensorboard --logdir {out}")
+            print(f"see it: hmi-marl watch --hmi {out} --policy {out} --out clip.gif")
+            print(f"        hmi-marl table --hmis own {out} --driver-policy {out} --world batched")
+
+
+def start_again_in_processes(count: int, typed: str) -> None:
+    """Run this very command in several processes instead, as torchrun does; never comes back."""
+    launcher = ("-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}")
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    arguments = [sys.executable, *launcher, "-m", "hmi_marl", *shlex.split(typed)[1:]]
+    os.execv(sys.executable, arguments)
 
 
 def use_quiet_threads() -> None:

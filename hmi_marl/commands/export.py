@@ -1,0 +1,35 @@
+"""``hmi-marl export``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from hmi_marl.agents.policy_files import find_policy, read_policy
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a learned policy as ONNX, for use outside of Python.
+
+    Its metadata say which columns it reads.
+
+    Example: hmi-marl export --policy runs/homer --seat vehicle_ai --out hmi.onnx
+    """
+
+    policy: Path
+    """The folder of a trained run, or a policy's .json."""
+    seat: Literal["driver", "vehicle_ai"] = "vehicle_ai"
+    """Whose policy."""
+    out: Path | None = None
+    """The file; by default beside the policy."""
+
+    def run(self, typed: str) -> None:
+        """Read, write and say where."""
+        from hmi_marl.agents.onnx_export import export_onnx
+
+        source = find_policy(self.policy, self.seat)
+        out = source.with_suffix(".onnx") if self.out is None else self.out
+        export_onnx(read_policy(source), out)
+        print(f"written: {out}")

@@ -1,0 +1,107 @@
+import json
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from hmi_marl.cli import main, parse
+from hmi_marl.commands import train as train_command
+from hmi_marl.training.alternating import Alternating
+from hmi_marl.training.joint import Joint
+from hmi_marl.training.simultaneous import Simultaneous
+from hmi_marl.training.two_stage import TwoStage
+
+TINY = ["--teams", "16", "--duration", "1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "protocol"),
+    [
+        ("two-stage", TwoStage),
+        ("joint", Joint),
+        ("simultaneous", Simultaneous),
+        ("alternating", Alternating),
+    ],
+)
+def test_every_protocol_is_a_subcommand_with_the_defaults_of_python(name, protocol):
+    command = parse(["train", name])
+    assert command.protocol == protocol()
+    assert command.out is None
+
+
+def test_settings_reach_the_protocol():
+    typed = (
+        "train two-stage --drivers lisa mona:0.4,0.3,0.5,2 --hmi-for mona:0.4,0.3,0.5,2 --seed 7"
+    )
+    protocol = parse([*typed.split(), "--ppo.epochs", "2", "--network.hidden", "8", "8"]).protocol
+    assert protocol.drivers == ("lisa", "mona:0.4,0.3,0.5,2")
+    assert protocol.seed == 7
+    assert protocol.ppo.epochs == 2
+    assert protocol.network.hidden == (8, 8)
+
+
+def test_a_run_is_learnt_watched_and_put_in_a_table(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    steps = ["--driver-steps", "1", "--hmi-steps", "1"]
+    assert main(["train", "two-stage", *TINY, *steps]) == 0
+    printed = capsys.readouterr().out
+    assert "learnt: runs/two-stage" in printed
+    command = json.loads(Path("runs/two-stage/run.json").read_text())["command"]
+    assert command == shlex.join(["hmi-marl", "train", "two-stage", *TINY, *steps])
+    table = ["table", "--hmis", "own", "runs/two-stage", "--driver-policy", "runs/two-stage"]
+    size = ["--drivers", "bart", "--episodes", "2", "--world", "batched", "--duration", "1"]
+    assert main([*table, *size, "--workers", "1", "--no-clip"]) == 0
+    assert "runs/two-stage" in capsys.readouterr().out
+    clip = ["watch", "--hmi", "runs/two-stage", "--policy", "runs/two-stage", "--out", "clip.gif"]
+    assert main([*clip, "--duration", "0.4"]) == 0
+    assert Path("clip.gif").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--teams", "0"], "at least one team"),
+        (["--ppo.discount", "1.5"], "discount lies in [0, 1]"),
+        (["--drivers", "nobody"], "unknown driver"),
+        (["--hmi-reads", "wheel"], "no part 'wheel' to read"),
+    ],
+)
+def test_bad_settings_are_refused_before_anything_is_learnt(arguments, told, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["train", "two-stage", *arguments])
+    assert stop.value.code == 2
+    error = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert told in error
+    assert "dummy" not in error
+
+
+def test_a_driver_that_is_not_there_is_told_in_one_line(tmp_path, capsys):
+    command = ["train", "two-stage", *TINY, "--driver-policy", str(tmp_path / "nowhere")]
+    assert main([*command, "--out", str(tmp_path / "run")]) == 2
+    assert "no policy for the seat of driver" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_several_processes_start_the_same_command_again(monkeypatch):
+    started = {}
+
+    def execv(path, arguments):
+        started["command"] = arguments
+        raise SystemExit(0)  # the real one never comes back
+
+    monkeypatch.setattr(train_command.os, "execv", execv)
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    typed = ["train", "joint", "--out", "a folder", "--processes", "3"]
+    with pytest.raises(SystemExit):
+        main(typed)
+    command = started["command"]
+    assert command[:3] == [sys.executable, "-m", "torch.distributed.run"]
+    assert "--nproc-per-node=3" in command
+    assert command[command.index("hmi_marl") + 1 :] == typed
+
+
+def test_no_process_at_all_is_refused(capsys):
+    assert main(["train", "joint", "--processes", "0"]) == 2
+    assert "at least one process" in capsys.readouterr().err
