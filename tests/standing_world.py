@@ -4,6 +4,7 @@ import numpy as np
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.streams import uniform
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.base import Ego, Snapshot
 
@@ -54,6 +55,24 @@ class StandingWorld:
         return Snapshot(
             0.0, np.zeros((1, 2)), np.zeros(1), np.zeros(1), np.zeros(1, bool), np.zeros((0, 2))
         )
+
+
+class CrashingWorld(StandingWorld):
+    """Every car that moves crashes with probability 0.1, by its own seed and step."""
+
+    def __init__(self, scene, num_worlds):
+        super().__init__(scene, num_worlds)
+        self.seeds, self.steps = np.zeros((2, num_worlds), np.uint64)
+
+    def reset(self, seeds, inflation, which):
+        super().reset(seeds, inflation, which)
+        self.seeds = np.where(which, seeds, self.seeds)
+        self.steps = np.where(which, 0, self.steps).astype(np.uint64)
+
+    def step(self, actions, which):
+        self.crash_next = uniform(self.seeds, 99, self.steps) < 0.1
+        self.steps += which.astype(np.uint64)
+        super().step(actions, which)
 
 
 def standing_teams(num_teams: int, **settings) -> Teaming:

@@ -55,8 +55,8 @@ class ReproduceTable:
         train_all([first], 1, typed)
         train_all(others, workers, typed)
         trained = time.monotonic()
-        cells = sum(6 * len(variant.drivers) for variant in VARIANTS)
-        with tqdm(total=cells * size.episodes, unit=" episodes", desc="playing") as bar:
+        total = reproduction.cells_in_all() * size.episodes
+        with tqdm(total=total, unit=" episodes", desc="playing") as bar:
             tables = [
                 reproduction.play_table(variant, size, out, workers, bar.update)
                 for variant in VARIANTS

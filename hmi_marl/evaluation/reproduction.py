@@ -115,6 +115,8 @@ class ReproducedTable:
 
     variant: Variant
     cells: dict[tuple[str, str], Cell]
+    average: Cell | None = None
+    """AvgHMI with the average driver, for whom it was trained; not in the paper's table."""
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -129,6 +131,11 @@ class ReproducedTable:
     def own(self, driver: str) -> Cell:
         """A driver with the HMI that was trained for them."""
         return self.cells[driver, driver]
+
+    def with_own_hmi(self) -> dict[str, Cell]:
+        """Every driver with the HMI that was trained for them, the average one included."""
+        own = {driver: self.own(driver) for driver in self.columns}
+        return own if self.average is None else own | {"average": self.average}
 
     def paper_row(self, hmi: str, driver: str) -> str | None:
         """The row of :mod:`hmi_marl.evaluation.paper` that this cell is in, if it is printed."""
@@ -159,10 +166,20 @@ def play_table(
     )
     label_of = {path: label for label, path in paths.items()}
     cells = make_table(config, workers, progress)
+    average_cell = None
+    if variant == PRINTED:
+        alone = replace(config, drivers=(spec(DRIVERS["average"]),), hmis=(paths[AVERAGE],))
+        average_cell = make_table(alone, workers, progress)[0]
     return ReproducedTable(
         variant,
         {(label_of[cell.hmi], cell.driver.partition(":")[0]): cell for cell in cells},
+        average_cell,
     )
+
+
+def cells_in_all() -> int:
+    """How many cells both variants have."""
+    return sum(6 * len(variant.drivers) for variant in VARIANTS) + 1
 
 
 def agrees_with_exact(cell: Cell) -> bool:

@@ -92,8 +92,7 @@ def averages(table: ReproducedTable) -> list[list[str]]:
 def optimum_rows(table: ReproducedTable) -> list[list[str]]:
     """Each driver with their own HMI: its attention return beside the exact optimum's."""
     rows = []
-    for driver in table.columns:
-        cell = table.own(driver)
+    for driver, cell in table.with_own_hmi().items():
         got = cell.attention_return
         missing = shortfall(cell)
         rows.append(
@@ -163,6 +162,12 @@ def as_json(tables: list[ReproducedTable], seconds: Mapping[str, float]) -> dict
                 }
                 for (hmi, driver), cell in table.cells.items()
             ]
+            for table in tables
+        },
+        "attention_shortfall_of_own_hmis": {
+            table.variant.name: {
+                driver: shortfall(cell) for driver, cell in table.with_own_hmi().items()
+            }
             for table in tables
         },
         "seconds": dict(seconds),

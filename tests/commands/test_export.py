@@ -28,7 +28,8 @@ def test_a_policy_is_written_as_onnx_beside_itself(run, capsys):
     assert main(["export", "--policy", str(run)]) == 0
     assert "vehicle_ai.onnx" in capsys.readouterr().out
     policy = load_policy(run, "vehicle_ai", TEAM)
-    observation = np.random.default_rng(1).random((5, vehicle_ai_layout(TEAM).size)).astype(np.float32)
+    shape = 5, vehicle_ai_layout(TEAM).size
+    observation = np.random.default_rng(1).random(shape).astype(np.float32)
     model = reference.ReferenceEvaluator(str(run / "vehicle_ai.onnx"))
     (action,) = model.run(["action"], {"observation": observation})
     policy.reset(np.arange(5, dtype=np.uint64))

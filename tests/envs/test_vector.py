@@ -6,14 +6,14 @@ import torch
 from rsl_rl.modules.distribution import Distribution
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.log_writer import LogWriter
-from standing_world import StandingWorld, standing_teams
+from standing_world import CrashingWorld, StandingWorld, standing_teams
 
 from hmi_marl import Driver, Scene, TraitDistributions, merge_v0
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.vectors import make_vec
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import TERMS
-from hmi_marl.envs.streams import episode_seed, uniform
+from hmi_marl.envs.streams import episode_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv, plain
 
@@ -21,24 +21,6 @@ ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
 SEATS = ("driver", "vehicle_ai", "team")
 GROUPS = ("driver", "vehicle_ai", "critic")
 SMALL = {"scene": Scene(vehicles=2), "duration": 2.0, "driver": ["bart", "homer", "marge"]}
-
-
-class Crashing(StandingWorld):
-    """Every car that moves crashes with probability 0.15, by its own seed and step."""
-
-    def __init__(self, scene, num_worlds):
-        super().__init__(scene, num_worlds)
-        self.seeds, self.steps = np.zeros((2, num_worlds), np.uint64)
-
-    def reset(self, seeds, inflation, which):
-        super().reset(seeds, inflation, which)
-        self.seeds = np.where(which, seeds, self.seeds)
-        self.steps = np.where(which, 0, self.steps).astype(np.uint64)
-
-    def step(self, actions, which):
-        self.crash_next = uniform(self.seeds, 99, self.steps) < 0.15
-        self.steps += which.astype(np.uint64)
-        super().step(actions, which)
 
 
 def standing(num_teams, seat="team", partner=None, seed=0, world=StandingWorld, **settings):
@@ -153,9 +135,9 @@ def test_highway_episodes_are_those_of_merge_v0_across_autoresets(seat):
 def test_episodes_that_crash_are_those_of_merge_v0_too(seat, end_at_crash):
     settings = {"driver": TraitDistributions(), "duration": 1.0, "end_at_crash": end_at_crash}
     config = TeamConfig(**settings)
-    env = standing(20, seat, partner_for(seat, config), seed=7, world=Crashing, **settings)
+    env = standing(20, seat, partner_for(seat, config), seed=7, world=CrashingWorld, **settings)
     crashes, time_outs = check_against_merge_v0(
-        env, random_actions(env, 17), lambda: Crashing(config.scene, 1), **settings
+        env, random_actions(env, 17), lambda: CrashingWorld(config.scene, 1), **settings
     )
     assert time_outs > 10
     assert (crashes > 10) == end_at_crash
@@ -163,7 +145,7 @@ def test_episodes_that_crash_are_those_of_merge_v0_too(seat, end_at_crash):
 
 @pytest.mark.parametrize("seat", SEATS)
 def test_a_team_is_the_same_alone_and_among_many(seat):
-    settings = {"driver": TraitDistributions(), "world": Crashing}
+    settings = {"driver": TraitDistributions(), "world": CrashingWorld}
     partner = partner_for(seat, TeamConfig())
     many = standing(64, seat, partner, seed=100, **settings)
     actions = random_actions(many, 23)
@@ -180,7 +162,7 @@ def test_a_team_is_the_same_alone_and_among_many(seat):
 
 
 def test_what_was_handed_out_stays_as_it_was():
-    env = standing(8, "vehicle_ai", make_driver_policy("random", TeamConfig()), world=Crashing)
+    env = standing(8, "vehicle_ai", make_driver_policy("random", TeamConfig()), world=CrashingWorld)
     given, copies = [], []
     for step in random_actions(env, 12):
         *tensors, extras = env.step(step)
@@ -206,7 +188,10 @@ def test_shapes_types_and_names():
     seen, rewards, dones, extras = env.step(torch.zeros(4096, 2))
     assert (rewards.shape, rewards.dtype) == ((4096,), torch.float32)
     assert (dones.shape, dones.dtype) == ((4096,), torch.int64)
-    assert set(extras) == {"time_outs"}
+    assert set(extras) == {"time_outs", "rewards"}
+    assert set(extras["rewards"]) == {"driver", "vehicle_ai"}
+    for given in extras["rewards"].values():
+        assert (given.shape, given.dtype) == ((4096,), torch.float32)
     assert (extras["time_outs"].shape, extras["time_outs"].dtype) == ((4096,), torch.bool)
     assert env.layouts["traits"]["inflation"] == slice(3, 4)
     assert set(env.get_observations()["traits"][:, 3].tolist()) == {3.0, 9.0}
@@ -354,6 +339,15 @@ def test_each_seat_gets_its_own_reward_and_the_team_all_of_it(reward):
         "attention": (10.0,) * 3,
     }[reward]
     assert tuple(rewards[seat] for seat in SEATS) == pytest.approx(expected)
+
+
+def test_with_both_seats_the_extras_tell_what_each_agent_gets():
+    env = standing(1, "team", reward="individual", driver=ATTENTIVE)
+    _, reward, _, extras = env.step(torch.tensor([[3, 0]]))
+    driving = 2.5 + 0.1 - 0.025
+    assert extras["rewards"]["driver"].item() == pytest.approx(driving)
+    assert extras["rewards"]["vehicle_ai"].item() == pytest.approx(10.0)
+    assert reward.item() == pytest.approx(driving + 10.0)
 
 
 def test_every_episode_has_its_own_seed_and_driver():
@@ -595,7 +589,7 @@ class Kept(LogWriter):
 def test_rsl_rls_ppo_learns_on_it(seat, tmp_path):
     torch.manual_seed(0)
     env = standing(
-        16, seat, partner_for(seat, TeamConfig()), world=Crashing, driver=["bart", "lisa"]
+        16, seat, partner_for(seat, TeamConfig()), world=CrashingWorld, driver=["bart", "lisa"]
     )
     network = {"class_name": "MLPModel", "hidden_dims": [16], "activation": "relu"}
     head = {"class_name": Categorical, "sizes": env.action_sizes}

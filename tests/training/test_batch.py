@@ -1,34 +1,15 @@
 import numpy as np
 import pytest
 import torch
-from standing_world import StandingWorld
+from standing_world import CrashingWorld, StandingWorld
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
-from hmi_marl.envs.streams import uniform
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.batch import play_batch
 
 SETTINGS = {"driver": ["bart", "homer"], "duration": 2.0, "reward": "individual"}
-
-
-class Crashing(StandingWorld):
-    """Every car that moves crashes with probability 0.1, by its own seed and step."""
-
-    def __init__(self, scene, num_worlds):
-        super().__init__(scene, num_worlds)
-        self.seeds, self.steps = np.zeros((2, num_worlds), np.uint64)
-
-    def reset(self, seeds, inflation, which):
-        super().reset(seeds, inflation, which)
-        self.seeds = np.where(which, seeds, self.seeds)
-        self.steps = np.where(which, 0, self.steps).astype(np.uint64)
-
-    def step(self, actions, which):
-        self.crash_next = uniform(self.seeds, 99, self.steps) < 0.1
-        self.steps += which.astype(np.uint64)
-        super().step(actions, which)
 
 
 class Scripted:
@@ -46,7 +27,7 @@ class Scripted:
         self.recorded.append((rewards, dones, extras))
 
 
-def teams(count, world=Crashing, **settings):
+def teams(count, world=CrashingWorld, **settings):
     config = TeamConfig(**SETTINGS | settings)
     return Teaming(config, count, world(config.scene, count))
 
@@ -74,7 +55,7 @@ def by_hand(teaming, actions, seed):
     return {name: value / count for name, value in sums.items()}
 
 
-@pytest.mark.parametrize("world", [Crashing, StandingWorld])
+@pytest.mark.parametrize("world", [CrashingWorld, StandingWorld])
 def test_a_batch_says_what_following_the_first_episodes_says(world):
     count = 40
     env = TeamVecEnv(teams(count, world))
@@ -87,7 +68,7 @@ def test_a_batch_says_what_following_the_first_episodes_says(world):
     for name, value in expected.items():
         assert row[name] == pytest.approx(value, rel=1e-5), name
     later = sum(int(dones.sum()) for _, dones, _ in learner.recorded)
-    if world is Crashing:
+    if world is CrashingWorld:
         assert 0.5 < row["crash_rate"] < 1
         assert later > count  # second episodes ended too, and were not counted
     else:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from standing_world import StandingWorld
+from standing_world import CrashingWorld, StandingWorld
 from tensordict import TensorDict
 
 from hmi_marl.agents import oracle
@@ -9,7 +9,6 @@ from hmi_marl.agents.learned import LearnedPolicy, PolicyCard, make_card
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.streams import uniform
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.batch import play_batch
@@ -32,30 +31,12 @@ def one_thread():
     torch.set_num_threads(threads)
 
 
-class Crashing(StandingWorld):
-    """Every car that moves crashes with probability 0.1, by its own seed and step."""
-
-    def __init__(self, scene, num_worlds):
-        super().__init__(scene, num_worlds)
-        self.seeds, self.steps = np.zeros((2, num_worlds), np.uint64)
-
-    def reset(self, seeds, inflation, which):
-        super().reset(seeds, inflation, which)
-        self.seeds = np.where(which, seeds, self.seeds)
-        self.steps = np.where(which, 0, self.steps).astype(np.uint64)
-
-    def step(self, actions, which):
-        self.crash_next = uniform(self.seeds, 99, self.steps) < 0.1
-        self.steps += which.astype(np.uint64)
-        super().step(actions, which)
-
-
 class KeepsSpeed(Memoryless):
     def act(self, observations):
         return np.full(len(observations), KEEP_SPEED)
 
 
-def env_for(seat, num_teams=16, world=Crashing, **settings):
+def env_for(seat, num_teams=16, world=CrashingWorld, **settings):
     config = TeamConfig(**({"driver": "homer", "duration": 1.0} | settings))
     teaming = Teaming(config, num_teams, world(config.scene, num_teams))
     return TeamVecEnv(teaming, seat, None if seat == "team" else KeepsSpeed())
