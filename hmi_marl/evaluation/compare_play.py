@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +19,7 @@ from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.evaluation.compare import EVERYBODY, CompareSettings, Pair
 from hmi_marl.evaluation.reproduction import EVALUATION_SEED
 from hmi_marl.evaluation.rollout import Episodes, play
+from hmi_marl.workers import pool
 
 
 @dataclass(frozen=True)
@@ -140,13 +138,8 @@ def play_all(
             played[pair] = play_one(pair)
             progress(settings.episodes)
         return played
-    with ProcessPoolExecutor(
-        min(workers, len(pairs)),
-        get_context("spawn"),
-        initializer=signal.signal,  # an interrupt ends a worker at once, and without a trace
-        initargs=(signal.SIGINT, signal.SIG_DFL),
-    ) as pool:
-        for pair, sums in zip(pairs, pool.map(play_one, pairs), strict=True):
+    with pool(min(workers, len(pairs))) as workshop:
+        for pair, sums in zip(pairs, workshop.map(play_one, pairs), strict=True):
             played[pair] = sums
             progress(settings.episodes)
     return played

@@ -6,11 +6,8 @@ Every cell plays the same seeds, so that cells differ by driver and HMI alone.
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -29,6 +26,7 @@ from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.evaluation.statistics import Estimate
+from hmi_marl.workers import pool
 
 PAPER_HMIS = ("NoHMI", "always", "AvgHMI", "own")
 EPISODES_PER_TASK = {"highway": 4, "batched": 256}
@@ -248,18 +246,9 @@ def _play_all(
         for (driver, hmi), seeds in tasks:
             yield play_cell(config, driver, hmi, seeds)
         return
-    with ProcessPoolExecutor(
-        workers,
-        get_context("spawn"),
-        initializer=signal.signal,  # an interrupt ends a worker at once, and without a trace
-        initargs=(signal.SIGINT, signal.SIG_DFL),
-    ) as pool:
-        futures: list[Future[Episodes]] = [
-            pool.submit(play_cell, config, driver, hmi, seeds) for (driver, hmi), seeds in tasks
+    with pool(workers) as workshop:
+        futures = [
+            workshop.submit(play_cell, config, driver, hmi, seeds) for (driver, hmi), seeds in tasks
         ]
-        try:
-            for future in futures:
-                yield future.result()
-        finally:
-            for future in futures:
-                future.cancel()
+        for future in futures:
+            yield future.result()

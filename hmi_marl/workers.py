@@ -1,0 +1,50 @@
+"""Processes to share work among, a thread each.
+
+Several threads in each of several processes would only get into each other's way.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any
+
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+
+
+@contextmanager
+def pool(
+    workers: int, begin: Callable[..., object] | None = None, *arguments: Any
+) -> Iterator[ProcessPoolExecutor]:
+    """A pool of fresh processes; what was submitted and has not begun is dropped at the end.
+
+    Args:
+        workers: how many at most.
+        begin: called first in each of them, with the ``arguments``.
+    """
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)  # a worker reads them when it starts
+    executor = ProcessPoolExecutor(
+        workers, get_context("spawn"), initializer=_begin, initargs=(begin, arguments)
+    )
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _begin(then: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # an interrupt ends it at once, without a trace
+    if then is not None:
+        then(*arguments)
