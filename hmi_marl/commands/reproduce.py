@@ -16,7 +16,7 @@ from hmi_marl.evaluation import attentive, hidden, reproduction, reproduction_re
 from hmi_marl.evaluation.hidden import HiddenSettings
 from hmi_marl.evaluation.reproduction import VARIANTS, ReproductionSettings
 from hmi_marl.evaluation.table import check_workers
-from hmi_marl.files import make_folder, write_json, write_text
+from hmi_marl.files import make_folder, write_bytes, write_json, write_text
 from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.two_stage import TwoStage
 
@@ -71,8 +71,10 @@ class ReproduceTable:
         write_text(out / "table.txt", text + "\n")
         content = reproduction_report.as_json(tables, seconds)
         write_json(out / "table.json", content | {"command": typed, "settings": vars(size)})
+        drawing = reproduction_report.figure(tables)
+        write_bytes(out / "table.png", drawing)
         page = out / "index.html"
-        write_text(page, reproduction_report.as_html(tables, seconds, typed, vars(size)))
+        write_text(page, reproduction_report.as_html(tables, seconds, drawing, typed, vars(size)))
         print(text)
         print(f"\nthe page: {page.resolve().as_uri()}")
 

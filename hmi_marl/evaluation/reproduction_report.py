@@ -185,7 +185,8 @@ def figure(tables: list[ReproducedTable]) -> bytes:
                 at = np.arange(len(table.columns)) + (k + 0.5) * width - 0.4
                 cells = [table.cells[hmi, driver] for driver in table.columns]
                 means = np.array([getattr(cell, metric).mean for cell in cells])
-                axes.bar(at, means, width * 0.92, color=COLOURS[k % len(COLOURS)], label=hmi)
+                label = hmi if hmi in (AVERAGE, NONE) else f"HMI for {hmi}"
+                axes.bar(at, means, width * 0.92, color=COLOURS[k % len(COLOURS)], label=label)
                 if metric == "distraction_return":
                     exact = [cell.exact_distraction_return_same_steps for cell in cells]
                     axes.plot(at, exact, "k_", markersize=8, label="exact" if k == 0 else None)
@@ -209,11 +210,12 @@ def figure(tables: list[ReproducedTable]) -> bytes:
 def as_html(
     tables: list[ReproducedTable],
     seconds: Mapping[str, float],
+    drawing: bytes,
     command: str,
     settings: Mapping[str, Any],
 ) -> str:
-    """One page that needs nothing besides itself."""
-    parts = [f"<p>{escape(CAPTION)}</p>", image("png", figure(tables), "bars of both tables")]
+    """One page that needs nothing besides itself; ``drawing`` is what :func:`figure` gave."""
+    parts = [f"<p>{escape(CAPTION)}</p>", image("png", drawing, "bars of both tables")]
     for table in tables:
         for metric, title, printed in METRICS:
             parts.append(f"<h2>{escape(title)}, {escape(table.variant.title)}</h2>")

@@ -114,6 +114,8 @@ class _Run:
     def go(self, line: int) -> None:
         self._claim_folder()
         phases, state = self._phases, self._state
+        if state.phase == len(phases):
+            return  # all is learnt
         total = sum(self._steps(phase) * self._iterations(phase) for phase in phases)
         name = self._folder.name
         board = self._folder / "tensorboard"
