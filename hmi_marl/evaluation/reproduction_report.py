@@ -185,8 +185,8 @@ def figure(tables: list[ReproducedTable]) -> bytes:
                 at = np.arange(len(table.columns)) + (k + 0.5) * width - 0.4
                 cells = [table.cells[hmi, driver] for driver in table.columns]
                 means = np.array([getattr(cell, metric).mean for cell in cells])
-                label = hmi if hmi in (AVERAGE, NONE) else f"HMI for {hmi}"
-                axes.bar(at, means, width * 0.92, color=COLOURS[k % len(COLOURS)], label=label)
+                name = hmi if hmi in (AVERAGE, NONE) else f"HMI for {hmi}"
+                axes.bar(at, means, width * 0.92, color=COLOURS[k % len(COLOURS)], label=name)
                 if metric == "distraction_return":
                     exact = [cell.exact_distraction_return_same_steps for cell in cells]
                     axes.plot(at, exact, "k_", markersize=8, label="exact" if k == 0 else None)
