@@ -1,0 +1,49 @@
+import os
+import time
+
+import pytest
+
+from hmi_marl.workers import pool
+
+
+def threads_here(_):
+    import numba
+
+    return os.environ["OMP_NUM_THREADS"], numba.config.NUMBA_NUM_THREADS
+
+
+def remember(text):
+    os.environ["REMEMBERED"] = text
+
+
+def remembered(_):
+    return os.environ["REMEMBERED"]
+
+
+def fail(number):
+    if number == 0:
+        raise ValueError("the first one fails")
+    time.sleep(0.2)
+    return number
+
+
+def test_every_worker_has_one_thread_and_this_process_keeps_its_own(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "5")
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    with pool(1) as workers:
+        assert list(workers.map(threads_here, range(2))) == [("1", 1)] * 2
+    assert os.environ["OMP_NUM_THREADS"] == "5"
+    assert "NUMBA_NUM_THREADS" not in os.environ
+
+
+def test_workers_begin_as_they_are_told():
+    with pool(1, remember, "this") as workers:
+        assert workers.submit(remembered, None).result() == "this"
+
+
+def test_what_has_not_begun_is_dropped_when_one_fails():
+    began = time.monotonic()
+    with pytest.raises(ValueError, match="the first one fails"), pool(1) as workers:
+        for future in [workers.submit(fail, number) for number in range(200)]:
+            future.result()
+    assert time.monotonic() - began < 20  # all of them would take 40 s
