@@ -56,5 +56,5 @@ $(VENV)/.for-run: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.for-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) torch
-	$(PIP_INSTALL) -e '.[video,train,interop,dev]'
+	$(PIP_INSTALL) -e '.[video,train,interop,data,dev]'
 	touch $@

@@ -14,6 +14,7 @@ import tyro
 import hmi_marl
 from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES
 from hmi_marl.commands.bench import Bench
+from hmi_marl.commands.collect import Collect
 from hmi_marl.commands.compare import Compare
 from hmi_marl.commands.export import Export
 from hmi_marl.commands.oracle import Oracle
@@ -31,6 +32,7 @@ ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, Type
 
 Command = (
     Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Oracle, tyro.conf.subcommand("oracle")]

@@ -7,15 +7,25 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
+
+
+def check_workers(workers: int | None) -> int:
+    """Return the number of workers, by default that of the cores, or raise if there are none."""
+    if workers is None:
+        return os.cpu_count() or 1
+    if workers < 1:
+        raise ValueError(f"there is at least one worker, but got {workers}")
+    return workers
 
 
 @contextmanager
@@ -35,6 +45,10 @@ def pool(
     )
     try:
         yield executor
+    except KeyboardInterrupt:
+        for process in active_children():
+            process.terminate()  # what they do may take hours
+        raise
     finally:
         executor.shutdown(cancel_futures=True)
         for name, value in before.items():
@@ -46,5 +60,14 @@ def pool(
 
 def _begin(then: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # an interrupt ends it at once, without a trace
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if then is not None:
         then(*arguments)
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would go on with nobody to take its result."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -64,8 +64,14 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
     """
     if not isinstance(name, str):
         raise TypeError(f"an HMI's name is a string, not {name!r}")
-    if _is_path(name):
-        return load_policy(name, VEHICLE_AI, config)
+    if _is_path(name, HMI_NAMES):
+        policy = load_policy(name, VEHICLE_AI, config)
+        if policy.takes_turns and not taking_turns:
+            raise ValueError(
+                f"{name} has learnt to see a^H_t, which an environment in which both act at once "
+                "shows a step late; use the one that takes turns, or train with --parallel"
+            )
+        return policy
     kind, _, argument = _ALIASES.get(name.lower(), name.lower()).partition(":")
     if kind in ("never", "always", "when-distracted") and argument:
         raise ValueError(f"HMI {kind!r} takes no argument, but got {name!r}")
@@ -78,7 +84,7 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
     if kind in ("optimal", "belief"):
         model_name, share = argument, ""
         if kind == "belief":
-            model_name, _, share = argument.partition(":")
+            model_name, share = _split_share(argument)
         model = get_driver(model_name) if model_name else _driver_at_the_wheel(config, kind)
         if kind == "optimal" and config.ai_sees_attention:
             return OptimalAlert(model, config)
@@ -95,7 +101,7 @@ def make_driver_policy(name: str, config: TeamConfig) -> Policy:
     """
     if not isinstance(name, str):
         raise TypeError(f"a driver policy's name is a string, not {name!r}")
-    if _is_path(name):
+    if _is_path(name, DRIVER_POLICY_NAMES):
         return load_policy(name, DRIVER, config)
     kind = name.lower()
     if kind == "rule":
@@ -105,9 +111,20 @@ def make_driver_policy(name: str, config: TeamConfig) -> Policy:
     raise ValueError(f"unknown driver policy {name!r}; known: {_known(DRIVER_POLICY_NAMES)}")
 
 
-def _is_path(name: str) -> bool:
-    """Whether this means a trained run rather than a known name."""
-    return "/" in name or os.sep in name or name.endswith(".json") or Path(name).is_dir()
+def _is_path(name: str, known: MappingProxyType[str, str]) -> bool:
+    """Whether this means a trained run rather than one of the known names."""
+    if "/" in name or os.sep in name or name.endswith(".json"):
+        return True
+    kind = name.lower().partition(":")[0]
+    return kind not in known and kind not in _ALIASES and Path(name).is_dir()
+
+
+def _split_share(argument: str) -> tuple[str, str]:
+    """The driver model and the share in DRIVER, DRIVER:SHARE or NAME:β,α,η,inflation:SHARE."""
+    model, colon, last = argument.rpartition(":")
+    if not colon:
+        return argument, ""
+    return (argument, "") if "," in last else (model, last)
 
 
 def _number(text: str, form: str) -> float:

@@ -12,9 +12,9 @@ from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.evaluation import compare, compare_play, compare_report
 from hmi_marl.evaluation.compare import CompareSettings
 from hmi_marl.evaluation.compare_analysis import Comparison
-from hmi_marl.evaluation.table import check_workers
 from hmi_marl.files import make_folder
 from hmi_marl.training.jobs import train_all
+from hmi_marl.workers import check_workers
 
 
 @dataclass(frozen=True)

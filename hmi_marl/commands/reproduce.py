@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,14 +11,14 @@ import tyro
 from tqdm import tqdm
 
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.evaluation import attentive, hidden, reproduction, reproduction_report
 from hmi_marl.evaluation.hidden import HiddenSettings
 from hmi_marl.evaluation.reproduction import VARIANTS, ReproductionSettings
-from hmi_marl.evaluation.table import check_workers
 from hmi_marl.files import make_folder, write_bytes, write_json, write_text
 from hmi_marl.training.jobs import Job, train_all
+from hmi_marl.training.settings import check_count
 from hmi_marl.training.two_stage import TwoStage
+from hmi_marl.workers import check_workers
 
 QUICK = {"driver_steps": 1_000_000, "hmi_steps": 300_000, "episodes": 400}
 
@@ -46,7 +46,11 @@ class ReproduceTable:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
-        size = ReproductionSettings(**QUICK, seed=self.size.seed) if self.quick else self.size
+        size = self.size
+        if self.quick:
+            if replace(size, seed=0) != ReproductionSettings():
+                raise ValueError("--quick sets the sizes itself; leave it out to choose them")
+            size = ReproductionSettings(**QUICK, seed=size.seed)
         out = self.out or Path("runs/reproduce") / ("table-quick" if self.quick else "table")
         workers = check_workers(self.workers)
         make_folder(out)
@@ -100,6 +104,8 @@ class ReproduceDriver:
     def run(self, typed: str) -> None:
         """Learn, play, write and print."""
         use_quiet_threads()
+        for name in ("steps", "snapshots", "episodes"):
+            check_count(name, getattr(self, name))
         drivers = attentive.CONFIDENT, attentive.CAUTIOUS
         settings = TwoStage(
             drivers=tuple(reproduction.spec(driver) for driver in drivers),
@@ -117,11 +123,9 @@ class ReproduceDriver:
             for driver in drivers
         ]
         verdicts = attentive.verdicts(*rows[-2:])
-        write_json(
-            self.out / "driver.table.json",
-            {"rows": [asdict(row) for row in rows], "verdicts": verdicts, "command": typed},
-        )
         print(attentive.as_text(rows, verdicts))
+        content = {"rows": [row.as_json() for row in rows], "verdicts": verdicts}
+        write_json(self.out / "driver.table.json", content | {"command": typed})
 
 
 @dataclass(frozen=True)
@@ -151,13 +155,11 @@ class ReproduceHidden:
             driver_run = job.folder
             train_all([job], 1, typed)
         train_all(self.size.hmi_jobs(self.out, driver_run), workers, typed)
-        with tqdm(total=len(PAPER_DRIVERS), unit=" drivers", desc="playing") as bar:
+        with tqdm(total=len(hidden.MODELS), unit=" drivers", desc="playing") as bar:
             rows = hidden.compare_hidden(self.size, self.out, driver_run, lambda name: bar.update())
-        write_json(
-            self.out / "hidden.json",
-            {"rows": [asdict(row) for row in rows], "command": typed, "settings": vars(self.size)},
-        )
         print(hidden.as_text(rows))
+        content = {"rows": [row.as_json() for row in rows], "settings": vars(self.size)}
+        write_json(self.out / "hidden.json", content | {"command": typed})
 
 
 What = (

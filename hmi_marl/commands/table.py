@@ -11,8 +11,9 @@ from tqdm import tqdm
 
 from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
 from hmi_marl.evaluation import clip, report
-from hmi_marl.evaluation.table import TableConfig, TableSettings, check_workers, make_table
+from hmi_marl.evaluation.table import TableConfig, TableSettings, make_table
 from hmi_marl.files import make_folder
+from hmi_marl.workers import check_workers
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Annotated
 import tyro
 
 from hmi_marl.training.alternating import Alternating
+from hmi_marl.training.jobs import need_training
 from hmi_marl.training.joint import Joint
 from hmi_marl.training.settings import TrainSettings
 from hmi_marl.training.simultaneous import Simultaneous
@@ -59,18 +60,19 @@ class Train:
             raise ValueError(f"there is at least one process, but got {self.processes}")
         if self.processes > 1 and "WORLD_SIZE" not in os.environ:
             start_again_in_processes(self.processes, typed)
-        try:
-            from hmi_marl.training.run import train
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError(
-                f"training needs {error.name}: pip install 'hmi-marl[train]'", name=error.name
-            ) from error
+        need_training()
+        from hmi_marl.training.run import train
+
         out = Path("runs") / _NAMES[type(self.protocol)] if self.out is None else self.out
         train(self.protocol, out, typed=typed)
         if os.environ.get("RANK", "0") == "0":
             print(f"learnt: {out}; curves: tensorboard --logdir {out}")
-            print(f"see it: hmi-marl watch --hmi {out} --policy {out} --out clip.gif")
-            print(f"        hmi-marl table --hmis own {out} --driver-policy {out} --world batched")
+            driver = out if (out / "driver.json").is_file() else "rule"
+            hmi = out if (out / "vehicle_ai.json").is_file() else "never"
+            print(f"see it: hmi-marl watch --hmi {hmi} --policy {driver} --out clip.gif")
+            print(
+                f"        hmi-marl table --hmis own {hmi} --driver-policy {driver} --world batched"
+            )
 
 
 def start_again_in_processes(count: int, typed: str) -> None:

@@ -120,6 +120,8 @@ def get_driver(driver: str | Driver) -> Driver:
 
 
 def _driver_from_text(name: str, traits: str) -> Driver:
+    if not name.replace("-", "").replace("_", "").isalnum():
+        raise ValueError(f"a driver's name has letters, digits, - and _ alone, not {name!r}")
     try:
         beta, alpha, eta, inflation = (float(number) for number in traits.split(","))
     except ValueError:

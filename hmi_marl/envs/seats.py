@@ -29,6 +29,15 @@ class Policy(Protocol):
         ...
 
 
+def takes_turns(hmi: Policy) -> bool:
+    """Whether a vehicle AI's policy is asked after the driver has acted, and so sees a^H_t.
+
+    A policy that has learnt to act at once with the driver says otherwise by an attribute
+    ``takes_turns``; it is asked before, when its observation still holds a^H_{t-1}.
+    """
+    return bool(getattr(hmi, "takes_turns", True))
+
+
 def check_policy(policy: object) -> Policy:
     """Return ``policy`` if it can sit in a seat, or raise; a class cannot, an object of it can."""
     if isinstance(policy, type) or not isinstance(policy, Policy):

@@ -38,7 +38,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.envs.plain import plain
-from hmi_marl.envs.seats import Policy, check_policy
+from hmi_marl.envs.seats import Policy, check_policy, takes_turns
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.totals import Totals
@@ -269,6 +269,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """Let the drivers act if they have not; what alerts there are, shape (N,)."""
         if self.seat == VEHICLE_AI:
             return columns[:, 0]
+        if self.partner is not None and not takes_turns(self.partner):
+            alerts = self._partner_actions(VEHICLE_AI)
+            self.teaming.intend(columns[:, 0])
+            return alerts
         self.teaming.intend(columns[:, 0])
         if self.seat == TEAM:
             return columns[:, 1]

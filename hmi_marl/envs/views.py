@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.seats import Policy, check_policy
+from hmi_marl.envs.seats import Policy, check_policy, takes_turns
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
@@ -125,9 +125,10 @@ class MergeDriver(_OneSeat):
     actions, partner_actions = len(VEHICLE_ACTIONS), 2
 
     def _act(self, action: Any) -> None:
+        at_once = None if takes_turns(self.partner) else self._partner_action()
         self.team.intend(action)
         try:
-            alert = self._partner_action()
+            alert = self._partner_action() if at_once is None else at_once
         except Exception:
             self.team.teaming.withdraw()  # so that the step can be taken again
             raise

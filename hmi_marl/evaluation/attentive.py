@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,13 @@ class Driving:
     crash_rate: Estimate
     time_headway: float
     """Median over episodes of each episode's median while somebody is ahead [s]."""
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content."""
+        return vars(self) | {
+            "speed_return": self.speed_return.as_json(),
+            "crash_rate": self.crash_rate.as_json(),
+        }
 
 
 def assess(policy: Path, steps: int, driver: Driver, episodes: int, seed: int) -> Driving:

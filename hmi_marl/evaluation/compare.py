@@ -22,7 +22,7 @@ from hmi_marl.envs.streams import check_seed
 from hmi_marl.training.alternating import Alternating
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.joint import Joint
-from hmi_marl.training.settings import TrainSettings, check_steps
+from hmi_marl.training.settings import TrainSettings, check_count
 from hmi_marl.training.simultaneous import Simultaneous
 from hmi_marl.training.two_stage import TwoStage
 
@@ -101,7 +101,7 @@ class CompareSettings:
     def __post_init__(self) -> None:
         _check_protocols(self.protocols)
         for name in ("steps", "rounds", "seeds", "episodes", "teams"):
-            check_steps(name, getattr(self, name))
+            check_count(name, getattr(self, name))
         if not 0.0 < self.driver_share < 1.0:
             raise ValueError(
                 f"driver_share lies between 0 and 1, both apart, but got {self.driver_share}"
@@ -242,5 +242,13 @@ def _check_protocols(protocols: Sequence[str]) -> None:
 
 
 def quick(settings: CompareSettings) -> CompareSettings:
-    """The coarse version."""
+    """The coarse version.
+
+    Raises:
+        ValueError: a size was chosen that it would set itself.
+    """
+    default = CompareSettings()
+    chosen = [name for name in QUICK if getattr(settings, name) != getattr(default, name)]
+    if chosen:
+        raise ValueError(f"--quick sets {', '.join(chosen)} itself; leave out one or the other")
     return replace(settings, **QUICK)  # type: ignore[arg-type]

@@ -17,7 +17,9 @@ is called gamed with a driver if both hold:
 2. a step is worth less than nothing to this driver, in the reward that they learn from (but for
    the collision's own term, which is not what goes on after a step).
 
-With the first alone a protocol "crashes more", but gains nothing by it: it has learnt less.
+With the first alone a protocol "crashes more": it may have learnt less, or have learnt to crash
+while its partner was worse than it is now, which the run that was trained with
+``end_at_crash=False`` shows, where crashing ends nothing.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@ r"""The paper's metrics table made again, with learned drivers and HMIs.
 
 Six HMIs (trained for Lisa, Marge, Bart, Homer, for the average driver, and none) with each of the
 four drivers, the cells that the paper leaves as ``*`` included. Twice: with the printed η, and
-with η = 1 for everyone, since the printed η = 0.01 puts the paper's own-HMI cells of Lisa and
-Bart out of reach of every alert policy, while η = 1 gives about what it prints.
+with η = 1 for all four, since the printed η = 0.01 puts the paper's own-HMI cells of Lisa and
+Bart out of reach of every alert policy, while η = 1 gives about what it prints. AvgHMI is the same
+in both, trained for the average driver with η = 0.505.
 
 One driver policy drives in all cells, conditioned on the traits of who is at the wheel.
 """
@@ -19,7 +20,7 @@ from typing import Any
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.evaluation.table import Cell, TableConfig, make_table
 from hmi_marl.training.jobs import Job
-from hmi_marl.training.settings import check_steps
+from hmi_marl.training.settings import check_count
 from hmi_marl.training.two_stage import TwoStage
 
 DRIVER_RUN, AVERAGE, NONE = "driver", "AvgHMI", "NoHMI"
@@ -73,7 +74,7 @@ class ReproductionSettings:
 
     def __post_init__(self) -> None:
         for name in ("driver_steps", "hmi_steps", "episodes"):
-            check_steps(name, getattr(self, name))
+            check_count(name, getattr(self, name))
 
     def driver_job(self, folder: Path) -> Job:
         """Stage 1: one driver policy over everybody who drives in either table."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
-from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.seats import Policy, takes_turns
 from hmi_marl.envs.teaming import StepResult, Teaming
 
 
@@ -66,7 +66,7 @@ def turn(teaming: Teaming, driver: Policy, hmi: Policy) -> StepResult:
 
     An HMI that has learnt to act at once with the driver does so: it sees a^H_{t-1}.
     """
-    if getattr(hmi, "takes_turns", True):
+    if takes_turns(hmi):
         teaming.intend(driver.act(teaming.observe(DRIVER)))
         return teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
     alerts = hmi.act(teaming.observe(VEHICLE_AI))

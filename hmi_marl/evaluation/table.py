@@ -5,7 +5,6 @@ Every cell plays the same seeds, so that cells differ by driver and HMI alone.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +18,7 @@ from hmi_marl.agents.hmis import AttentionRule, OptimalAlert
 from hmi_marl.agents.learned import LearnedPolicy
 from hmi_marl.envs.config import TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, get_driver
+from hmi_marl.envs.plain import plain
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
@@ -26,7 +26,7 @@ from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.evaluation.statistics import Estimate
-from hmi_marl.workers import pool
+from hmi_marl.workers import check_workers, pool
 
 PAPER_HMIS = ("NoHMI", "always", "AvgHMI", "own")
 EPISODES_PER_TASK = {"highway": 4, "batched": 256}
@@ -84,8 +84,8 @@ def _check_names(field: str, names: Sequence[str]) -> None:
         raise TypeError(f"{field} takes a tuple of names, not {names!r}")
     if not names:
         raise ValueError(f"a table needs at least one driver and one HMI, but {field} is empty")
-    lowered = [name.lower() for name in names]
-    twice = [name for k, name in enumerate(names) if name.lower() in lowered[:k]]
+    plainly = [name if "/" in name else name.lower() for name in names]
+    twice = [name for k, name in enumerate(names) if plainly[k] in plainly[:k]]
     if twice:
         raise ValueError(f"{field} names {twice[0]!r} twice; a table has one column or row for it")
 
@@ -179,7 +179,12 @@ def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
         return hmi.alert_probability()
     if not isinstance(hmi, LearnedPolicy) or "distracted" not in dict(hmi.card.reads):
         return None
-    trained_for = hmi.card.training.get("team", {}).get("driver", {}).get("drivers", [])
+    trained = hmi.card.training.get("team", {})
+    here = plain(team)
+    same = all(trained.get(name) == here[name] for name in ("alert_window", "weights"))
+    if not same or trained["reward"] not in ("team", "attention"):
+        return None
+    trained_for = trained["driver"].get("drivers", [])
     if len(trained_for) == 1:
         return OptimalAlert(Driver(**trained_for[0]), team).alert_probability()
     return (
@@ -194,15 +199,6 @@ def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episo
     team = config.team(driver)
     seats = make_driver_policy(config.driver_policy, team), make_hmi(hmi, team)
     return play(team, *seats, np.array(seeds, np.uint64), config.world)
-
-
-def check_workers(workers: int | None) -> int:
-    """Return the number of workers, by default that of the cores, or raise if there are none."""
-    if workers is None:
-        return os.cpu_count() or 1
-    if workers < 1:
-        raise ValueError(f"there is at least one worker, but got {workers}")
-    return workers
 
 
 def make_table(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.phase import LEARNT, Phase
-from hmi_marl.training.settings import TrainSettings, check_steps
+from hmi_marl.training.settings import TrainSettings, check_count
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Alternating(TrainSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("rounds", "driver_steps", "hmi_steps"):
-            check_steps(name, getattr(self, name))
+            check_count(name, getattr(self, name))
 
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""

@@ -6,6 +6,7 @@ cores. One thread each also makes the weights independent of how many run at a t
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import current_process, get_context
@@ -31,12 +32,23 @@ def train_all(jobs: Sequence[Job], workers: int, typed: str = "", quiet: bool = 
     Jobs must not need each other's results. Runs that were cut off go on.
 
     Raises:
+        ModuleNotFoundError: torch or rsl_rl is not installed.
         ValueError: what :func:`hmi_marl.training.run.train` refuses.
     """
+    need_training()
     lock = get_context("spawn").RLock()
     with pool(max(1, min(workers, len(jobs))), tqdm.set_lock, lock) as workshop:
         for future in [workshop.submit(_train, job, typed, quiet) for job in jobs]:
             future.result()
+
+
+def need_training() -> None:
+    """Raise ``ModuleNotFoundError``, saying what to install, if nothing can be learnt here."""
+    for module in ("torch", "rsl_rl", "tensorboard"):
+        if importlib.util.find_spec(module) is None:
+            raise ModuleNotFoundError(
+                f"training needs {module}: pip install 'hmi-marl[train]'", name=module
+            )
 
 
 def _train(job: Job, typed: str, quiet: bool) -> None:

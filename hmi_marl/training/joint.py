@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.phase import TEAM, Phase
-from hmi_marl.training.settings import TrainSettings, check_steps
+from hmi_marl.training.settings import TrainSettings, check_count
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Joint(TrainSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_steps("steps", self.steps)
+        check_count("steps", self.steps)
         if self.memory:
             raise ValueError("the composite policy has no memory; use another protocol, or 0")
 

@@ -108,7 +108,8 @@ class PPOLearner:
         """See :meth:`Learner.record`.
 
         An episode that ended by its time alone goes on for the learner: V of what was seen last
-        is added to its last reward. (rsl_rl itself would take V of the state before.)
+        is added to its last reward. (rsl_rl itself would take V of the state before.) What was
+        seen last comes before anybody's next turn, so a vehicle AI's V has no next a^H there.
         """
         rewards = rewards * self.settings.reward_scale
         if "final_teams" in extras:

@@ -41,7 +41,9 @@ class Processes:
             ValueError: there is no such device.
         """
         if wanted == "auto":
-            wanted = f"cuda:{self.local_rank}" if torch.cuda.is_available() else "cpu"
+            wanted = "cuda" if torch.cuda.is_available() else "cpu"
+        if wanted == "cuda" and torch.cuda.is_available():
+            wanted = f"cuda:{self.local_rank}"
         if wanted.startswith("cuda") and not torch.cuda.is_available():
             raise ValueError(f"device {wanted!r} was asked for, but torch sees no GPU; use cpu")
         try:

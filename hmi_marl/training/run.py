@@ -47,7 +47,7 @@ from hmi_marl.training.views import Context, IntentShown, SeatView
 
 CHECKPOINT, SETTINGS, CURVE = "checkpoint.safetensors", "run.json", "curve.json"
 _FREE = ("device", "threads", "checkpoint_every")
-"""Settings that do not change results, and may differ when a run goes on."""
+"""Settings of the machine rather than the run: they may differ when it goes on elsewhere."""
 _INITIAL_WEIGHTS = {DRIVER: 0, OTHER[DRIVER]: 1, TEAM: 2}
 
 
@@ -131,12 +131,10 @@ class _Run:
 
     def _claim_folder(self) -> None:
         """Begin a run here, or go on with the one that is here."""
-        path = self._folder / SETTINGS
-        if path.is_file():
+        path, checkpoint = self._folder / SETTINGS, self._folder / CHECKPOINT
+        if checkpoint.is_file():  # otherwise nothing was learnt that could be lost
             _check_same(_read_settings(path), self._about, self._folder)
-            checkpoint = self._folder / CHECKPOINT
-            if checkpoint.is_file():
-                self._state = Checkpoint.load(checkpoint)
+            self._state = Checkpoint.load(checkpoint)
         elif self._processes.is_first:
             write_json(path, self._about | {"command": self._typed})
         self._processes.wait()
@@ -285,6 +283,8 @@ def _in_context(phase: Phase, context: Context | None) -> Phase:
 def _read_settings(path: Path) -> dict[str, Any]:
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path} is missing beside its checkpoint") from None
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is damaged: {error}") from None
     if not isinstance(about, dict):

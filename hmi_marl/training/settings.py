@@ -139,8 +139,8 @@ class TrainSettings(TeamSettings):
         return card.reading(self.hmi_reads) if self.hmi_reads and seat == VEHICLE_AI else card
 
 
-def check_steps(name: str, steps: int) -> int:
-    """Return a number of environment steps, or raise if there are none."""
-    if steps < 1:
-        raise ValueError(f"{name} is at least 1, but got {steps}")
-    return steps
+def check_count(name: str, count: int) -> int:
+    """Return a number of things, or raise if there are none."""
+    if count < 1:
+        raise ValueError(f"{name} is at least 1, but got {count}")
+    return count

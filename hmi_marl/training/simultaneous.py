@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.phase import TEAM, Phase
-from hmi_marl.training.settings import TrainSettings, check_steps
+from hmi_marl.training.settings import TrainSettings, check_count
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Simultaneous(TrainSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_steps("steps", self.steps)
+        check_count("steps", self.steps)
 
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.phase import LEARNT, Phase
-from hmi_marl.training.settings import TrainSettings, check_steps
+from hmi_marl.training.settings import TrainSettings, check_count
 
 POPULATION = "population"
 
@@ -35,9 +35,9 @@ class TwoStage(TrainSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_steps("driver_steps", self.driver_steps)
+        check_count("driver_steps", self.driver_steps)
         if self.hmi_steps != 0 or self.driver_policy is not None:
-            check_steps("hmi_steps", self.hmi_steps)
+            check_count("hmi_steps", self.hmi_steps)
         self.team(self._assisted)
 
     @property

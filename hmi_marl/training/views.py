@@ -70,12 +70,16 @@ class IntentShown:
     """
 
     def __init__(self, env: TeamVecEnv) -> None:
-        self._columns = env.layouts[VEHICLE_AI][INTENT]
+        self._columns = {group: env.layouts[group][INTENT] for group in (VEHICLE_AI, "critic")}
 
     def __call__(self, observations: TensorDict, intents: torch.Tensor) -> TensorDict:
-        """The groups with a^H of shape (N, 1) in the vehicle AI's; the others are shared."""
-        seen = observations[VEHICLE_AI].clone()
+        """The groups with a^H of shape (N, 1) in the vehicle AI's and the critic's.
+
+        The other groups are shared with ``observations``, which stay as they are.
+        """
         one_hot = torch.nn.functional.one_hot(intents.long().squeeze(-1), ACTIONS[DRIVER])
-        seen[:, self._columns] = one_hot.to(seen.dtype)
         groups = {name: observations[name] for name in observations.keys()}  # noqa: SIM118
-        return TensorDict(groups | {VEHICLE_AI: seen}, batch_size=observations.batch_size)
+        for name, columns in self._columns.items():
+            groups[name] = groups[name].clone()
+            groups[name][:, columns] = one_hot.to(groups[name].dtype)
+        return TensorDict(groups, batch_size=observations.batch_size)

@@ -14,6 +14,7 @@ from hmi_marl.agents import (
     make_hmi,
 )
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Driver
 
 SEEN = TeamConfig(driver="bart")
 HIDDEN = TeamConfig(driver="bart", ai_sees_attention=False)
@@ -85,10 +86,11 @@ def test_with_attention_hidden_the_optimum_is_on_the_belief():
 
 
 def test_every_listed_name_can_be_made():
-    for name in HMI_NAMES:
-        make_hmi(name, SEEN)
-    for name in DRIVER_POLICY_NAMES:
-        make_driver_policy(name, SEEN)
+    for make, names in ((make_hmi, HMI_NAMES), (make_driver_policy, DRIVER_POLICY_NAMES)):
+        for name in set(names) - {"runs/RUN"}:
+            make(name, SEEN)
+        with pytest.raises(FileNotFoundError, match="no policy for the seat"):
+            make("runs/RUN", SEEN)  # stands for the folder of a run
 
 
 @pytest.mark.parametrize(
@@ -102,7 +104,7 @@ def test_every_listed_name_can_be_made():
         ("belief:lisa:often", r"belief:DRIVER:SHARE takes a number in \[0, 1\], not 'often'"),
         ("belief:lisa:1.5", r"share in \[0, 1\]"),
         ("belief:lisa:nan", r"share in \[0, 1\]"),
-        ("optimal:lisa:0.1", "unknown driver 'lisa:0.1'"),
+        ("optimal:lisa:0.1", "name:beta,alpha,eta,inflation, not 'lisa:0.1'"),
     ],
 )
 def test_a_bad_hmi_is_refused(name, message):
@@ -120,3 +122,22 @@ def test_the_own_optimum_of_a_population_is_refused():
         make_hmi("own", TeamConfig(driver=["lisa", "bart"]))
     with pytest.raises(TypeError, match="HMI's name is a string"):
         make_hmi(3, SEEN)
+
+
+def test_a_belief_can_be_over_a_driver_of_ones_own_with_a_share() -> None:
+    config = TeamConfig(driver="homer", duration=2.0)
+    for name, share in (("belief:bob:0.5,0.4,1,3", None), ("belief:bob:0.5,0.4,1,3:0.6", 0.6)):
+        policy = make_hmi(name, config)
+        assert isinstance(policy, BeliefAlert)
+        assert policy.model == Driver("bob", 0.5, 0.4, 1.0, 3.0)
+        if share is not None:
+            assert policy._rule.revealing == share
+
+
+def test_a_folder_of_a_known_name_is_not_taken_for_a_run(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = TeamConfig(driver="homer")
+    for name in ("rule", "optimal", "average"):
+        (tmp_path / name).mkdir()
+    assert isinstance(make_driver_policy("rule", config), RuleBasedDriver)
+    assert isinstance(make_hmi("average", config), OptimalAlert)

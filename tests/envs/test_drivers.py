@@ -174,3 +174,23 @@ def test_impossible_drivers_are_refused_by_the_name_of_the_trait(changes, messag
 def test_what_was_drawn_must_be_traits():
     with pytest.raises(TypeError, match="a Population draws Traits"):
         check_traits(np.zeros((2, 4)), 2)
+
+
+def test_a_driver_of_ones_own_can_be_written_down():
+    assert get_driver("mona:0.4,0.3,0.5,2") == Driver("mona", 0.4, 0.3, 0.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("mona:0.4,0.3,0.5", "name:beta,alpha,eta,inflation"),
+        ("mona:a,b,c,d", "name:beta,alpha,eta,inflation"),
+        ("mona:0.4,0.3,1.5,2", "eta lies in"),
+        ("mona:nan,0.3,0.5,2", "beta lies in"),
+        ("../mona:0.4,0.3,0.5,2", "letters, digits"),
+        (":0.4,0.3,0.5,2", "letters, digits"),
+    ],
+)
+def test_a_driver_written_down_wrongly_is_refused(text, message):
+    with pytest.raises(ValueError, match=message):
+        get_driver(text)

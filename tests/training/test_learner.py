@@ -213,10 +213,15 @@ def test_two_that_learn_at_once_see_and_get_what_their_seats_do(turns):
     shown = stored["vehicle_ai"].observations["actor"][
         ..., env.layouts["vehicle_ai"]["intended_action"]
     ]
+    in_the_critic = env.layouts["critic"]["intended_action"]
+    known = stored["vehicle_ai"].observations["critic"][..., in_the_critic]
     now = torch.nn.functional.one_hot(intents, 5).float()
     if turns:
         assert (shown == now).all()
+        assert (known == now).all()  # its values are of the state in which it acts
+        assert not (stored["driver"].observations["critic"][..., in_the_critic] == now).all()
     else:
+        assert (known == shown).all()
         begins = torch.cat([torch.ones(1, 16), stored["driver"].dones[:-1].squeeze(-1)])
         before = torch.cat([torch.zeros(1, 16, 5), now[:-1]]) * (1 - begins).unsqueeze(-1)
         assert (shown == before).all()

@@ -109,8 +109,9 @@ def test_a_shown_intent_is_what_taking_turns_shows_to_the_bit():
         np.testing.assert_array_equal(seen["driver"].numpy(), turns.observe("driver"))
         turns.intend(actions[:, 0])
         np.testing.assert_array_equal(shown["vehicle_ai"].numpy(), turns.observe("vehicle_ai"))
+        np.testing.assert_array_equal(shown["critic"].numpy(), turns.state())
         assert not (shown["vehicle_ai"] == seen["vehicle_ai"]).all()
-        for name in ("driver", "critic", "traits"):
+        for name in ("driver", "traits"):
             assert shown[name] is seen[name]
         turns.step(actions[:, 1])
         at_once.step(torch.from_numpy(actions))

@@ -1,0 +1,57 @@
+"""``hmi-marl collect``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+from tqdm import tqdm
+
+from hmi_marl.evaluation.collect import CollectSettings, Summary, collect
+from hmi_marl.files import make_folder, write_json
+
+
+@dataclass(frozen=True)
+class Collect:
+    """Record demonstrations: drivers beside an HMI that alerts at random.
+
+    What could be observed of a person goes to observed.parquet, the hidden truth apart from it to
+    truth.parquet, and what is printed to summary.json.
+
+    Example: hmi-marl collect --driver-policy runs/homer --population 100 --out runs/demonstrations
+    """
+
+    record: tyro.conf.OmitArgPrefixes[CollectSettings] = field(default_factory=CollectSettings)
+    """What to record."""
+    minari: bool = False
+    """Also write the observed data as a Minari dataset, into MINARI_DATASETS_PATH if that is set,
+    else into the folder."""
+    out: Path = Path("runs/demonstrations")
+    """Folder of the dataset; one that is there is replaced."""
+
+    def run(self, typed: str) -> None:
+        """Play, record, write and print."""
+        from hmi_marl.training.demonstration_files import (
+            OBSERVED,
+            TRUTH,
+            read_observed,
+            write_demonstrations,
+        )
+
+        if self.minari:
+            from hmi_marl.training.minari_export import export_minari, minari_place
+
+            minari_place(self.out)  # better known now than after the work
+        summary = Summary(self.record)
+        with tqdm(total=self.record.total_steps, unit=" steps", unit_scale=True) as bar:
+            bar.set_description("collect")
+            chunks = collect(self.record, bar.update, typed)
+            make_folder(self.out)
+            write_demonstrations(self.out, summary.counting(chunks))
+        write_json(self.out / "summary.json", {"command": typed, "drivers": summary.as_json()})
+        print(summary.as_text())
+        written = [self.out / name for name in (OBSERVED, TRUTH, "summary.json")]
+        if self.minari:
+            written.append(export_minari(read_observed(self.out), self.out))
+        print("written: " + ", ".join(str(path) for path in written))

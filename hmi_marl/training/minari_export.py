@@ -1,0 +1,117 @@
+"""Demonstrations as a Minari dataset: observed data only, in HDF5.
+
+An episode's ``observations`` are its states, ``actions`` the applied actions that lead from each to
+the next; the last action of a window leads to no recorded state and is left out. Rewards are zeros:
+nobody observes them. ``infos["alert"]`` holds a^A for every state, and ``options["driver"]`` of an
+episode's metadata who drove, where that is known.
+
+Needs minari with h5py, which come with the ``data`` extra.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from gymnasium import spaces
+
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.training.demonstrations import Observed
+
+try:
+    import h5py  # noqa: F401
+    import minari
+    from minari.data_collector import EpisodeBuffer
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        f"exporting to Minari needs {error.name}: pip install 'hmi-marl[data]'", name=error.name
+    ) from error
+
+_PLACE = "MINARI_DATASETS_PATH"
+
+
+def minari_id(folder: Path) -> str:
+    """What the Minari dataset of a dataset's folder is called."""
+    return re.sub(r"[^-\w]", "_", f"hmi_marl-{folder.resolve().name}") + "-v0"
+
+
+def minari_place(folder: Path) -> Path:
+    """Where it goes: into ``MINARI_DATASETS_PATH`` if that is set, else into the folder.
+
+    Raises:
+        FileExistsError: there is one already.
+    """
+    place = Path(os.environ.get(_PLACE) or folder / "minari") / minari_id(folder)
+    if place.exists():
+        raise FileExistsError(f"{place} is there already; remove it, or choose another --out")
+    return place
+
+
+def export_minari(observed: Observed, folder: Path) -> Path:
+    """Write a Minari dataset; returns its folder.
+
+    Args:
+        observed: episodes of at least two steps.
+        folder: of the demonstrations, which names the dataset.
+
+    Raises:
+        FileExistsError: see :func:`minari_place`.
+        ValueError: an episode of a single step, which holds no transition.
+    """
+    place = minari_place(folder)
+    if observed.length.min() < 2:
+        raise ValueError("a window of a single step holds no transition for Minari")
+    buffers = [_buffer(observed, k) for k in range(len(observed))]
+    layout = [f"{part.name}: {part.size}" for part in observed.layout.parts]
+    with _datasets_at(place.parent), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*env", UserWarning)  # people are no environment
+        minari.create_dataset_from_buffers(
+            place.name,
+            buffers,
+            observation_space=observed.layout.space(),
+            action_space=spaces.Discrete(len(VEHICLE_ACTIONS)),
+            description=f"Columns: {', '.join(layout)}. Made as {json.dumps(observed.about)}",
+            algorithm_name="hmi-marl collect",
+            author="hmi-marl",
+            author_email="",
+            code_permalink="",
+            data_format="hdf5",
+        )
+    return place
+
+
+def _buffer(observed: Observed, k: int) -> EpisodeBuffer:
+    steps = int(observed.length[k])
+    label = observed.labels()[k]
+    ends = np.zeros(steps - 1, np.bool_)
+    ends[-1] = True
+    return EpisodeBuffer(
+        id=k,
+        seed=None if observed.seeds is None else int(observed.seeds[k]),
+        options=None if label is None else {"driver": label},
+        observations=observed.states[k, :steps],
+        actions=observed.actions[k, : steps - 1],
+        rewards=np.zeros(steps - 1),
+        terminations=np.zeros(steps - 1, np.bool_),
+        truncations=ends,
+        infos={"alert": observed.alerts[k, :steps]},
+    )
+
+
+@contextmanager
+def _datasets_at(place: Path) -> Iterator[None]:
+    before = os.environ.get(_PLACE)
+    os.environ[_PLACE] = str(place.resolve())  # Minari loses its way on relative ones
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_PLACE]
+        else:
+            os.environ[_PLACE] = before
