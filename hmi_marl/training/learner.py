@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
@@ -37,6 +37,18 @@ class Learner(Protocol):
         ...
 
 
+class ShuffledOnce(RolloutStorage):  # type: ignore[misc]  # rsl_rl has no types
+    """rsl_rl's storage, which gathers the same mini-batches anew in every epoch, gathering once."""
+
+    def mini_batch_generator(
+        self, num_mini_batches: int, num_epochs: int = 8
+    ) -> Iterator[RolloutStorage.Batch]:
+        """See :meth:`RolloutStorage.mini_batch_generator`, whose batches these are."""
+        first = list(super().mini_batch_generator(num_mini_batches, num_epochs=1))
+        for _ in range(num_epochs):
+            yield from first
+
+
 class PPOLearner:
     """One rsl_rl PPO.
 
@@ -67,7 +79,7 @@ class PPOLearner:
         self.view = view
         self.settings = settings
         seen = view(sample)
-        storage = RolloutStorage("rl", len(seen), steps, seen, [columns], device)
+        storage = ShuffledOnce("rl", len(seen), steps, seen, [columns], device)
         self.ppo = PPO(
             actor,
             critic,

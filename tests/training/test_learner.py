@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from rsl_rl.storage import RolloutStorage
 from standing_world import CrashingWorld, StandingWorld
 from tensordict import TensorDict
 
@@ -12,7 +13,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.batch import play_batch
-from hmi_marl.training.learner import PPOLearner, TwoLearners
+from hmi_marl.training.learner import PPOLearner, ShuffledOnce, TwoLearners
 from hmi_marl.training.models import make_actor, make_critic, make_joint_actor, weights_of
 from hmi_marl.training.processes import Processes
 from hmi_marl.training.settings import PPOSettings
@@ -351,3 +352,22 @@ def test_ppo_learns_the_exact_optimum_of_alerting(name):
     assert best.total_return > never + 5  # there is something to learn
     assert reached == pytest.approx(best.total_return, rel=0.01)
     assert row["attention_return"] == pytest.approx(best.total_return, rel=0.25)
+
+
+def test_gathering_once_gives_the_batches_of_rsl_rl():
+    sample = TensorDict({"actor": torch.zeros(6, 3)}, batch_size=[6])
+    batches = []
+    for kind in (RolloutStorage, ShuffledOnce):
+        storage = kind("rl", 6, 4, sample, [1])
+        torch.manual_seed(3)
+        storage.observations["actor"].copy_(torch.rand(4, 6, 3))
+        for name in ("actions", "values", "returns", "advantages", "actions_log_prob"):
+            getattr(storage, name).copy_(torch.rand(4, 6, 1))
+        storage.distribution_params = (torch.rand(4, 6, 2),)
+        batches.append(list(storage.mini_batch_generator(3, 2)))
+    assert len(batches[0]) == len(batches[1]) == 6
+    for theirs, ours in zip(*batches, strict=True):
+        assert (theirs.observations == ours.observations).all()
+        for name in ("actions", "values", "returns", "advantages", "old_actions_log_prob"):
+            assert torch.equal(getattr(theirs, name), getattr(ours, name))
+        assert torch.equal(*(b.old_distribution_params[0] for b in (theirs, ours)))
