@@ -387,11 +387,26 @@ def test_a_folder_that_cannot_be_written_to_is_told(tmp_path):
         train(TWO_STAGE, tmp_path / "file", quiet=True)
 
 
-@pytest.mark.parametrize("content", ["{", "[]"])
+@pytest.mark.parametrize("content", ["{", "[]", None])
 def test_damaged_settings_of_a_run_are_told_by_their_file(content, tmp_path):
-    (tmp_path / "run.json").write_text(content)
+    train(TWO_STAGE, tmp_path, quiet=True)
+    settings = tmp_path / "run.json"
+    if content is None:
+        settings.unlink()
+    else:
+        settings.write_text(content)
     with pytest.raises(ValueError, match=r"run\.json"):
         train(TWO_STAGE, tmp_path, quiet=True)
+
+
+def test_a_start_that_failed_does_not_claim_the_folder(tmp_path):
+    lost = replace(TWO_STAGE, driver_policy=str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError):
+        train(lost, tmp_path / "run", quiet=True)
+    train(TWO_STAGE, tmp_path / "run", quiet=True)
+    assert (
+        json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["driver_policy"] is None
+    )
 
 
 def test_a_run_does_not_go_on_with_another_context(tmp_path):
