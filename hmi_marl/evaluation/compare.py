@@ -85,9 +85,10 @@ class CompareSettings:
     """Episodes that each pair of driver and HMI plays."""
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Who drives, drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
-    reward: Literal["team", "individual"] = "team"
-    """What joint, simultaneous and alternating learn from. (Two-stage: driving for the driver, team
-    for the HMI. Joint learns from the sum of both agents' rewards, which is the team's.)"""
+    reward: Literal["default", "team", "individual"] = "default"
+    """What they learn from: each protocol's own default (the driver learns from driving and the HMI
+    from the team's reward where they learn apart, both from the team's where they learn together),
+    or one for all but two-stage. (Joint learns from the sum of both agents' rewards.)"""
     crash_check: bool = True
     """Train every protocol also with end_at_crash=False, with the first seed, to see whether
     crashing early pays."""
@@ -106,8 +107,8 @@ class CompareSettings:
             raise ValueError(
                 f"driver_share lies between 0 and 1, both apart, but got {self.driver_share}"
             )
-        if self.reward not in ("team", "individual"):
-            raise ValueError(f"reward is 'team' or 'individual', not {self.reward!r}")
+        if self.reward not in ("default", "team", "individual"):
+            raise ValueError(f"reward is 'default', 'team' or 'individual', not {self.reward!r}")
         object.__setattr__(self, "seed", check_seed(self.seed))
         check_seed(self.seed + self.seeds - 1)
         if not isinstance(self.drivers, tuple) or not self.drivers:
@@ -185,20 +186,23 @@ class CompareSettings:
             "vehicles": self.vehicles,
         }
         apart: dict[str, Any] = {"driver_steps": driver_steps, "hmi_steps": hmi_steps}
-        whole: dict[str, Any] = {"steps": self.steps_each, "reward": self.reward}
+        whole: dict[str, Any] = {"steps": self.steps_each}
         if run.protocol == TWO_STAGE:
             return TwoStage(**shared, **apart)
+        if self.reward != "default":
+            apart |= {"driver_reward": self.reward, "hmi_reward": self.reward}
+            whole |= {"reward": self.reward}
         if run.protocol == "alternating":
-            return Alternating(**shared, **apart, rounds=self.rounds, reward=self.reward)
+            return Alternating(**shared, **apart, rounds=self.rounds)
         if run.protocol == "joint":
             return Joint(**shared, **whole)
         return Simultaneous(**shared, **whole, parallel=run.protocol == "simultaneous-parallel")
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
         """The reward terms that the driver learns from."""
-        if protocol == TWO_STAGE:
+        if protocol == TWO_STAGE or (protocol == "alternating" and self.reward == "default"):
             return DRIVING_TERMS
-        return TERMS if protocol == "joint" or self.reward == "team" else DRIVER_TERMS
+        return DRIVER_TERMS if protocol != "joint" and self.reward == "individual" else TERMS
 
     def pairs(self) -> list[Pair]:
         """Every pair that plays, each once."""

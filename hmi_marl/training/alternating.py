@@ -23,8 +23,11 @@ class Alternating(TrainSettings):
     """Environment steps in which the driver learns, over all rounds."""
     hmi_steps: int = 2_000_000
     """Environment steps in which the HMI learns, over all rounds."""
-    reward: Sharing = "team"
-    """What both learn from."""
+    driver_reward: Sharing = "driving"
+    """What the driver learns from. Beside no HMI, as in the first round, a step of a distracted
+    driver is worth less than nothing to the team, so that "team" teaches them to crash."""
+    hmi_reward: Sharing = "team"
+    """What the HMI learns from."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -33,11 +36,12 @@ class Alternating(TrainSettings):
 
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""
-        team = self.team(self.drivers, self.reward)
         steps = {DRIVER: self.driver_steps, VEHICLE_AI: self.hmi_steps}
+        rewards = {DRIVER: self.driver_reward, VEHICLE_AI: self.hmi_reward}
         phases = []
         for k in range(self.rounds):
             for seat in (DRIVER, VEHICLE_AI):
+                team = self.team(self.drivers, rewards[seat])
                 first = k == 0 and seat == DRIVER
                 phases.append(
                     Phase(

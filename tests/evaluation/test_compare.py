@@ -97,8 +97,15 @@ def test_the_reward_is_that_of_those_who_learn_together() -> None:
         job.folder.name: job.settings
         for job in replace(TINY, reward="individual").jobs(Path("out"))
     }
-    for protocol in PROTOCOLS[1:]:
+    for protocol in ("joint", "simultaneous", "simultaneous-parallel"):
         assert jobs[f"{protocol}-seed0"].reward == "individual"
+    alternating = jobs["alternating-seed0"]
+    assert (alternating.driver_reward, alternating.hmi_reward) == ("individual", "individual")
+    default = {job.folder.name: job.settings for job in TINY.jobs(Path("out"))}
+    assert default["joint-seed0"].reward == "team"
+    assert default["alternating-seed0"].driver_reward == "driving"
+    assert TINY.driver_terms("alternating") == DRIVING_TERMS
+    assert replace(TINY, reward="team").driver_terms("alternating") == TERMS
     assert jobs["two-stage-seed0"].driver_reward == "driving"
     assert TINY.driver_terms("two-stage") == DRIVING_TERMS
     assert TINY.driver_terms("simultaneous") == TERMS
@@ -139,7 +146,7 @@ def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
         ({"teams": 8}, "8 teams make no 16 mini-batches"),
         ({"driver_share": 0.0}, "driver_share lies between 0 and 1"),
         ({"driver_share": float("nan")}, "driver_share lies between 0 and 1"),
-        ({"reward": "driving"}, "reward is 'team' or 'individual'"),
+        ({"reward": "driving"}, "reward is 'default', 'team' or 'individual'"),
         ({"seed": -1}, "a seed lies in"),
         ({"seed": 2**64 - 1}, "a seed lies in"),
         ({"drivers": ()}, "at least one name"),
