@@ -11,7 +11,7 @@ one process, and once more in a process for each core that learn as one.
 
 Writes JSON beside what it prints. Needs two extras: pip install 'hmi-marl[train,interop]'
 
-Run: python benchmarks/training.py --rounds 3 --steps 700000 --sb3-steps 2048
+Run: python benchmarks/training.py --rounds 2 --steps 1200000 --sb3-steps 2048
 """
 
 import os
@@ -271,9 +271,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     whole = {"type": int, "metavar": "N"}
-    parser.add_argument("--rounds", **whole, default=3, help="turns that both take")
+    parser.add_argument("--rounds", **whole, default=2, help="turns that all take")
     parser.add_argument(
-        "--steps", **whole, default=700_000, help="of ours in a round, half a stage"
+        "--steps", **whole, default=1_200_000, help="of ours in a round, half a stage"
     )
     parser.add_argument("--teams", **whole, default=TwoStage().teams, help="of ours side by side")
     parser.add_argument("--sb3-steps", **whole, default=2048, help="of SB3's in a round")
@@ -291,7 +291,7 @@ def main() -> None:
     rows = measure(args)
     print(as_text(rows))
     config = {name: value for name, value in vars(args).items() if name != "out"}
-    versions = {"torch": torch.__version__, "torch_threads": torch.get_num_threads()}
+    versions = {"torch": torch.__version__, "threads_of_ours": TwoStage().threads}
     write_json(args.out, {"config": config | {"cores": cores} | versions, "rows": rows})
     print(f"written: {args.out}")
 

@@ -78,7 +78,12 @@ def train(
         if processes.is_first:
             make_folder(folder)
         quiet = quiet or not processes.is_first
-        _Run(settings, folder, processes, context, quiet, typed).go(line)
+        threads = torch.get_num_threads()
+        torch.set_num_threads(settings.threads)
+        try:
+            _Run(settings, folder, processes, context, quiet, typed).go(line)
+        finally:
+            torch.set_num_threads(threads)
 
 
 class _Run:

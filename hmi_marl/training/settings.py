@@ -99,8 +99,9 @@ class TrainSettings(TeamSettings):
     """How the learner learns."""
     device: str = "auto"
     """Of the learner: cpu, cuda, or auto, a GPU if there is one. The world stays on the CPU."""
-    threads: int | None = None
-    """That the world shares its teams among; all cores by default. Does not change results."""
+    threads: int = 1
+    """Of the world and of the learner, in each process. More help little where networks are small;
+    the cores are better used by more processes."""
     snapshots: int = 0
     """How many times in each phase to keep the policies as they stand, in snapshots/STEPS."""
     checkpoint_every: float = 60.0
@@ -110,6 +111,8 @@ class TrainSettings(TeamSettings):
         object.__setattr__(self, "seed", check_seed(self.seed))
         if self.teams < 1:
             raise ValueError(f"there is at least one team, but got teams = {self.teams}")
+        if self.threads < 1:
+            raise ValueError(f"there is at least one thread, but got threads = {self.threads}")
         if self.snapshots < 0:
             raise ValueError(f"snapshots is a number of times, but got {self.snapshots}")
         if self.checkpoint_every < 0:

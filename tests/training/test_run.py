@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -142,7 +143,7 @@ def test_the_draws_of_others_are_left_alone(tmp_path):
 
 def test_threads_and_checkpoints_do_not_change_results(tmp_path):
     one = learnt(tmp_path / "one", TWO_STAGE)
-    others = replace(TWO_STAGE, threads=None, checkpoint_every=1e9)
+    others = replace(TWO_STAGE, threads=int(numba.config.NUMBA_NUM_THREADS), checkpoint_every=1e9)
     assert weights(learnt(tmp_path / "two", others)) == weights(one)
 
 
@@ -243,7 +244,9 @@ def test_a_finished_run_is_left_alone(tmp_path):
 
 def test_a_run_goes_on_elsewhere_with_other_threads_and_checkpoints(tmp_path):
     train(TWO_STAGE, tmp_path, quiet=True)
-    elsewhere = replace(TWO_STAGE, device="auto", threads=None, checkpoint_every=5.0)
+    elsewhere = replace(
+        TWO_STAGE, device="auto", threads=int(numba.config.NUMBA_NUM_THREADS), checkpoint_every=5.0
+    )
     train(elsewhere, tmp_path, quiet=True)
 
 
