@@ -50,6 +50,7 @@ def test_what_ppo_may_be_told_at_the_edges():
         ({"teams": 0}, ValueError, "at least one team, but got teams = 0"),
         ({"snapshots": -1}, ValueError, "snapshots is a number of times, but got -1"),
         ({"checkpoint_every": -1.0}, ValueError, "checkpoint_every is a time"),
+        ({"threads": 0}, ValueError, "at least one thread"),
         ({"network": NetworkConfig(memory=3)}, ValueError, "set memory, not network.memory"),
         ({"memory": -1}, ValueError, "memory = -1"),
         (
