@@ -216,7 +216,8 @@ def as_text(rows: list[HiddenRow]) -> str:
 def as_good(row: HiddenRow) -> bool:
     """Whether the learned HMI does as well as the Bayes filter.
 
-    At the best they are equal, since nothing beats the filter if its model holds. A difference
-    counts as none within ``MARGIN`` of the filter's return, whatever the interval.
+    The filter's rule is the optimum if steps reveal d independently, so a learned one can at most
+    come to about as much. A difference counts as none within ``MARGIN`` of the filter's return,
+    whatever the interval.
     """
     return row.learned_minus_bayes.mean >= -MARGIN * abs(row.attention_return[BAYES_OWN].mean)
