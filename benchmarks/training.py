@@ -43,8 +43,9 @@ from hmi_marl.agents.learned import LearnedPolicy
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.envs.worlds.highway import highway_config
 from hmi_marl.files import write_json
+from hmi_marl.training.jobs import CURVE
 from hmi_marl.training.learner import PPOLearner
-from hmi_marl.training.run import CURVE, train
+from hmi_marl.training.run import train
 from hmi_marl.training.two_stage import TwoStage
 
 STAGES = {"driver": "driver", "vehicle_ai": "hmi"}

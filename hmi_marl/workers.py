@@ -8,11 +8,14 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
-from typing import Any
+from typing import Any, TypeVar
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -56,6 +59,18 @@ def pool(
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def results(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int
+) -> Iterator[Result]:
+    """``function`` of every task, in their order: in this process if there is one worker."""
+    if workers == 1:
+        yield from map(function, tasks)
+        return
+    with pool(min(workers, len(tasks))) as workshop:
+        for future in [workshop.submit(function, task) for task in tasks]:
+            yield future.result()
 
 
 def _begin(then: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:

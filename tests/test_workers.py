@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from hmi_marl.workers import pool
+from hmi_marl.workers import pool, results
 
 
 def threads_here(_):
@@ -50,3 +50,15 @@ def test_what_has_not_begun_is_dropped_when_one_fails(tmp_path):
         with pytest.raises(ValueError, match="the first one fails"):
             all_of(futures)
     assert len(list(tmp_path.iterdir())) < count
+
+
+def whose(number):
+    return number, os.getpid()
+
+
+def test_results_come_in_the_order_of_their_tasks():
+    here = list(results(whose, [3, 1, 2], workers=1))
+    assert here == [(number, os.getpid()) for number in (3, 1, 2)]
+    apart = list(results(whose, [3, 1, 2], workers=2))
+    assert [number for number, _ in apart] == [3, 1, 2]
+    assert os.getpid() not in {process for _, process in apart}

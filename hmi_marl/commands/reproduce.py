@@ -67,7 +67,7 @@ class ReproduceTable:
             ]
         seconds = {
             f"training {name}": spent
-            for name, spent in reproduction.seconds_of(out, [first, *others]).items()
+            for name, spent in reproduction.seconds_of([first, *others]).items()
         }
         seconds["all training of this call, side by side"] = trained - began
         seconds["playing"] = time.monotonic() - trained

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.evaluation.compare import EVERYBODY, CompareSettings, Pair
 from hmi_marl.evaluation.reproduction import EVALUATION_SEED
 from hmi_marl.evaluation.rollout import Episodes, play
-from hmi_marl.workers import pool
+from hmi_marl.workers import results
 
 
 @dataclass(frozen=True)
@@ -133,21 +132,12 @@ def play_all(
     """
     pairs, play_one = settings.pairs(), partial(play_pair, settings, folder)
     played: dict[Pair, Mapping[str, Sums]] = {}
-    if workers == 1:
-        for pair in pairs:
-            played[pair] = play_one(pair)
-            progress(settings.episodes)
-        return played
-    with pool(min(workers, len(pairs))) as workshop:
-        for pair, sums in zip(pairs, workshop.map(play_one, pairs), strict=True):
-            played[pair] = sums
-            progress(settings.episodes)
+    for pair, sums in zip(pairs, results(play_one, pairs, workers), strict=True):
+        played[pair] = sums
+        progress(settings.episodes)
     return played
 
 
 def read_curves(settings: CompareSettings, folder: Path) -> dict[str, list[dict[str, Any]]]:
     """The rows of every run's learning curve, by the run's name."""
-    return {
-        run.name: json.loads((folder / run.name / "curve.json").read_text("utf-8"))
-        for run in settings.runs
-    }
+    return {job.folder.name: job.curve() for job in settings.jobs(folder)}

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.belief import solve_belief
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.page import text_table
-from hmi_marl.evaluation.reproduction import DRIVER_RUN, EVALUATION_SEED
-from hmi_marl.evaluation.rollout import begin, play
+from hmi_marl.evaluation.reproduction import EVALUATION_SEED, driver_job
+from hmi_marl.evaluation.rollout import begin, play, turn
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.settings import PPOSettings, check_count
@@ -69,14 +69,7 @@ class HiddenSettings:
 
     def driver_job(self, folder: Path) -> Job:
         """One driver policy over the four drivers and the average one."""
-        settings = TwoStage(
-            drivers=MODELS,
-            driver_steps=self.driver_steps,
-            hmi_steps=0,
-            teams=self.teams,
-            seed=self.seed,
-        )
-        return Job(settings, folder / DRIVER_RUN)
+        return driver_job(MODELS, self.driver_steps, self.teams, self.seed, folder)
 
     def hmi_jobs(self, folder: Path, driver_run: Path) -> list[Job]:
         """An HMI with a memory for each driver model."""
@@ -133,12 +126,10 @@ def revealing_share(team: TeamConfig, driver_run: Path, seeds: NDArray[np.uint64
     teaming = begin(team, driver, hmi, seeds, "batched")
     shown = steps = 0
     while not teaming.over.all():
-        before = teaming.applied
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-        counts = ~teaming.over & (teaming.steps > 0)
+        before, counts = teaming.applied, ~teaming.over & (teaming.steps > 0)
+        turn(teaming, driver, hmi)
         shown += int((counts & (teaming.intended != before)).sum())
         steps += int(counts.sum())
-        teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
     return shown / steps
 
 

@@ -11,11 +11,9 @@ One driver policy drives in all cells, conditioned on the traits of who is at th
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.evaluation.table import Cell, TableConfig, make_table
@@ -53,6 +51,12 @@ ETA_1 = Variant("eta-1", "η = 1", tuple(replace(driver, eta=1.0) for driver in 
 VARIANTS = (PRINTED, ETA_1)
 
 
+def driver_job(drivers: tuple[str, ...], steps: int, teams: int, seed: int, folder: Path) -> Job:
+    """One driver policy over these drivers, which later trainings in ``folder`` take."""
+    settings = TwoStage(drivers=drivers, driver_steps=steps, hmi_steps=0, teams=teams, seed=seed)
+    return Job(settings, folder / DRIVER_RUN)
+
+
 @dataclass(frozen=True)
 class ReproductionSettings:
     """How large a reproduction is.
@@ -80,14 +84,7 @@ class ReproductionSettings:
         """Stage 1: one driver policy over everybody who drives in either table."""
         drivers = {spec(driver) for variant in VARIANTS for driver in variant.drivers}
         everybody = (*sorted(drivers), spec(DRIVERS["average"]))
-        settings = TwoStage(
-            drivers=everybody,
-            driver_steps=self.driver_steps,
-            hmi_steps=0,
-            teams=self.teams,
-            seed=self.seed,
-        )
-        return Job(settings, folder / DRIVER_RUN)
+        return driver_job(everybody, self.driver_steps, self.teams, self.seed, folder)
 
     def hmi_jobs(self, folder: Path) -> list[Job]:
         """Stage 2: an HMI for each driver of the tables, and for the average one."""
@@ -180,15 +177,15 @@ def play_table(
 
 def cells_in_all() -> int:
     """How many cells both variants have."""
-    return sum(6 * len(variant.drivers) for variant in VARIANTS) + 1
+    without = len((AVERAGE, NONE))
+    return 1 + sum((len(v.drivers) + without) * len(v.drivers) for v in VARIANTS)
 
 
 def agrees_with_exact(cell: Cell) -> bool:
     """Whether a cell's distraction return is the exact one, within 2 % or its interval."""
     exact = cell.exact_distraction_return_same_steps
     assert exact is not None
-    got = cell.distraction_return
-    return got.low <= exact <= got.high or abs(got.mean - exact) <= TOLERANCE * abs(exact)
+    return cell.distraction_return.agrees(exact, TOLERANCE)
 
 
 def shortfall(cell: Cell) -> float:
@@ -197,10 +194,6 @@ def shortfall(cell: Cell) -> float:
     return (best - cell.attention_return.mean) / abs(best)
 
 
-def seconds_of(folder: Path, jobs: list[Job]) -> dict[str, float]:
+def seconds_of(jobs: list[Job]) -> dict[str, float]:
     """What each training took in all, by the name of its folder."""
-    told: dict[str, float] = {}
-    for job in jobs:
-        curve: list[dict[str, Any]] = json.loads((job.folder / "curve.json").read_text("utf-8"))
-        told[job.folder.name] = curve[-1]["seconds"]
-    return told
+    return {job.folder.name: job.curve()[-1]["seconds"] for job in jobs}

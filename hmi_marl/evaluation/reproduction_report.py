@@ -43,7 +43,7 @@ def paper_verdict(cell: Cell, metric: str, printed: float) -> str:
         # The paper's episodes may have been a few steps shorter than ours.
         if not reach.least * 1.001 <= printed <= reach.most * 0.94:
             return "out of reach of every alert policy"
-    if _agree(got, printed, CLOSE[metric]):
+    if got.agrees(printed, CLOSE[metric]):
         return "agrees"
     return f"differs by {got.mean - printed:+.0f}"
 
@@ -92,11 +92,11 @@ class Average:
     def verdict(self) -> str:
         """Whether the paper's figure is ours, and ours the exact one."""
         share = CLOSE[self.metric]
-        paper = _agree(self.ours, self.paper, share)
+        paper = self.ours.agrees(self.paper, share)
         told = "paper agrees" if paper else f"paper differs by {self.paper - self.ours.mean:+.0f}"
         if self.exact is None:
             return told
-        exact = _agree(self.ours, self.exact, TOLERANCE)
+        exact = self.ours.agrees(self.exact, TOLERANCE)
         return f"{told}, {'exact' if exact else 'MISSED the exact value'}"
 
 
@@ -162,10 +162,6 @@ def average_rows(table: ReproducedTable) -> list[list[str]]:
             ]
         )
     return rows
-
-
-def _agree(ours: Estimate, other: float, share: float) -> bool:
-    return ours.low <= other <= ours.high or abs(ours.mean - other) <= share * abs(other)
 
 
 def optimum_rows(table: ReproducedTable) -> list[list[str]]:

@@ -20,6 +20,10 @@ class Estimate:
     low: float
     high: float
 
+    def agrees(self, other: float, share: float) -> bool:
+        """Whether ``other`` lies in the interval, or the mean within this share of ``other``."""
+        return self.low <= other <= self.high or abs(self.mean - other) <= share * abs(other)
+
     def as_json(self) -> dict[str, float | None]:
         """With None for what is not known, as JSON has no NaN."""
         return {name: value if math.isfinite(value) else None for name, value in vars(self).items()}

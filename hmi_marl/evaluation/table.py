@@ -5,8 +5,9 @@ Every cell plays the same seeds, so that cells differ by driver and HMI alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.evaluation.statistics import Estimate
-from hmi_marl.workers import check_workers, pool
+from hmi_marl.workers import check_workers, results
 
 PAPER_HMIS = ("NoHMI", "always", "AvgHMI", "own")
 EPISODES_PER_TASK = {"highway": 4, "batched": 256}
@@ -220,9 +221,10 @@ def make_table(
     workers = check_workers(workers)
     wanted = [(driver, hmi) for hmi in config.hmis for driver in config.drivers]
     played: dict[tuple[str, str], list[Episodes]] = {cell: [] for cell in wanted}
-    tasks = [(cell, seeds) for cell in wanted for seeds in _chunks(config)]
-    for (cell, _), episodes in zip(tasks, _play_all(config, tasks, workers), strict=True):
-        played[cell].append(episodes)
+    tasks = [(*cell, seeds) for cell in wanted for seeds in _chunks(config)]
+    play_task = partial(_play_task, config)
+    for (driver, hmi, _), episodes in zip(tasks, results(play_task, tasks, workers), strict=True):
+        played[driver, hmi].append(episodes)
         progress(len(episodes.seeds))
     return [
         make_cell(config, driver, hmi, Episodes.join(episodes))
@@ -235,16 +237,5 @@ def _chunks(config: TableConfig) -> list[range]:
     return [range(start, min(start + size, end)) for start in range(config.seed, end, size)]
 
 
-def _play_all(
-    config: TableConfig, tasks: list[tuple[tuple[str, str], range]], workers: int
-) -> Iterator[Episodes]:
-    if workers == 1:
-        for (driver, hmi), seeds in tasks:
-            yield play_cell(config, driver, hmi, seeds)
-        return
-    with pool(workers) as workshop:
-        futures = [
-            workshop.submit(play_cell, config, driver, hmi, seeds) for (driver, hmi), seeds in tasks
-        ]
-        for future in futures:
-            yield future.result()
+def _play_task(config: TableConfig, task: tuple[str, str, range]) -> Episodes:
+    return play_cell(config, *task)

@@ -7,15 +7,20 @@ cores. One thread each also makes the weights independent of how many run at a t
 from __future__ import annotations
 
 import importlib.util
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import current_process, get_context
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from hmi_marl.training.settings import TrainSettings
 from hmi_marl.workers import pool
+
+CURVE = "curve.json"
+"""In a run's folder: a row for each batch."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,11 @@ class Job:
 
     settings: TrainSettings
     folder: Path
+
+    def curve(self) -> list[dict[str, Any]]:
+        """The rows of its learning curve, once it has been trained."""
+        rows: list[dict[str, Any]] = json.loads((self.folder / CURVE).read_text("utf-8"))
+        return rows
 
 
 def train_all(jobs: Sequence[Job], workers: int, typed: str = "", quiet: bool = False) -> None:

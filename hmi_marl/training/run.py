@@ -31,6 +31,7 @@ from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.files import make_folder, write_json
 from hmi_marl.training.batch import play_batch
 from hmi_marl.training.checkpoint import Checkpoint
+from hmi_marl.training.jobs import CURVE
 from hmi_marl.training.learner import Learner, PPOLearner, TwoLearners
 from hmi_marl.training.models import (
     make_actor,
@@ -45,7 +46,7 @@ from hmi_marl.training.settings import TrainSettings
 from hmi_marl.training.telling import Telling
 from hmi_marl.training.views import Context, IntentShown, SeatView
 
-CHECKPOINT, SETTINGS, CURVE = "checkpoint.safetensors", "run.json", "curve.json"
+CHECKPOINT, SETTINGS = "checkpoint.safetensors", "run.json"
 _FREE = ("device", "threads", "checkpoint_every")
 """Settings of the machine rather than the run: they may differ when it goes on elsewhere."""
 _INITIAL_WEIGHTS = {DRIVER: 0, OTHER[DRIVER]: 1, TEAM: 2}

@@ -121,3 +121,9 @@ def test_a_share_and_what_it_leaves_mirror_each_other(counts: tuple[int, int]) -
     assert estimate.high - estimate.low > 0.0
     assert rest.low == pytest.approx(1.0 - estimate.high, abs=1e-9)
     assert rest.high == pytest.approx(1.0 - estimate.low, abs=1e-9)
+
+
+def test_an_estimate_agrees_within_its_interval_or_a_share_of_the_other() -> None:
+    assert Estimate(-110, -120, -100).agrees(-119, share=0.0)
+    assert Estimate(-101.9, -102, -101.8).agrees(-100, share=0.02)
+    assert not Estimate(-102.1, -102.2, -102.05).agrees(-100, share=0.02)

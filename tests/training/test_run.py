@@ -52,15 +52,6 @@ WEIGHTS = tuple(f"{seat}.safetensors" for seat in SEATS)
 TEAM = TeamConfig(duration=1.0, scene=Scene(vehicles=(1, 3)))
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Tiny networks only wait for a second one, and for long if the machine is busy."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 class TwoTraits:
     """z is β and the inflation as they are."""
 
