@@ -21,6 +21,7 @@ from hmi_marl.commands.oracle import Oracle
 from hmi_marl.commands.reproduce import Reproduce
 from hmi_marl.commands.table import Table
 from hmi_marl.commands.train import Train
+from hmi_marl.commands.traits import Traits
 from hmi_marl.commands.watch import Watch
 from hmi_marl.envs.drivers import DRIVERS
 
@@ -39,6 +40,7 @@ Command = (
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Table, tyro.conf.subcommand("table")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Traits, tyro.conf.subcommand("traits")]
     | Annotated[Watch, tyro.conf.subcommand("watch")]
 )
 

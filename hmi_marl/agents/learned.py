@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.memory import Draws
 from hmi_marl.agents.network import Network, NetworkConfig, Weights
+from hmi_marl.agents.weight_files import check_shapes
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.observations import Layout, driver_layout, vehicle_ai_layout
 from hmi_marl.envs.streams import Stream
@@ -151,15 +152,7 @@ _HINTS = {
 
 def check_weights(card: PolicyCard, weights: Weights) -> None:
     """Raise ``ValueError`` unless these are the weights that the card tells, all finite."""
-    shapes = card.shapes
-    if set(weights) != set(shapes):
-        odd = sorted(set(weights) ^ set(shapes))
-        raise ValueError(f"the weights do not fit the policy's card: {', '.join(odd)}")
-    for name, shape in shapes.items():
-        if weights[name].shape != shape:
-            raise ValueError(f"{name} has shape {weights[name].shape}, but the card says {shape}")
-        if not np.isfinite(weights[name]).all():
-            raise ValueError(f"{name} is not finite everywhere")
+    check_shapes(card.shapes, weights, "policy")
 
 
 class LearnedPolicy:

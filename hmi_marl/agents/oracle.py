@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.agents.identify import identify as identify  # exact as well: who drives
 from hmi_marl.envs.attention import Successors, check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms

@@ -10,12 +10,15 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
+from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
+from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation import attentive, hidden, reproduction, reproduction_report
 from hmi_marl.evaluation.hidden import HiddenSettings
 from hmi_marl.evaluation.reproduction import VARIANTS, ReproductionSettings
+from hmi_marl.evaluation.trait_settings import DEMONSTRATIONS, POPULATION, TraitReproduction
 from hmi_marl.files import make_folder, write_bytes, write_json, write_text
-from hmi_marl.training.jobs import Job, train_all
+from hmi_marl.training.jobs import Job, need_training, train_all
 from hmi_marl.training.settings import check_count
 from hmi_marl.training.two_stage import TwoStage
 from hmi_marl.workers import check_workers
@@ -162,10 +165,67 @@ class ReproduceHidden:
         write_json(self.out / "hidden.json", content | {"command": typed})
 
 
+@dataclass(frozen=True)
+class ReproduceTraits(TraitReproduction):
+    """Latent traits: collect demonstrations, learn the paper's three settings, judge them.
+
+    Goes on where it was cut off. With --seeds 5 every setting is learnt five times, and accuracies
+    and KL get intervals.
+
+    Example: hmi-marl reproduce traits --driver-run runs/reproduce/table/driver
+    """
+
+    driver_run: Path | None = None
+    """A trained run whose driver to take; without it one is trained here."""
+    workers: int | None = None
+    """Trainings at a time; all cores by default. Does not change results."""
+    out: Path = Path("runs/reproduce/traits")
+    """Folder."""
+
+    def run(self, typed: str) -> None:
+        """Do what is not done yet, judge, write and print."""
+        use_quiet_threads()
+        workers = check_workers(self.workers)
+        need_training()
+        from hmi_marl.evaluation.trait_reproduction import (
+            Stopwatch,
+            assess_runs,
+            collect_datasets,
+            learn_all,
+            write_report,
+        )
+
+        make_folder(self.out)
+        size = only(TraitReproduction, self)
+        watch = Stopwatch()
+        driver_run = self.driver_run
+        if driver_run is None:
+            job = size.driver_job(self.out)
+            driver_run = job.folder
+            with watch.timing("training the driver"):
+                train_all([job], 1, typed)
+        with watch.timing("collecting"):
+            collect_datasets(size, driver_run, self.out)
+        with watch.timing("training the trait models"):
+            learn_all(size, self.out, workers, typed)
+        with watch.timing("judging"):
+            assessments, pools = assess_runs(
+                list(size.trainings(self.out)),
+                self.out / DEMONSTRATIONS,
+                self.out / POPULATION,
+                str(driver_run),
+                size.judge,
+            )
+        settings = plain(size)
+        print(write_report(self.out, assessments, pools, watch.seconds, typed, settings))
+        print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")
+
+
 What = (
     Annotated[ReproduceTable, tyro.conf.subcommand("table")]
     | Annotated[ReproduceDriver, tyro.conf.subcommand("driver")]
     | Annotated[ReproduceHidden, tyro.conf.subcommand("hidden")]
+    | Annotated[ReproduceTraits, tyro.conf.subcommand("traits")]
 )
 
 

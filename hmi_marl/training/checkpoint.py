@@ -17,6 +17,8 @@ from safetensors.torch import save as save_tensors
 
 from hmi_marl.files import write_bytes
 
+CHECKPOINT = "checkpoint.safetensors"
+"""In a run's folder."""
 FORMAT = "hmi-marl checkpoint 1"
 
 

@@ -90,7 +90,7 @@ def make_critic(inputs: int, network: NetworkConfig) -> MLPModel:
 
 def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
     """The actor's weights, by the names of :meth:`NetworkConfig.shapes`."""
-    weights = _layers(actor.mlp)
+    weights = layers_of(actor.mlp)
     if actor.is_recurrent:
         for name, its in _MEMORY.items():
             weights[f"memory.{name}"] = _array(getattr(actor.rnn.rnn, its))
@@ -99,7 +99,7 @@ def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
 
 def weights_of_both(actor: MLPModel) -> tuple[dict[str, NDArray[np.float32]], ...]:
     """The weights of the composite policy's two halves, the driver's first."""
-    return _layers(actor.mlp.driver), _layers(actor.mlp.vehicle_ai)
+    return layers_of(actor.mlp.driver), layers_of(actor.mlp.vehicle_ai)
 
 
 _MEMORY = {
@@ -115,7 +115,8 @@ def _mlp(card: PolicyCard) -> MLP:
     return MLP(card.inputs, outputs, card.network.hidden, card.network.activation)
 
 
-def _layers(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
+def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
+    """The weights of its linear layers, by the names of :meth:`NetworkConfig.shapes`."""
     linear = [layer for layer in mlp.modules() if isinstance(layer, torch.nn.Linear)]
     weights = {}
     for place, layer in enumerate(linear):

@@ -8,12 +8,10 @@ the same as they stood after so many environment steps.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -30,7 +28,8 @@ from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.files import make_folder, write_json
 from hmi_marl.training.batch import play_batch
-from hmi_marl.training.checkpoint import Checkpoint
+from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
+from hmi_marl.training.claim import SETTINGS, check_same, read_settings
 from hmi_marl.training.jobs import CURVE
 from hmi_marl.training.learner import Learner, PPOLearner, TwoLearners
 from hmi_marl.training.models import (
@@ -46,9 +45,6 @@ from hmi_marl.training.settings import TrainSettings
 from hmi_marl.training.telling import Telling
 from hmi_marl.training.views import Context, IntentShown, SeatView
 
-CHECKPOINT, SETTINGS = "checkpoint.safetensors", "run.json"
-_FREE = ("device", "threads", "checkpoint_every")
-"""Settings of the machine rather than the run: they may differ when it goes on elsewhere."""
 _INITIAL_WEIGHTS = {DRIVER: 0, OTHER[DRIVER]: 1, TEAM: 2}
 
 
@@ -139,7 +135,7 @@ class _Run:
         """Begin a run here, or go on with the one that is here."""
         path, checkpoint = self._folder / SETTINGS, self._folder / CHECKPOINT
         if checkpoint.is_file():  # otherwise nothing was learnt that could be lost
-            _check_same(_read_settings(path), self._about, self._folder)
+            check_same(read_settings(path), self._about, self._folder)
             self._state = Checkpoint.load(checkpoint)
         elif self._processes.is_first:
             write_json(path, self._about | {"command": self._typed})
@@ -284,31 +280,3 @@ def _in_context(phase: Phase, context: Context | None) -> Phase:
     if phase.seat == DRIVER and phase.partner == LEARNT:
         raise ValueError("a vehicle AI conditioned on z cannot be a partner in training")
     return replace(phase, cards=tuple(card.with_context(context.size) for card in phase.cards))
-
-
-def _read_settings(path: Path) -> dict[str, Any]:
-    try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"{path} is missing beside its checkpoint") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from None
-    if not isinstance(about, dict):
-        raise ValueError(f"{path} does not tell the settings of a run")
-    return about
-
-
-def _check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> None:
-    """Raise unless a run that is there was begun with these settings."""
-
-    def binding(about: dict[str, Any]) -> dict[str, Any]:
-        settings = {k: v for k, v in about.get("settings", {}).items() if k not in _FREE}
-        return {k: about.get(k) for k in ("protocol", "version", "processes", "context")} | settings
-
-    old, new = binding(before), binding(now)
-    differing = [name for name in new if old.get(name) != new[name]]
-    if differing:
-        told = ", ".join(f"{n} = {old.get(n)!r}, now {new[n]!r}" for n in differing)
-        raise ValueError(
-            f"{folder} holds another run ({told}); choose another --out, or remove the folder"
-        )

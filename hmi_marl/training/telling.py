@@ -8,8 +8,9 @@ from types import TracebackType
 
 from tqdm import tqdm
 
-_ON_THE_BAR = ("return", "crash_rate", "alerts")
-_LEARNING = ("value", "surrogate", "entropy", "learning_rate")
+_LOSSES = ("L1", "L2", "L3", "L4")
+_ON_THE_BAR = ("return", "crash_rate", "alerts", "imitation")
+_LEARNING = ("value", "surrogate", "entropy", "learning_rate", "imitation", *_LOSSES)
 _SPEED = ("steps_per_second", "share_of_time_learning", "seconds")
 
 
@@ -64,7 +65,7 @@ class Telling:
     def batch(self, row: Mapping[str, float], steps: int, taken: int) -> None:
         """A batch of ``taken`` steps has been learnt from, ``steps`` in all."""
         self._bar.update(taken)
-        self._bar.set_postfix({name: f"{row[name]:.4g}" for name in _ON_THE_BAR})
+        self._bar.set_postfix({name: f"{row[name]:.4g}" for name in _ON_THE_BAR if name in row})
         if self._writer is None:
             return
         for name, value in row.items():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save as save_tensors
 
-from hmi_marl.agents import policy_files
+from hmi_marl.agents import weight_files
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned import PolicyCard, make_card
 from hmi_marl.agents.network import NetworkConfig
@@ -263,7 +263,7 @@ def test_a_write_that_fails_leaves_the_old_policy(tmp_path, monkeypatch):
     def fail(path, content):
         raise OSError("no space left")
 
-    monkeypatch.setattr(policy_files, "write_bytes", fail)
+    monkeypatch.setattr(weight_files, "write_bytes", fail)
     with pytest.raises(OSError, match="no space left"):
         saved(tmp_path, seed=1)
     _, weights = read_policy(path)
@@ -283,7 +283,7 @@ def test_a_kill_between_the_two_files_is_noticed_and_mended_by_the_next_write(
         def killed(path, content):
             raise KeyboardInterrupt
 
-        patched.setattr(policy_files, "write_json", killed)
+        patched.setattr(weight_files, "write_json", killed)
         with pytest.raises(KeyboardInterrupt):
             saved(tmp_path, seed=1)
     with pytest.raises(ValueError, match="is not the file that"):

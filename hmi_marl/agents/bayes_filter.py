@@ -1,0 +1,202 @@
+r"""Who drives, and whether they are distracted: the exact Bayes filter, step by step.
+
+Observed are the applied actions v_t and the alerts a^A_t. i and c follow from the alerts, so that d
+is all that is hidden. If candidate k drives, with policy π_k on what k perceives, o^k_t, a window
+(one episode) is a hidden Markov chain from d_{-1} = 0 in which
+
+.. math::
+    p_k(v_t | d_t = 1) = 1(v_t = v_{t-1}), \quad p_k(v_t | d_t = 0) = \pi_k(v_t | o^k_t)
+
+but for v_0 = a^H_0, which comes from π_k whatever d_0. With b = p_k(d_{t-1} = 1 | v_{<t}), the
+prediction b' and the evidence of one step are
+
+.. math::
+    b' = b\, p_k(d_t = 1 | d_{t-1} = 1, i_t) + (1 - b)\, p_k(d_t = 1 | d_{t-1} = 0, i_t) \\
+    p_k(v_t | v_{<t}) = b' p_k(v_t | d_t = 1) + (1 - b') p_k(v_t | d_t = 0)
+
+and the log evidence of k is the sum of its logarithms, over all windows of one driver.
+
+It is assumed that alerts tell nothing of what is hidden: a^A_t depends on v_{<t}, s_t and chance.
+That holds for alerts at random, and not for an HMI that saw d_{t-1} or a^H_t: when such an HMI
+alerts is itself evidence, which is not counted here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
+from hmi_marl.envs.drivers import Driver, Traits, get_driver
+from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+_ROUNDING = 1e-6
+
+
+class BayesFilter:
+    """The evidence for each of K candidates about who drives each of N teams.
+
+    Args:
+        drivers: the K candidates.
+        window: the alert window, in steps.
+        count: N.
+
+    Raises:
+        ValueError, TypeError: no candidates, fewer than one team, or what is no driver or window.
+    """
+
+    def __init__(self, drivers: Sequence[str | Driver], window: int, count: int) -> None:
+        if count < 1:
+            raise ValueError(f"there is at least one team, but got count = {count}")
+        self.drivers = check_candidates(drivers)
+        self.window = check_window(window)
+        self.log_evidence = np.zeros((count, len(self.drivers)))
+        """log p_k of all v seen so far, in this window and before; shape (N, K), -inf where k
+        cannot be."""
+        self.distracted = np.zeros((count, len(self.drivers)))
+        """p_k(d_t = 1 | v up to now): if k drives. Shape (N, K)."""
+        self._traits = Traits.of(self.drivers)
+        self._accepted, self._counter = np.zeros((2, count), np.int64)
+        self._applied = np.full(count, NO_ACTION)
+
+    def begin(self, which: NDArray[np.bool_] | None = None) -> None:
+        """The same drivers begin a new window: d, i, c and v begin anew, the evidence stays.
+
+        Args:
+            which: the teams in which they do, bool, shape (N,); all by default.
+
+        Raises:
+            ValueError: a mask of another shape or type.
+        """
+        fresh = self._mask(which)
+        self._accepted = np.where(fresh, 0, self._accepted)
+        self._counter = np.where(fresh, 0, self._counter)
+        self._applied = np.where(fresh, NO_ACTION, self._applied)
+        self.distracted = np.where(fresh[:, None], 0.0, self.distracted)
+
+    def update(
+        self,
+        intent_probabilities: NDArray[np.float64],
+        applied: ArrayLike,
+        alerts: ArrayLike,
+        active: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Take one step into account.
+
+        Args:
+            intent_probabilities: π_k(a^H_t | o^k_t), shape (K, N, 5).
+            applied: v_t, integers 0 to 4, shape (N,).
+            alerts: a^A_t, integers 0 or 1, shape (N,).
+            active: the teams that took a step, bool, shape (N,); all by default. Of the others
+                nothing is read, and they stay as they are.
+
+        Raises:
+            ValueError: arrays that do not fit, or numbers out of their range. Nothing has changed
+                then.
+        """
+        acts, shape = self._mask(active), (*self.log_evidence.T.shape, len(VEHICLE_ACTIONS))
+        if np.shape(intent_probabilities) != shape:
+            raise ValueError(
+                f"intent_probabilities have shape (K, N, 5) = {shape}, not "
+                f"{np.shape(intent_probabilities)}"
+            )
+        applied = _whole("applied actions", applied, len(VEHICLE_ACTIONS), acts)
+        alerts = _whole("alerts", alerts, 2, acts)
+        chosen = intent_probabilities[:, np.arange(len(acts)), applied].T  # π_k(v_t), (N, K)
+        if not ((chosen[acts] >= 0) & (chosen[acts] <= 1 + _ROUNDING)).all():
+            raise ValueError("the probability of an intent lies in [0, 1]")
+        accepted, counter = next_acceptance(self._accepted, self._counter, alerts, self.window)
+        predicted = self._predict(accepted)
+        is_first = (self._applied == NO_ACTION)[:, None]
+        is_kept = (self._applied == applied)[:, None]
+        with_distracted = predicted * np.where(is_first, chosen, is_kept)
+        evidence = with_distracted + (1.0 - predicted) * chosen
+        possible = evidence > 0
+        gain = np.log(evidence, out=np.full(evidence.shape, -np.inf), where=possible)
+        belief = np.divide(with_distracted, evidence, out=predicted.copy(), where=possible)
+        self.log_evidence = np.where(acts[:, None], self.log_evidence + gain, self.log_evidence)
+        self.distracted = np.where(acts[:, None], belief, self.distracted)
+        self._accepted = np.where(acts, accepted, self._accepted)
+        self._counter = np.where(acts, counter, self._counter)
+        self._applied = np.where(acts, applied, self._applied)
+
+    def posterior(self, prior: ArrayLike | None = None) -> NDArray[np.float64]:
+        """p(k | all that was seen), shape (N, K); see :func:`posterior`."""
+        return posterior(self.log_evidence, prior)
+
+    def _predict(self, accepted: NDArray[np.int64]) -> NDArray[np.float64]:
+        """p_k(d_t = 1) before v_t is seen, shape (N, K), from i_t of shape (N,)."""
+        traits = self._traits.beta, self._traits.alpha, self._traits.eta
+        becomes, stays = (distraction_probability(d, accepted[:, None], *traits) for d in (0, 1))
+        return self.distracted * stays + (1.0 - self.distracted) * becomes
+
+    def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+        count = len(self._applied)
+        mask = np.ones(count, np.bool_) if which is None else np.asarray(which)
+        if mask.shape != (count,) or mask.dtype != np.bool_:
+            raise ValueError(
+                f"teams are marked by bools of shape ({count},), but got {mask.dtype} of shape "
+                f"{mask.shape}"
+            )
+        return mask
+
+
+def posterior(
+    log_evidence: NDArray[np.float64], prior: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """p(k | data) of K candidates, by Bayes' rule: prior times evidence, shared out.
+
+    Args:
+        log_evidence: log p(data | k), shape (N, K), -inf where k is impossible.
+        prior: how frequent the candidates are, up to a factor, shape (K,) or (N, K); all equally
+            by default.
+
+    Returns:
+        Shape (N, K); the rows sum to 1.
+
+    Raises:
+        ValueError: numbers that are no prior, or a row in which every candidate of the prior is
+            impossible: no share would be right, and the data or the policy are not what was said.
+    """
+    shape = log_evidence.shape
+    weights = np.ones(shape[1]) if prior is None else np.asarray(prior, np.float64)
+    if weights.shape not in (shape[1:], shape):
+        raise ValueError(f"a prior has shape {shape[1:]} or {shape}, not {weights.shape}")
+    if not ((weights >= 0) & (weights < np.inf)).all() or (weights.sum(axis=-1) == 0).any():
+        raise ValueError("a prior is of finite numbers >= 0, not all of them 0")
+    log_prior = np.log(weights, out=np.full(weights.shape, -np.inf), where=weights > 0)
+    joint = log_evidence + log_prior
+    most = joint.max(axis=1, keepdims=True)
+    if (most == -np.inf).any():
+        raise ValueError(
+            f"what was observed in row {np.argmin(most)} is impossible for every candidate: the "
+            "data are not of these drivers, or their policy is another one"
+        )
+    odds = np.exp(joint - most)
+    return odds / odds.sum(axis=1, keepdims=True)
+
+
+def check_candidates(drivers: Sequence[str | Driver]) -> tuple[Driver, ...]:
+    """Return the candidates, or raise if there are none or they are no drivers."""
+    if isinstance(drivers, (str, Driver)):
+        raise TypeError(f"candidates are a list of drivers, not {drivers!r}")
+    if not len(drivers):
+        raise ValueError("there is at least one candidate, but got no drivers")
+    return tuple(get_driver(driver) for driver in drivers)
+
+
+def _whole(name: str, values: ArrayLike, count: int, read: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Values from 0 to count - 1 where they are read, and 0 elsewhere; or raise."""
+    given = np.asarray(values)
+    if given.shape != read.shape or not np.issubdtype(given.dtype, np.integer):
+        raise ValueError(
+            f"{name} are integers of shape {read.shape}, but got {given.dtype} of shape "
+            f"{given.shape}"
+        )
+    wrong = read & ((given < 0) | (given >= count))
+    if wrong.any():
+        raise ValueError(f"{name} lie in 0 to {count - 1}, but got {given[wrong][0]}")
+    return np.where(read, given, 0).astype(np.int64)

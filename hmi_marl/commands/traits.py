@@ -1,0 +1,99 @@
+"""``hmi-marl traits``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from hmi_marl.commands.fields import only
+from hmi_marl.commands.train import use_quiet_threads
+from hmi_marl.evaluation.trait_settings import AssessSettings
+from hmi_marl.files import make_folder
+from hmi_marl.training.jobs import need_training
+from hmi_marl.training.traits.settings import TraitSettings
+
+
+@dataclass(frozen=True)
+class TrainTraits(TraitSettings):
+    """Learn latent driver traits from demonstrations, by adversarial IRL.
+
+    Goes on by itself where a run in the same folder was cut off.
+
+    Example: hmi-marl traits train --demonstrations runs/demonstrations --supervision id
+    """
+
+    demonstrations: Path = Path("runs/demonstrations")
+    """Folder that hmi-marl collect wrote, or of your own recordings."""
+    preferences: Path | None = None
+    """For --supervision preference with recorded people: a JSON file {"name": number in [0, 1]} of
+    how they like help. Of simulated drivers it is their η."""
+    out: Path | None = None
+    """Folder of the run; by default runs/traits- and the supervision."""
+
+    def run(self, typed: str) -> None:
+        """Learn, and say what can be done with it."""
+        use_quiet_threads()
+        need_training()
+        from hmi_marl.training.traits.labels import read_preferences
+        from hmi_marl.training.traits.run import learn_traits
+
+        out = self.out or Path(f"runs/traits-{self.supervision}")
+        answers = None if self.preferences is None else read_preferences(self.preferences)
+        learn_traits(only(TraitSettings, self), self.demonstrations, out, answers, typed=typed)
+        print(f"learnt: {out}; curves: tensorboard --logdir {out}")
+        print(f"judge it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")
+
+
+@dataclass(frozen=True)
+class EvaluateTraits:
+    """Judge trait models on held-out driving: who drives, which traits, how well they imitate.
+
+    Every accuracy is quoted beside the exact Bayes classifier of the same windows.
+
+    Example: hmi-marl traits evaluate runs/traits-none runs/traits-id
+    """
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of trained runs, one for each supervision, or several that differ in their seed."""
+    demonstrations: Path = Path("runs/demonstrations")
+    """What they learnt from; the windows that they held out are judged."""
+    population: Path | None = None
+    """Demonstrations of drivers they have not learnt from, to regress traits over."""
+    driver_policy: str | None = None
+    """The run whose driver the demonstrations are of; by default as they tell it."""
+    size: tyro.conf.OmitArgPrefixes[AssessSettings] = field(default_factory=AssessSettings)
+    """How much each model is tried."""
+    out: Path = Path("runs/traits")
+    """Folder for the page, its figures and the numbers."""
+
+    def run(self, typed: str) -> None:
+        """Judge, write and print."""
+        if not self.runs:
+            raise ValueError("name the folder of at least one trained run")
+        from hmi_marl.evaluation.trait_reproduction import assess_runs, write_report
+
+        make_folder(self.out)
+        assessments, pool = assess_runs(
+            self.runs, self.demonstrations, self.population, self.driver_policy, self.size
+        )
+        text = write_report(self.out, assessments, pool, {}, typed, vars(self.size))
+        print(text)
+        print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")
+
+
+@dataclass(frozen=True)
+class Traits:
+    """Latent driver traits from driving alone: learn them, judge what was learnt."""
+
+    what: Annotated[
+        Annotated[TrainTraits, tyro.conf.subcommand("train")]
+        | Annotated[EvaluateTraits, tyro.conf.subcommand("evaluate")],
+        tyro.conf.arg(prefix_name=False),
+    ]
+
+    def run(self, typed: str) -> None:
+        """Do it."""
+        self.what.run(typed)

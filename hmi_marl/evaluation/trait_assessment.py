@@ -1,0 +1,140 @@
+"""Everything that is asked of one trait model, in the order in which it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from hmi_marl.agents.identify import Identification
+from hmi_marl.agents.trait_model import TraitModel
+from hmi_marl.envs.drivers import TRAIT_NAMES, Driver
+from hmi_marl.evaluation.trait_ceiling import evidence
+from hmi_marl.evaluation.trait_driving import (
+    DrivingRow,
+    compare_driving,
+    imitate,
+    of_drivers,
+    replay,
+)
+from hmi_marl.evaluation.trait_imitation import (
+    ActionLikelihood,
+    action_likelihood,
+    driver_latents,
+)
+from hmi_marl.evaluation.trait_regression import TraitR2
+from hmi_marl.evaluation.trait_reward import RewardRanking, reward_ranking
+from hmi_marl.evaluation.trait_settings import AssessSettings
+from hmi_marl.evaluation.traits import (
+    WINDOWS,
+    Embedding,
+    Identified,
+    Split,
+    disjoint_pools,
+    identify_drivers,
+    regress_traits,
+)
+from hmi_marl.training.demonstrations import Demonstrations
+from hmi_marl.training.traits.dataset import team_of
+
+PARTS = len(WINDOWS) + 4
+"""Calls of ``progress`` in :func:`assess`."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What one trait model came to, on windows and drivers it has not learnt from."""
+
+    supervision: str
+    """"none", "id" or "preference"."""
+    identified: list[Identified]
+    """By the number of windows seen."""
+    embedding: Embedding
+    """Of pools of the model's own size."""
+    likelihood: list[ActionLikelihood]
+    driving: list[DrivingRow]
+    ranking: list[RewardRanking]
+    traits: dict[str, TraitR2] | None
+    """R² over unseen drivers; None if there was no population."""
+
+    def at_pool(self, size: int) -> Identified:
+        """How well drivers are told apart from ``size`` windows."""
+        return next(row for row in self.identified if row.windows == size)
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content."""
+        r2 = self.traits
+        return {
+            "supervision": self.supervision,
+            "identified": [row.as_json() for row in self.identified],
+            "embedding": {
+                "means": self.embedding.means.tolist(),
+                "drivers": [self.embedding.names[who] for who in self.embedding.types],
+            },
+            "likelihood": [row.as_json() for row in self.likelihood],
+            "driving": [row.as_json() for row in self.driving],
+            "reward_ranking": [row.as_json() for row in self.ranking],
+            "traits": None if r2 is None else {name: one.as_json() for name, one in r2.items()},
+        }
+
+
+def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identification | None:
+    """What the exact classifier makes of these windows; None if nobody's traits are known.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`trait_ceiling.evidence`.
+    """
+    observed, truth = unseen.observed, unseen.truth
+    if truth is None:
+        return None
+    first = [int((observed.driver == who).argmax()) for who in range(len(observed.names))]
+    drivers = [
+        Driver(name, **dict(zip(TRAIT_NAMES, truth.traits[at].tolist(), strict=True)))
+        for name, at in zip(observed.names, first, strict=True)
+    ]
+    return evidence(observed, driver_policy, drivers)
+
+
+def assess(
+    model: TraitModel,
+    split: Split,
+    identification: Identification | None,
+    population: Demonstrations | None,
+    settings: AssessSettings,
+    progress: Callable[[], Any] = tuple,
+) -> Assessment:
+    """Judge one model.
+
+    Args:
+        model: the trait model.
+        split: of the demonstrations it learnt from.
+        identification: what the exact classifier makes of ``split.unseen``.
+        population: of drivers it has not learnt from, with the truth; None to leave that out.
+        settings: how much.
+        progress: called ``PARTS`` times.
+
+    Raises:
+        ValueError: demonstrations of another layout, or that cannot be played again.
+    """
+    unseen = split.unseen.observed
+    identified, embedding = identify_drivers(model, split, identification, WINDOWS, progress)
+    pools = disjoint_pools(unseen.driver, model.card.pool)
+    likelihood = action_likelihood(model, unseen, pools, identification)
+    progress()
+    z = driver_latents(model, unseen)
+    driven = unseen.take(unseen.number < settings.episodes)
+    driving = compare_driving(
+        of_drivers(replay(driven), driven.labels()),
+        imitate(model, unseen, z, settings.episodes, settings.seed),
+        team_of(unseen).scene.policy_frequency,
+    )
+    progress()
+    ranked = unseen.take(unseen.number < settings.ranked)
+    ranking = reward_ranking(model, ranked, z, settings.seed)
+    progress()
+    traits = None
+    if population is not None:
+        traits = regress_traits(model, population, model.card.pool, settings.seed)
+    progress()
+    supervision = model.card.training.get("settings", {}).get("supervision", "none")
+    return Assessment(supervision, identified, embedding, likelihood, driving, ranking, traits)

@@ -1,0 +1,1 @@
+"""Latent driver traits from driving alone: trait- and preference-aware adversarial IRL."""

@@ -1,0 +1,201 @@
+"""The discriminator: the context encoder and the reward learn together, against a frozen policy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
+
+from hmi_marl.agents.trait_model import TraitCard
+from hmi_marl.training.traits.losses import (
+    adversarial_loss,
+    cohesion_loss,
+    contrastive_loss,
+    information_loss,
+    log_discriminator,
+    regularisation_loss,
+)
+from hmi_marl.training.traits.model import (
+    SMALLEST_SPREAD,
+    Discriminator,
+    Posterior,
+    log_likelihood,
+    log_policy,
+)
+from hmi_marl.training.traits.pools import Batch, transitions
+from hmi_marl.training.traits.settings import TraitSettings
+
+LONGEST_GRADIENT = 10.0
+
+
+class Labelled(NamedTuple):
+    """Pools whose labels are known."""
+
+    batch: Batch
+    labels: torch.Tensor
+    """Shape (P,)."""
+
+
+class Adversary:
+    """Tells demonstrations from the policy's driving, and encodes whose driving it is.
+
+    Args:
+        card: of the model.
+        settings: weights of the losses, and how fast it learns.
+        policy: π(a | s, z), whose driving it judges. It learns here too, by imitation, if the
+            losses weigh that.
+        device: where it learns.
+    """
+
+    def __init__(
+        self, card: TraitCard, settings: TraitSettings, policy: MLPModel, device: str
+    ) -> None:
+        self.model = Discriminator(card).to(device)
+        self._settings, self._policy = settings, policy
+        self._optimizer = torch.optim.Adam(
+            [
+                {"params": list(self.model.parameters()), "lr": settings.learning_rate},
+                {"params": list(policy.mlp.parameters()), "lr": settings.imitation_rate},
+            ]
+        )
+
+    def prepare(self, batch: Batch) -> None:
+        """Take the encoder's units from a batch of demonstrations, before anything is learnt."""
+        encoder = self.model.encoder
+        encoder.standardise_by(batch)
+        with torch.no_grad():
+            raw = encoder.mean(encoder.read(*batch))
+            encoder.centre.copy_(raw.mean(dim=0))
+            encoder.scale.copy_(raw.std(dim=0) + SMALLEST_SPREAD)
+
+    def encode(self, batch: Batch) -> Posterior:
+        """q(z | τ) of every pool."""
+        posterior: Posterior = self.model.encoder(*batch)
+        return posterior
+
+    def learn(
+        self,
+        experts: Batch,
+        labelled: Labelled | None = None,
+        driven: Batch | None = None,
+        z: torch.Tensor | None = None,
+    ) -> dict[str, float]:
+        """One update.
+
+        Args:
+            experts: demonstrations, whose labels are not known; pools 2k and 2k + 1 are of the
+                same driver.
+            labelled: demonstrations with labels, if there are any.
+            driven: what the policy drove, pool k of it given z k; without it only imitation
+                and L3 count.
+            z: shape (P, Z), for ``driven``.
+
+        Returns:
+            The losses by name, each without its weight; the mean σ of z; and shares of the
+            transitions that D takes rightly for demonstrated and for driven.
+        """
+        losses, told = self.losses(experts, labelled, driven, z)
+        weights = self._settings.weights.by_loss()
+        total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
+        self._optimizer.zero_grad()
+        total.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), LONGEST_GRADIENT)
+        self._optimizer.step()
+        return {name: value.item() for name, value in (losses | told).items()}
+
+    def losses(
+        self,
+        experts: Batch,
+        labelled: Labelled | None = None,
+        driven: Batch | None = None,
+        z: torch.Tensor | None = None,
+    ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+        """The losses, and what else is worth telling; see :meth:`learn`."""
+        encoder, settings = self.model.encoder, self._settings
+        read = encoder.read(*experts)
+        known = None if labelled is None else encoder.read(*labelled.batch)
+        units = encoder.units(read if known is None else torch.cat([read, known]))
+        posterior = encoder.posterior(read, *units)
+        z_experts = posterior.sample()
+        # The policy learns from all of it; what of that reaches the encoder is weighed.
+        z_imitated = z_experts.detach() + settings.weights.imitate * (
+            z_experts - z_experts.detach()
+        )
+        losses = {
+            "imitation": -log_likelihood(self._policy, experts, z_imitated).mean(),
+        }
+        if labelled is not None and known is not None:
+            losses["L3"] = contrastive_loss(
+                encoder.posterior(known, *units).sample(),
+                labelled.labels,
+                settings.margin,
+                settings.softness,
+            ) + cohesion_loss(z_experts[::2], z_experts[1::2])
+        told = {
+            "sigma": (0.5 * posterior.log_variance.detach()).exp().mean(),
+            "width": (0.5 * self.model.width.detach()).exp().mean(),
+        }
+        if driven is not None and z is not None:
+            again = encoder.posterior(encoder.read(*driven), *units)
+            losses["L4"] = regularisation_loss(posterior.mean, posterior.log_variance)
+            losses["L2"] = information_loss(z, again.mean, self.model.width.expand_as(z))
+            expert_f, expert_log_pi = self._judge(experts, z_experts)
+            policy_f, policy_log_pi = self._judge(driven, z)
+            losses["L1"] = adversarial_loss(expert_f, expert_log_pi, policy_f, policy_log_pi)
+            half = math.log(0.5)
+            found = log_discriminator(expert_f, expert_log_pi).detach() > half
+            caught = log_discriminator(policy_f, policy_log_pi).detach() < half
+            told |= {"experts_told": found.float().mean(), "policy_told": caught.float().mean()}
+        return losses, told
+
+    def _judge(self, batch: Batch, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The reward f and log π of every transition of a batch whose pools have z (P, Z)."""
+        steps = transitions(batch)
+        given = z[steps.pool]
+        with torch.no_grad():  # π is a given number to the discriminator
+            all_log_pi = log_policy(self._policy, steps.before, given)
+            log_pi = all_log_pi.gather(1, steps.actions[:, None]).squeeze(1)
+        return self.model.reward(steps.before, steps.actions, steps.after, given), log_pi
+
+    def rewards(self, driven: Batch, z: torch.Tensor) -> torch.Tensor:
+        """The reward f of every step but the last of what the policy drove, shape (P, n, T - 1)."""
+        pools, windows, steps, width = driven.situations.shape
+        x = driven.situations
+        given = z[:, None, None].expand(pools, windows, steps - 1, -1).reshape(-1, z.shape[1])
+        with torch.no_grad():
+            f: torch.Tensor = self.model.reward(
+                x[:, :, :-1].reshape(-1, width),
+                driven.actions[:, :, :-1].reshape(-1),
+                x[:, :, 1:].reshape(-1, width),
+                given,
+            )
+        return f.reshape(pools, windows, steps - 1)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Everything that it has learnt, optimiser included, by flat names."""
+        tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        for parameter, moments in self._optimizer.state_dict()["state"].items():
+            for name, value in moments.items():
+                tensors[f"optimizer.{parameter}.{name}"] = torch.as_tensor(value)
+        return tensors
+
+    def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Go back to what :meth:`tensors` gave.
+
+        Raises:
+            RuntimeError: they are of another model.
+        """
+        model: dict[str, torch.Tensor] = {}
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        for full_name, value in tensors.items():
+            kind, name = full_name.split(".", 1)
+            if kind == "optimizer":
+                parameter, moment = name.split(".")
+                moments.setdefault(int(parameter), {})[moment] = value
+            else:
+                model[name] = value
+        self.model.load_state_dict(model)
+        self._optimizer.load_state_dict(self._optimizer.state_dict() | {"state": moments})
