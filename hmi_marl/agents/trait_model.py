@@ -3,8 +3,8 @@ r"""What was learnt of drivers' traits, ready for use: NumPy alone, so that it n
 A :class:`TraitModel` holds the three parts of the paper's latent model, in double precision:
 
 - the context encoder :math:`q(z | τ)`: a long short-term memory reads a window of driving, its
-  hidden states are averaged over the window and over a pool of windows of one driver, and two
-  linear layers give mean and log-variance of z;
+  last hidden states are averaged over a pool of windows of one driver, and two linear layers give
+  mean and log-variance of z;
 - the reward :math:`f(s, a, s', z) = g(s, a, z) + γ h(s', z) - h(s, z)`;
 - the policy :math:`π(a | s, z)`.
 
@@ -127,9 +127,9 @@ class EncoderState(NamedTuple):
     """Where the encoder stands in N windows. Arrays have shape (N, H)."""
 
     hidden: NDArray[np.float64]
+    """What the encoder makes of the window so far."""
     cell: NDArray[np.float64]
-    total: NDArray[np.float64]
-    """Sum of all hidden states of the window."""
+    """What it remembers."""
 
 
 class TraitModel:
@@ -163,7 +163,7 @@ class TraitModel:
     def begin(self, count: int) -> EncoderState:
         """The encoder at the start of ``count`` windows."""
         nothing = np.zeros((count, self.card.encoder_units))
-        return EncoderState(nothing, nothing, nothing)
+        return EncoderState(nothing, nothing)
 
     def read(
         self, state: EncoderState, x: NDArray[np.float32], actions: NDArray[np.int64]
@@ -175,8 +175,7 @@ class TraitModel:
         gates += state.hidden @ w["encoder.hidden_weight"].T + w["encoder.hidden_bias"]
         let_in, keep, new, show = np.split(gates, 4, axis=1)
         cell = _sigmoid(keep) * state.cell + _sigmoid(let_in) * np.tanh(new)
-        hidden = _sigmoid(show) * np.tanh(cell)
-        return EncoderState(hidden, cell, state.total + hidden)
+        return EncoderState(_sigmoid(show) * np.tanh(cell), cell)
 
     def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
         """Situations (..., D + EXTRA) with their states in units of the demonstrations."""
@@ -189,7 +188,7 @@ class TraitModel:
         alerts: NDArray[np.int64],
         length: NDArray[np.int64],
     ) -> NDArray[np.float64]:
-        """The encoder's hidden state, averaged over each of E windows, shape (E, H).
+        """The encoder's hidden state at the end of each of E windows, shape (E, H).
 
         Args:
             states: s_t before step t, shape (E, T, D).
@@ -219,11 +218,12 @@ class TraitModel:
         length: NDArray[np.int64],
     ) -> NDArray[np.float64]:
         x = situations(states, actions, alerts)
-        now, total = self.begin(len(x)), np.zeros((len(x), self.card.encoder_units))
+        now = self.begin(len(x))
+        last = now.hidden
         for t in range(x.shape[1]):
             now = self.read(now, x[:, t], actions[:, t])
-            total = np.where((t < length)[:, None], now.total, total)
-        return total / length[:, None]
+            last = np.where((t < length)[:, None], now.hidden, last)
+        return last
 
     def latent(self, pooled: NDArray[np.float64]) -> Latent:
         """q(z | τ) from the average hidden state of a driver's windows, shape (P, H)."""

@@ -39,18 +39,20 @@ Table = tuple[list[str], list[list[str]]]
 """Head and rows."""
 
 
-def _number(value: float, form: str) -> str:
+def number(value: float, form: str) -> str:
+    """A number, or a dash where it is not known."""
     return format(value, form) if math.isfinite(value) else "-"
 
 
 def entry(estimate: Estimate, form: str = "z.1f") -> str:
     """A number and its interval, as far as they are known."""
     if not math.isfinite(estimate.low):
-        return _number(estimate.mean, form)
+        return number(estimate.mean, form)
     return f"{estimate.mean:{form}} [{estimate.low:{form}}, {estimate.high:{form}}]"
 
 
-def _percent(estimate: Estimate) -> str:
+def percent(estimate: Estimate) -> str:
+    """A share and its interval in percent."""
     return entry(Estimate(*(100.0 * value for value in vars(estimate).values())))
 
 
@@ -71,7 +73,7 @@ def summary_table(comparison: Comparison) -> Table:
                 of("team_return_per_step", "z.2f"),
                 of("attention_return"),
                 of("speed_reward"),
-                _percent(crash_rate(pooled(comparison.played, pairs))),
+                percent(crash_rate(pooled(comparison.played, pairs))),
                 of("alerts_per_minute"),
                 of("length"),
                 of("time_headway", ".2f"),
@@ -126,13 +128,13 @@ def gaming_table(rows: Sequence[Gaming]) -> Table:
         [
             row.protocol,
             row.driver,
-            _percent(row.crash_rate),
-            _percent(row.two_stage_crash_rate),
-            _number(row.team_return, "z.1f"),
-            _number(row.team_return_per_step, "z.2f"),
-            _number(row.worth_of_a_step, "+z.2f"),
-            _percent(row.crash_rate_if_trained_standing),
-            _number(row.team_return_standing, "z.1f"),
+            percent(row.crash_rate),
+            percent(row.two_stage_crash_rate),
+            number(row.team_return, "z.1f"),
+            number(row.team_return_per_step, "z.2f"),
+            number(row.worth_of_a_step, "+z.2f"),
+            percent(row.crash_rate_if_trained_standing),
+            number(row.team_return_standing, "z.1f"),
             row.verdict,
         ]
         for row in rows

@@ -38,7 +38,8 @@ class EmbeddingPanel:
     title: str
     """The setting: unsupervised, by identity, by preference."""
     means: Array
-    """Posterior means, shape (P, Z); of more than two numbers, the principal axes are drawn."""
+    """Posterior means, shape (P, Z); of more than two numbers, the principal axes are drawn, and
+    single ones along a line."""
     types: NDArray[np.int64]
     """Of each vector, an index into the names, shape (P,)."""
     names: Sequence[str]
@@ -47,9 +48,7 @@ class EmbeddingPanel:
     """In nats, as :func:`hmi_marl.evaluation.separability.average_kl`."""
 
     def __post_init__(self) -> None:
-        vectors, labels = checked_vectors(self.means, self.types, f"vectors of {self.title!r}")
-        if vectors.shape[1] < 2:
-            raise ValueError(f"a panel has two axes, but vectors of {self.title!r} are numbers")
+        _, labels = checked_vectors(self.means, self.types, f"vectors of {self.title!r}")
         if labels.min() < 0 or labels.max() >= len(self.names):
             raise ValueError(
                 f"types of {self.title!r} are 0 to {len(self.names) - 1} for "
@@ -82,7 +81,7 @@ def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Figure:
 def draw_accuracy(
     windows: Sequence[int],
     curves: Mapping[str, Sequence[Estimate]],
-    ceiling: ArrayLike,
+    ceiling: ArrayLike | None,
     chance: float,
 ) -> Figure:
     """Accuracy of naming the driver against the number of windows seen, with 95 % intervals.
@@ -90,7 +89,8 @@ def draw_accuracy(
     Args:
         windows: numbers of windows, rising, shape (W,).
         curves: W accuracies for each setting.
-        ceiling: the exact Bayes accuracy, which nothing can beat: W of them, or one for all.
+        ceiling: the exact Bayes accuracy, which nothing can beat: W of them, or one for all; None
+            if it is not known.
         chance: the accuracy of a guess.
 
     Raises:
@@ -102,7 +102,7 @@ def draw_accuracy(
     for name, curve in curves.items():
         if len(curve) != len(seen):
             raise ValueError(f"{len(seen)} numbers of windows, but {name} has {len(curve)} points")
-    best = np.asarray(ceiling, np.float64)
+    best = np.asarray(np.nan if ceiling is None else ceiling, np.float64)
     if best.shape not in ((), seen.shape):
         raise ValueError(f"{len(seen)} numbers of windows, but the ceiling has shape {best.shape}")
     figure = Figure(figsize=(6.4, 4.6), layout="constrained")
@@ -111,8 +111,9 @@ def draw_accuracy(
         # A little apart, so that the intervals do not lie on each other.
         at = seen * 2.0 ** (0.07 * (place - (len(curves) - 1) / 2))
         _accuracy_line(axes, at, curve, name, place)
-    bayes = np.broadcast_to(best, seen.shape)
-    axes.plot(seen, bayes, "--", color="#222", linewidth=1.3, label="exact Bayes")
+    if ceiling is not None:
+        bayes = np.broadcast_to(best, seen.shape)
+        axes.plot(seen, bayes, "--", color="#222", linewidth=1.3, label="exact Bayes")
     axes.axhline(chance, color=_GREY, linestyle=":", linewidth=1.3, label="chance")
     axes.set_xscale("log", base=2)
     axes.set_xticks(seen, [str(number) for number in windows])
@@ -126,7 +127,7 @@ def draw_accuracy(
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     drawn = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    order = [*curves, "exact Bayes", "chance"]
+    order = [name for name in (*curves, "exact Bayes", "chance") if name in drawn]
     figure.legend(
         [drawn[name] for name in order], order, loc="outside lower center", ncols=3, frameon=False
     )
@@ -157,6 +158,8 @@ def _embedding(axes: Axes, panel: EmbeddingPanel, names: Sequence[str]) -> None:
 
 def _two_axes(means: Array) -> tuple[Array, tuple[str, str]]:
     """Vectors of shape (P, 2) and the labels of their axes: z itself, or its principal axes."""
+    if means.shape[1] == 1:
+        return np.column_stack([means, np.zeros(len(means))]), ("$z_1$", "")
     if means.shape[1] == 2:
         return means, ("$z_1$", "$z_2$")
     centred = means - means.mean(axis=0)

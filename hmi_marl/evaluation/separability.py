@@ -27,7 +27,7 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 from sklearn.preprocessing import StandardScaler
 
-from hmi_marl.evaluation.statistics import Estimate, share
+from hmi_marl.evaluation.statistics import Estimate, accuracy
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -194,21 +194,13 @@ def separability(
         warnings.simplefilter("ignore", ConvergenceWarning)
         clusters = KMeans(len(kinds), n_init=10, random_state=seed).fit_predict(vectors)
     return Separability(
-        linear_probe=_accuracy(probe.predict(scaler.transform(vectors)) == labels, trials),
-        nearest_centroid=_accuracy(kinds[nearest] == labels, trials),
+        linear_probe=accuracy(probe.predict(scaler.transform(vectors)) == labels, trials),
+        nearest_centroid=accuracy(kinds[nearest] == labels, trials),
         chance=float(counts.max() / len(labels)),
         silhouette=float(silhouette_score(vectors, labels)),
         adjusted_rand=float(adjusted_rand_score(labels, clusters)),
         average_kl=kl,
     )
-
-
-def _accuracy(right: NDArray[np.bool_], trials: int) -> Estimate:
-    """The share of right ones, its interval that of so many trials, rounded outwards."""
-    hits = int(right.sum())
-    low = share(hits * trials // len(right), trials).low
-    high = share(-(-hits * trials // len(right)), trials).high
-    return Estimate(hits / len(right), low, high)
 
 
 def checked_vectors(

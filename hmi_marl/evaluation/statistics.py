@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 CONFIDENCE = 0.95
@@ -61,3 +61,16 @@ def share(successes: int, trials: int) -> Estimate:
         raise ValueError(f"{successes} successes in {trials} trials make no share")
     interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(successes / trials, float(interval.low), float(interval.high))
+
+
+def accuracy(right: NDArray[np.bool_], trials: int) -> Estimate:
+    """The share of right guesses, its interval that of so many trials, rounded outwards.
+
+    Args:
+        right: of each guess, whether it was right, shape (P,).
+        trials: as many of them as are independent, at most P.
+    """
+    hits, count = int(right.sum()), len(right)
+    low = share(hits * trials // count, trials).low
+    high = share(-(-hits * trials // count), trials).high
+    return Estimate(hits / count, low, high)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from hmi_marl.agents.identify import Identification
 from hmi_marl.agents.trait_model import TraitModel
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver
-from hmi_marl.evaluation.trait_ceiling import evidence
+from hmi_marl.evaluation.trait_ceiling import NoCeilingError, evidence
 from hmi_marl.evaluation.trait_driving import (
     DrivingRow,
     compare_driving,
@@ -26,7 +26,6 @@ from hmi_marl.evaluation.trait_regression import TraitR2
 from hmi_marl.evaluation.trait_reward import RewardRanking, reward_ranking
 from hmi_marl.evaluation.trait_settings import AssessSettings
 from hmi_marl.evaluation.traits import (
-    WINDOWS,
     Embedding,
     Identified,
     Split,
@@ -37,7 +36,7 @@ from hmi_marl.evaluation.traits import (
 from hmi_marl.training.demonstrations import Demonstrations
 from hmi_marl.training.traits.dataset import team_of
 
-PARTS = len(WINDOWS) + 4
+PARTS = 5
 """Calls of ``progress`` in :func:`assess`."""
 
 
@@ -53,6 +52,7 @@ class Assessment:
     """Of pools of the model's own size."""
     likelihood: list[ActionLikelihood]
     driving: list[DrivingRow]
+    """Empty of recorded drives, which cannot be played again, as is the ranking."""
     ranking: list[RewardRanking]
     traits: dict[str, TraitR2] | None
     """R² over unseen drivers; None if there was no population."""
@@ -78,15 +78,16 @@ class Assessment:
         }
 
 
-def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identification | None:
-    """What the exact classifier makes of these windows; None if nobody's traits are known.
+def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identification:
+    """What the exact classifier makes of these windows, some of each driver.
 
     Raises:
-        FileNotFoundError, ValueError: see :func:`trait_ceiling.evidence`.
+        NoCeilingError: nobody's traits are known; or see :func:`trait_ceiling.evidence`.
+        FileNotFoundError, ValueError: see there.
     """
     observed, truth = unseen.observed, unseen.truth
     if truth is None:
-        return None
+        raise NoCeilingError("the exact ceiling cannot be had: nobody knows these drivers' traits")
     first = [int((observed.driver == who).argmax()) for who in range(len(observed.names))]
     drivers = [
         Driver(name, **dict(zip(TRAIT_NAMES, truth.traits[at].tolist(), strict=True)))
@@ -101,6 +102,7 @@ def assess(
     identification: Identification | None,
     population: Demonstrations | None,
     settings: AssessSettings,
+    windows: Sequence[int],
     progress: Callable[[], Any] = tuple,
 ) -> Assessment:
     """Judge one model.
@@ -108,29 +110,35 @@ def assess(
     Args:
         model: the trait model.
         split: of the demonstrations it learnt from.
-        identification: what the exact classifier makes of ``split.unseen``.
+        identification: what the exact classifier makes of ``split.unseen``; None if it cannot.
         population: of drivers it has not learnt from, with the truth; None to leave that out.
         settings: how much.
+        windows: how many are seen, of those that :func:`traits.pool_sizes` tells.
         progress: called ``PARTS`` times.
 
     Raises:
-        ValueError: demonstrations of another layout, or that cannot be played again.
+        ValueError: demonstrations of another layout, too few of them, or of another version of the
+            environment.
     """
     unseen = split.unseen.observed
-    identified, embedding = identify_drivers(model, split, identification, WINDOWS, progress)
+    identified, embedding = identify_drivers(model, split, identification, windows)
+    progress()
     pools = disjoint_pools(unseen.driver, model.card.pool)
     likelihood = action_likelihood(model, unseen, pools, identification)
     progress()
     z = driver_latents(model, unseen)
-    driven = unseen.take(unseen.number < settings.episodes)
-    driving = compare_driving(
-        of_drivers(replay(driven), driven.labels()),
-        imitate(model, unseen, z, settings.episodes, settings.seed),
-        team_of(unseen).scene.policy_frequency,
-    )
+    driving, ranking = [], []
+    if unseen.seeds is not None:
+        driven = unseen.take(unseen.number < settings.episodes)
+        driving = compare_driving(
+            of_drivers(replay(driven), driven.labels()),
+            imitate(model, unseen, z, settings.episodes, settings.seed),
+            team_of(unseen).scene.policy_frequency,
+        )
     progress()
-    ranked = unseen.take(unseen.number < settings.ranked)
-    ranking = reward_ranking(model, ranked, z, settings.seed)
+    if unseen.seeds is not None:
+        ranked = unseen.take(unseen.number < settings.ranked)
+        ranking = reward_ranking(model, ranked, z, settings.seed)
     progress()
     traits = None
     if population is not None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hmi_marl.agents.identify import Identification, marginal
 from hmi_marl.agents.learned import LearnedPolicy
@@ -23,12 +23,18 @@ from hmi_marl.agents.oracle import identify
 from hmi_marl.agents.policy_files import find_policy, load_policy
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
-from hmi_marl.evaluation.statistics import Estimate, share
+from hmi_marl.evaluation.statistics import Estimate, accuracy
 from hmi_marl.training.demonstrations import Observed
 from hmi_marl.training.traits.dataset import team_of
 
+LIKES_HELP = 0.5
+"""η from which on a driver counts as one who likes help."""
 _NO_CEILING = "the exact ceiling cannot be had"
 _AT_RANDOM = "random:"
+
+
+class NoCeilingError(ValueError):
+    """Demonstrations that have no exact ceiling, whatever driver policy is given."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class Ceilings:
     identity: Estimate
     """Of who drove."""
     preference: Estimate
-    """Of how they like help, η."""
+    """Of whether they like help."""
 
     def as_json(self) -> dict[str, Any]:
         """Both, each with its interval."""
@@ -55,13 +61,14 @@ def driver_policy_of(observed: Observed, given: str | None, config: TeamConfig) 
 
     Raises:
         FileNotFoundError: it is not there.
-        ValueError: they were not made with a learned policy, or with another one than is there.
+        NoCeilingError: they were not made with a learned policy.
+        ValueError: they were made with another one than is there.
     """
     about = observed.about.get("driver_policy")
     told: Mapping[str, Any] = about if isinstance(about, Mapping) else {}
     if "sha256" not in told:
         who = f"steered by {told['name']!r}" if "name" in told else "not told who steered"
-        raise ValueError(
+        raise NoCeilingError(
             f"{_NO_CEILING}: it takes a driver that tells its probabilities, a learned policy, but "
             f"the demonstrations are {who}"
         )
@@ -96,14 +103,17 @@ def evidence(
 
     Raises:
         FileNotFoundError: the driver policy is not there.
-        ValueError: it was another policy, or the episodes cannot be played again, or alerts were
-            not at random, so that when they came is evidence too.
+        NoCeilingError: no learned policy drove, or the episodes cannot be played again, or alerts
+            were not at random, so that when they came is evidence too.
+        ValueError: it was another policy.
     """
     if observed.seeds is None:
-        raise ValueError(f"{_NO_CEILING}: recorded drives have no seeds, to be played again by")
+        raise NoCeilingError(f"{_NO_CEILING}: recorded drives have no seeds, to be played again by")
     hmi = observed.about.get("hmi")
     if not str(hmi).startswith(_AT_RANDOM):
-        raise ValueError(f"{_NO_CEILING}: it takes alerts at random, but they came from {hmi!r}")
+        raise NoCeilingError(
+            f"{_NO_CEILING}: it takes alerts at random, but they came from {hmi!r}"
+        )
     config = team_of(observed)
     policy = driver_policy_of(observed, policy_source, config)
     windows = observed.seeds, observed.actions, observed.alerts, observed.length
@@ -147,7 +157,9 @@ def ceiling(
     sums = marginal(pooled.posterior(prior), labels)
     kinds = list(sums)
     own = np.array([kinds.index(label) for label in labels])[who]
-    return _accuracy(np.stack(list(sums.values())).argmax(axis=0) == own, np.asarray(pools))
+    places = np.asarray(pools)
+    trials = max(1, min(count, len(np.unique(places)) // places.shape[1]))
+    return accuracy(np.stack(list(sums.values())).argmax(axis=0) == own, trials)
 
 
 def ceilings(identification: Identification, pools: ArrayLike, true: ArrayLike) -> Ceilings:
@@ -155,14 +167,7 @@ def ceilings(identification: Identification, pools: ArrayLike, true: ArrayLike) 
     drivers = identification.drivers
     return Ceilings(
         identity=ceiling(identification, pools, true, [driver.name for driver in drivers]),
-        preference=ceiling(identification, pools, true, [driver.eta for driver in drivers]),
+        preference=ceiling(
+            identification, pools, true, [driver.eta >= LIKES_HELP for driver in drivers]
+        ),
     )
-
-
-def _accuracy(right: NDArray[np.bool_], pools: NDArray[np.integer[Any]]) -> Estimate:
-    """The share of right pools, its interval that of as many pools as share no window."""
-    hits, count = int(right.sum()), len(right)
-    trials = max(1, min(count, len(np.unique(pools)) // pools.shape[1]))
-    low = share(hits * trials // count, trials).low
-    high = share(-(-hits * trials // count), trials).high
-    return Estimate(hits / count, low, high)

@@ -20,8 +20,6 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.evaluation import statistics
-from hmi_marl.evaluation.compare_report import entry
-from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.training.demonstrations import Observed
 from hmi_marl.training.traits.dataset import alert_rate, team_of
@@ -240,21 +238,3 @@ def _share(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[np.float64
     count = where.sum(axis=1)
     total = np.where(where, values, 0).sum(axis=1).astype(np.float64)
     return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-
-
-def driving_text(rows: Sequence[DrivingRow]) -> str:
-    """For a terminal: two lines for each driver."""
-    columns = {
-        "speed": "speed [m/s]",
-        "headway": "headway [s]",
-        "lane_changes": "lane changes/min",
-        "repeated": "repeated",
-        "alert_effect": "by alerts",
-        "crash_rate": "crashed",
-    }
-    lines = [
-        [name, *(entry(getattr(one, key), "z.2f") for key in columns)]
-        for row in rows
-        for name, one in ((row.driver, row.demonstrated), ("  imitated", row.imitated))
-    ]
-    return text_table(["driver", *columns.values()], lines)

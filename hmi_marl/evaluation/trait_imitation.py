@@ -13,7 +13,6 @@ when it drives by itself is for :mod:`hmi_marl.evaluation.trait_driving`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,8 +23,6 @@ from hmi_marl.agents.identify import Identification
 from hmi_marl.agents.situations import situations
 from hmi_marl.agents.trait_model import Latent, TraitModel
 from hmi_marl.evaluation import statistics
-from hmi_marl.evaluation.compare_report import entry
-from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.training.demonstrations import NOBODY, Observed
 
@@ -197,15 +194,3 @@ def _exact(
         who = observed.names[whose[np.argmin(told)]]
         raise ValueError(f"by the evidence {who} cannot have driven what is told to be theirs")
     return np.asarray(told / observed.length[places].sum(axis=1), np.float64)
-
-
-def likelihood_text(rows: Sequence[ActionLikelihood]) -> str:
-    """For a terminal."""
-    names = ["own", "other", "own_minus_other", "exact", "exact_minus_own"]
-    head = ["driver", "own z", "other's z", "own - other", "exact", "exact - own"]
-    told = [[getattr(row, name) for name in names] for row in rows]
-    lines = [
-        [row.driver, *("-" if e is None else entry(e, "z.3f") for e in estimates)]
-        for row, estimates in zip(rows, told, strict=True)
-    ]
-    return "Log-likelihood of actions per step [nats]\n" + text_table(head, lines)

@@ -11,14 +11,15 @@ from html import escape
 from io import BytesIO
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from hmi_marl.evaluation import statistics
+from hmi_marl.evaluation.compare_report import entry, number, percent
 from hmi_marl.evaluation.embedding_figure import EmbeddingPanel, draw_accuracy, draw_embeddings
 from hmi_marl.evaluation.page import html_table, image, page, text_table
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.trait_assessment import Assessment
+from hmi_marl.evaluation.traits import WINDOWS
 
 Assessments = Mapping[str, Sequence[Assessment]]
 """By supervision, one for each seed."""
@@ -31,6 +32,8 @@ ABOVE_CHANCE = 0.20
 """By how much the unsupervised accuracy is to beat chance."""
 KL_FACTOR = 6.0
 """By which the supervised settings' average KL is to exceed the unsupervised one."""
+SMALLEST_KL = 1e-9
+"""The unsupervised one counts as at least this much: of vectors that are all one it is 0."""
 Rows = list[list[str]]
 
 
@@ -68,7 +71,7 @@ def verdicts(assessments: Assessments, size: int) -> dict[str, bool]:
         told[f"by driver: accuracy within 3 points of the ceiling ({100 * short:.1f})"] = (
             short <= IDENTITY_MARGIN
         )
-    if "preference" in assessments and first.ceilings is not None:
+    if "preference" in assessments and first.preferences and first.ceilings:
         found = accuracy(assessments["preference"], size, "preferences").mean
         short = first.ceilings.preference.mean - found
         told[f"by preference: of preferences within 2 points of it ({100 * short:.1f})"] = (
@@ -79,7 +82,7 @@ def verdicts(assessments: Assessments, size: int) -> dict[str, bool]:
         told[f"unsupervised: 20 points above chance ({100 * above:.1f})"] = above >= ABOVE_CHANCE
         for name in ("id", "preference"):
             if name in kl:
-                factor = kl[name] / kl["none"]
+                factor = kl[name] / max(kl["none"], SMALLEST_KL)
                 told[f"{TITLES[name]}: KL 6 times the unsupervised one ({factor:.1f})"] = (
                     factor >= KL_FACTOR
                 )
@@ -112,13 +115,11 @@ def identity_rows(assessments: Assessments, pool: int) -> Rows:
                 [
                     TITLES[name],
                     str(size),
-                    _percent(accuracy(several, size)),
-                    "-" if exact is None else _percent(exact.identity),
+                    percent(accuracy(several, size)),
+                    "-" if exact is None else percent(exact.identity),
                     f"{100 * row.types.nearest_centroid.mean:.1f}",
-                    "-"
-                    if preferences is None
-                    else _percent(accuracy(several, size, "preferences")),
-                    "-" if exact is None else _percent(exact.preference),
+                    percent(accuracy(several, size, "preferences")) if preferences else "-",
+                    percent(exact.preference) if preferences and exact else "-",
                     f"{row.types.silhouette:.2f}",
                     f"{row.types.adjusted_rand:.2f}",
                     f"{average_kl(several, size).mean:.4g}",
@@ -134,13 +135,20 @@ TRAITS_HEAD = ["setting", "trait", "R², linear", "R², smooth"]
 def trait_rows(assessments: Assessments) -> Rows:
     """What z tells of each trait of unseen drivers, of the first seed."""
     return [
-        [TITLES[name], trait, _plain(found.linear), _plain(found.smooth)]
+        [TITLES[name], trait, entry(found.linear, "z.2f"), entry(found.smooth, "z.2f")]
         for name, several in assessments.items()
         for trait, found in (several[0].traits or {}).items()
     ]
 
 
-LIKELIHOOD_HEAD = ["setting", "driver", "own z", "another's z", "exact"]
+LIKELIHOOD = {
+    "own": "own z",
+    "other": "another's z",
+    "own_minus_other": "own - another's",
+    "exact": "exact",
+    "exact_minus_own": "exact - own",
+}
+LIKELIHOOD_HEAD = ["setting", "driver", *LIKELIHOOD.values()]
 
 
 def likelihood_rows(assessments: Assessments) -> Rows:
@@ -149,9 +157,10 @@ def likelihood_rows(assessments: Assessments) -> Rows:
         [
             TITLES[name],
             row.driver,
-            _plain(row.own),
-            _plain(row.other),
-            "-" if row.exact is None else _plain(row.exact),
+            *(
+                "-" if estimate is None else entry(estimate, "z.3f")
+                for estimate in (getattr(row, what) for what in LIKELIHOOD)
+            ),
         ]
         for name, several in assessments.items()
         for row in several[0].likelihood
@@ -163,6 +172,7 @@ DRIVING = {
     "headway": "headway [s]",
     "lane_changes": "lane changes/min",
     "repeated": "repeated",
+    "alert_effect": "more with alerts",
     "crash_rate": "crashed",
 }
 DRIVING_HEAD = ["setting", "driver", *DRIVING.values()]
@@ -175,8 +185,10 @@ def driving_rows(assessments: Assessments) -> Rows:
             TITLES[name],
             row.driver,
             *(
-                f"{getattr(row.imitated, what).mean:.3g} / "
-                f"{getattr(row.demonstrated, what).mean:.3g}"
+                " / ".join(
+                    number(getattr(one, what).mean, ".3g")
+                    for one in (row.imitated, row.demonstrated)
+                )
                 for what in DRIVING
             ),
         ]
@@ -201,7 +213,11 @@ def ranking_rows(assessments: Assessments) -> Rows:
         [
             TITLES[name],
             row.driver,
-            *(_plain(e) for ranks in (row.demonstrated, row.mixture) for e in (ranks.f, ranks.g)),
+            *(
+                entry(correlation, "z.2f")
+                for ranks in (row.demonstrated, row.mixture)
+                for correlation in (ranks.f, ranks.g)
+            ),
         ]
         for name, several in assessments.items()
         for row in several[0].ranking
@@ -213,7 +229,7 @@ def _sections(assessments: Assessments, pool: int) -> list[tuple[str, list[str],
         ("Who drives, from so many windows", IDENTITY_HEAD, identity_rows(assessments, pool)),
         ("Traits of unseen drivers", TRAITS_HEAD, trait_rows(assessments)),
         (
-            "Log-likelihood of held-out actions per step",
+            "Log-likelihood of held-out actions per step [nats]",
             LIKELIHOOD_HEAD,
             likelihood_rows(assessments),
         ),
@@ -231,18 +247,37 @@ def _sections(assessments: Assessments, pool: int) -> list[tuple[str, list[str],
     return [section for section in sections if section[2]]
 
 
+def left_out(assessments: Assessments) -> list[str]:
+    """What could not be tried, in a sentence each."""
+    first = next(iter(assessments.values()))[0]
+    tried = [row.windows for row in first.identified]
+    sizes = ", ".join(str(size) for size in WINDOWS if size not in tried)
+    return [
+        sentence
+        for sentence, holds in (
+            (f"Too few windows were held out to tell drivers apart by pools of {sizes}.", sizes),
+            ("There is no exact ceiling.", first.identified[0].ceilings is None),
+            ("Recorded drives cannot be played again, to compare driving.", not first.driving),
+        )
+        if holds
+    ]
+
+
 def as_text(assessments: Assessments, pool: int, seconds: Mapping[str, float]) -> str:
     """For a terminal."""
     parts = [
         f"{title}\n{text_table(head, rows)}" for title, head, rows in _sections(assessments, pool)
     ]
-    claims = verdicts(assessments, pool).items()
     parts.append(
-        "\n".join(f"{'holds ' if holds else 'MISSED'}  {claim}" for claim, holds in claims)
+        "\n".join(
+            f"{'holds ' if holds else 'MISSED'}  {claim}"
+            for claim, holds in verdicts(assessments, pool).items()
+        )
     )
+    parts.append("\n".join(left_out(assessments)))
     if seconds:
         parts.append("\n".join(f"{part}: {spent:.0f} s" for part, spent in seconds.items()))
-    return "\n\n".join(parts)
+    return "\n\n".join(part for part in parts if part)
 
 
 def as_json(assessments: Assessments, pool: int, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -281,8 +316,8 @@ def accuracy_figure(assessments: Assessments) -> bytes:
         TITLES[name]: [accuracy(several, size) for size in windows]
         for name, several in assessments.items()
     }
-    exact = [1.0 if row.ceilings is None else row.ceilings.identity.mean for row in first]
-    return _png(draw_accuracy(windows, curves, np.array(exact), first[0].types.chance))
+    exact = [row.ceilings.identity.mean for row in first if row.ceilings is not None]
+    return _png(draw_accuracy(windows, curves, exact or None, first[0].types.chance))
 
 
 def as_html(
@@ -299,8 +334,9 @@ def as_html(
         "the same windows, which no encoder can beat. Accuracies and KL are means over seeds, the "
         "rest is of the first."
     )
+    sentences = " ".join([told, *left_out(assessments)])
     parts = [
-        f"<p>{escape(told)}</p>",
+        f"<p>{escape(sentences)}</p>",
         image("png", embeddings_figure(assessments, pool), "embeddings by driver"),
         image("png", accuracy_figure(assessments), "accuracy by windows seen"),
         "".join(
@@ -320,11 +356,3 @@ def _png(figure: Figure) -> bytes:
     content = BytesIO()
     figure.savefig(content, format="png", dpi=110)
     return content.getvalue()
-
-
-def _percent(e: Estimate) -> str:
-    return f"{100 * e.mean:.1f} [{100 * e.low:.1f}, {100 * e.high:.1f}]"
-
-
-def _plain(e: Estimate) -> str:
-    return f"{e.mean:.2f} [{e.low:.2f}, {e.high:.2f}]"

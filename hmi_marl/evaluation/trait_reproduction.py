@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,8 +15,11 @@ from tqdm import tqdm
 
 from hmi_marl.agents.trait_files import load_traits
 from hmi_marl.agents.trait_model import TraitModel
+from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation.collect import collect
 from hmi_marl.evaluation.trait_assessment import PARTS, Assessment, assess, exact_evidence
+from hmi_marl.evaluation.trait_ceiling import NoCeilingError
+from hmi_marl.evaluation.trait_driving import check_fits
 from hmi_marl.evaluation.trait_report import (
     accuracy_figure,
     as_html,
@@ -25,29 +29,53 @@ from hmi_marl.evaluation.trait_report import (
 )
 from hmi_marl.evaluation.trait_settings import (
     DEMONSTRATIONS,
+    POPULATION,
     SUPERVISIONS,
     AssessSettings,
     TraitReproduction,
 )
-from hmi_marl.evaluation.traits import Split
+from hmi_marl.evaluation.traits import Split, pool_sizes, population_pools
 from hmi_marl.files import make_folder, write_bytes, write_json, write_text
+from hmi_marl.training.claim import check_same
 from hmi_marl.training.demonstration_files import (
     OBSERVED,
+    TRUTH,
+    read_about,
     read_demonstrations,
+    sha256_of,
     write_demonstrations,
 )
 from hmi_marl.training.traits.settings import TraitSettings
 from hmi_marl.workers import pool
 
+FREE = ("driver_policy", "teams")
+"""What a dataset may differ in: where the policy lies (not which it is), and memory."""
+
 
 def collect_datasets(settings: TraitReproduction, driver_run: Path, folder: Path) -> None:
-    """Record what is not recorded yet."""
+    """Record what is not recorded yet, and see that it is enough to judge by.
+
+    Raises:
+        FileNotFoundError: there is no such driver policy.
+        ValueError: a dataset that is there was recorded otherwise, or there is too little.
+    """
     for name, dataset in settings.datasets(driver_run).items():
-        if (folder / name / OBSERVED).is_file():
+        truth = folder / name / TRUTH
+        if truth.is_file():  # which is written last
+            before = _binding(read_about(truth).get("settings", {}))
+            check_same(before, _binding(plain(dataset)), truth.parent)
             continue
         make_folder(folder / name)
         with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:
             write_demonstrations(folder / name, collect(dataset, bar.update))
+    learn, demonstrations = settings.learn, read_demonstrations(folder / DEMONSTRATIONS)
+    split = Split.of(demonstrations, learn.held_out, settings.judge.windows)
+    pool_sizes(split, learn.pool, learn.latent)
+    population_pools(read_demonstrations(folder / POPULATION), learn.pool)
+
+
+def _binding(settings: dict[str, Any]) -> dict[str, Any]:
+    return {"settings": {name: value for name, value in settings.items() if name not in FREE}}
 
 
 def learn_all(settings: TraitReproduction, folder: Path, workers: int, typed: str) -> None:
@@ -96,27 +124,45 @@ def assess_runs(
             other demonstrations or that pool or hold out differently.
     """
     models = [load_traits(run) for run in runs]
-    first = models[0].card
+    data = read_demonstrations(demonstrations)
+    pools, digest = models[0].card.pool, sha256_of(demonstrations / OBSERVED)
+    share, _ = _learnt_from(runs[0], models[0])
     for run, model in zip(runs, models, strict=True):
-        if (model.card.pool, _held_out(model)) != (first.pool, _held_out(models[0])):
+        held_out, learnt = _learnt_from(run, model)
+        if (model.card.pool, held_out) != (pools, share):
             raise ValueError(f"{run} pools or holds out other windows than {runs[0]}")
-    split = Split.of(read_demonstrations(demonstrations), _held_out(models[0]), size.windows)
+        if learnt != digest:
+            raise ValueError(f"{run} learnt from other demonstrations than {demonstrations}")
+    split = Split.of(data, share, size.windows)
+    windows = pool_sizes(split, pools, max(model.card.latent for model in models))
     strangers = None if population is None else read_demonstrations(population)
+    if strangers is not None:
+        population_pools(strangers, pools)
+        check_fits(models[0], strangers.observed)
     found: dict[str, list[Assessment]] = {}
     with tqdm(total=1 + PARTS * len(models), unit=" parts", desc="judging") as bar:
-        exact = exact_evidence(split.unseen, driver_policy)
+        exact = None
+        try:
+            exact = exact_evidence(split.unseen, driver_policy)
+        except NoCeilingError as error:
+            bar.write(str(error), file=sys.stderr)
         bar.update()
         for model in models:
-            one = assess(model, split, exact, strangers, size, bar.update)
+            one = assess(model, split, exact, strangers, size, windows, bar.update)
             found.setdefault(one.supervision, []).append(one)
     ordered: dict[str, list[Assessment]] = {
         name: found[name] for name in SUPERVISIONS if name in found
     }
-    return ordered, first.pool
+    return ordered, pools
 
 
-def _held_out(model: TraitModel) -> float:
-    return float(model.card.training["settings"]["held_out"])
+def _learnt_from(run: Path, model: TraitModel) -> tuple[float, str]:
+    """The share that a run held out, and the checksum of its demonstrations."""
+    told = model.card.training
+    try:
+        return float(told["settings"]["held_out"]), str(told["demonstrations"])
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"{run} does not tell what it learnt from") from None
 
 
 def write_report(

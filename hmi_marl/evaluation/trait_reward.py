@@ -27,8 +27,6 @@ from hmi_marl.agents.trait_model import TraitModel
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.evaluation import statistics
-from hmi_marl.evaluation.compare_report import entry
-from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.statistics import CONFIDENCE, Estimate
 from hmi_marl.evaluation.trait_driving import (
     check_fits,
@@ -242,27 +240,3 @@ def _spearman(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[n
     a, b = (stats.rankdata(values, axis=1) - (values.shape[1] + 1) / 2 for values in (one, other))
     spread = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
     return np.divide((a * b).sum(axis=1), spread, out=np.full(len(a), math.nan), where=spread > 0)
-
-
-def as_text(rows: Sequence[RewardRanking]) -> str:
-    """For a terminal."""
-    head = ["driver", "F, demonstrations", "G, demonstrations", "F, mixture", "G, mixture"]
-    ranks = [
-        [row.driver, *(entry(e, "z.2f") for at in both for e in (at.f, at.g))]
-        for row in rows
-        for both in [(row.demonstrated, row.mixture)]
-    ]
-    means = [
-        [row.driver, way, *(entry(values[name]) for name in Returns._fields)]
-        for row in rows
-        for way, values in row.returns.items()
-    ]
-    return "\n".join(
-        [
-            "Spearman correlation of recovered with true driving returns",
-            text_table(head, ranks),
-            "",
-            "Mean returns by way to drive",
-            text_table(["driver", "driving", "true", "F", "G"], means),
-        ]
-    )

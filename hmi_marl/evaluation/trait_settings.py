@@ -38,6 +38,8 @@ class AssessSettings:
     def __post_init__(self) -> None:
         for name in ("windows", "episodes", "ranked"):
             check_count(name, getattr(self, name))
+        if self.ranked < 2:
+            raise ValueError("two windows can be ranked, but not one: ranked is at least 2")
 
 
 @dataclass(frozen=True)

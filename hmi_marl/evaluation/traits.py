@@ -6,7 +6,7 @@ fitted on windows that the model did learn from, with the true names, in every s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,15 +17,15 @@ from hmi_marl.agents.identify import Identification
 from hmi_marl.agents.trait_model import TraitModel
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.evaluation.separability import Separability, separability
-from hmi_marl.evaluation.trait_ceiling import Ceilings, ceilings
+from hmi_marl.evaluation.trait_ceiling import LIKES_HELP, Ceilings, ceilings
 from hmi_marl.evaluation.trait_regression import TraitR2, trait_r2
-from hmi_marl.training.demonstrations import NOBODY, Demonstrations, Observed
+from hmi_marl.training.demonstrations import NOBODY, Demonstrations, Observed, Truth
 from hmi_marl.training.traits.dataset import held_out
 
 WINDOWS = (1, 2, 4, 8, 16)
 """Windows seen of a driver."""
-LIKES_HELP = 0.5
-"""η from which on a driver counts as one who likes help."""
+FEWEST_STRANGERS = 4
+"""Whom nothing was learnt from: two to fit a regression by, and two to judge it by."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Hidden:
     """Windows as the encoder reads them, before they are pooled."""
 
     states: NDArray[np.float64]
-    """Its averaged hidden states, shape (E, H)."""
+    """Its hidden states at the end of each, shape (E, H)."""
     driver: NDArray[np.int64]
     """Who drove, shape (E,)."""
 
@@ -58,7 +58,7 @@ def disjoint_pools(driver: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     Returns:
         Indices of windows, shape (P, size).
     """
-    pools = []
+    pools = [np.zeros((0, size), np.int64)]
     for who in np.unique(driver[driver != NOBODY]):
         theirs = np.flatnonzero(driver == who)
         whole = len(theirs) // size * size
@@ -130,6 +130,37 @@ class Split:
         return cls(*(part.take(part.observed.number < most) for part in parts))
 
 
+def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
+    """From how many windows drivers are told apart: ``WINDOWS``, and a model's own pool.
+
+    Left out are those of which some driver has too few pools, on either side: a Gaussian in Z
+    dimensions takes Z + 2.
+
+    Args:
+        split: of the demonstrations.
+        pool: windows that a model pools.
+        latent: Z, the size of its z.
+
+    Raises:
+        ValueError: too few windows for even the model's own pool, or fewer than two drivers.
+    """
+    names = split.unseen.observed.names
+    if len(names) < 2:
+        raise ValueError("drivers are told apart: there are two or more who are known by name")
+    sides = (split.learnt.observed.driver, split.unseen.observed.driver)
+    counts = np.minimum(*(np.bincount(of[of != NOBODY], minlength=len(names)) for of in sides))
+    least = (latent + 2) * pool
+    if counts.min() < least:
+        raise ValueError(
+            f"too few windows to judge by: it takes {least} of each driver that were learnt from "
+            f"and {least} that were held out (pools of {pool}, {latent + 2} of them for z of size "
+            f"{latent}), but of {names[counts.argmin()]} there are {counts.min()}; demonstrate "
+            "more, or learn with a smaller --pool or a larger --held-out"
+        )
+    sizes = sorted({*WINDOWS, pool})
+    return tuple(size for size in sizes if (latent + 2) * size <= counts.min())
+
+
 def likes_help(demonstrations: Demonstrations) -> NDArray[np.int64] | None:
     """1 for windows of drivers who like help, 0 for others, (E,); None without the truth."""
     if demonstrations.truth is None:
@@ -142,7 +173,6 @@ def identify_drivers(
     split: Split,
     identification: Identification | None = None,
     windows: Sequence[int] = WINDOWS,
-    progress: Callable[[], Any] = tuple,
 ) -> tuple[list[Identified], Embedding]:
     """Accuracy by windows seen, and held-out pools of the model's own size in latent space.
 
@@ -151,8 +181,10 @@ def identify_drivers(
         split: of the demonstrations.
         identification: of ``split.unseen`` by the exact classifier, candidates in the order of
             its names.
-        windows: how many are seen.
-        progress: called after each of them.
+        windows: how many are seen; see :func:`pool_sizes`.
+
+    Raises:
+        ValueError: too few pools of some driver.
     """
     learnt, unseen = (Hidden.of(model, part.observed) for part in (split.learnt, split.unseen))
     help_learnt, help_unseen = likes_help(split.learnt), likes_help(split.unseen)
@@ -170,11 +202,28 @@ def identify_drivers(
         found = None if identification is None else ceilings(identification, judged, types)
         told = separability(z_fitted, learnt.driver[fitted[:, 0]], z, types)
         rows.append(Identified(size, len(judged), told, preferences, found))
-        progress()
     judged = disjoint_pools(unseen.driver, model.card.pool)
     means = model.latent(unseen.pooled(judged)).mean
     names = split.unseen.observed.names
     return rows, Embedding(means, unseen.driver[judged[:, 0]], names)
+
+
+def population_pools(population: Demonstrations, size: int) -> tuple[Truth, NDArray[np.int64]]:
+    """The truth of a population, and pools of its windows to regress traits over.
+
+    Raises:
+        ValueError: the truth is not known, or pools of fewer than four drivers can be had.
+    """
+    if population.truth is None:
+        raise ValueError("traits can be regressed only where the truth is known")
+    pools = disjoint_pools(population.observed.driver, size)
+    drivers = len(np.unique(population.observed.driver[pools[:, 0]]))
+    if drivers < FEWEST_STRANGERS:
+        raise ValueError(
+            f"traits are regressed over {FEWEST_STRANGERS} drivers or more with {size} windows "
+            f"each, but the population has {drivers}"
+        )
+    return population.truth, pools
 
 
 def regress_traits(
@@ -191,13 +240,11 @@ def regress_traits(
         seed: of the bootstrap.
 
     Raises:
-        ValueError: the truth is not known.
+        ValueError: see :func:`population_pools`.
     """
-    if population.truth is None:
-        raise ValueError("traits can be regressed only where the truth is known")
+    truth, pools = population_pools(population, size)
     hidden = Hidden.of(model, population.observed)
-    pools = disjoint_pools(hidden.driver, size)
     z, who = model.latent(hidden.pooled(pools)).mean, hidden.driver[pools[:, 0]]
-    traits = population.truth.traits[pools[:, 0]]
-    fits = who % 2 == 0
+    traits = truth.traits[pools[:, 0]]
+    fits = np.unique(who, return_inverse=True)[1] % 2 == 0
     return trait_r2(z[fits], traits[fits], z[~fits], traits[~fits], TRAIT_NAMES, seed)

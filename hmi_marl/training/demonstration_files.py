@@ -101,7 +101,7 @@ def _write(chunks: Iterator[Demonstrations], observed_path: Path, truth_path: Pa
             start += len(chunk)
         observed_file.close()
         if truth_path is not None:
-            truth_file.add_key_value_metadata({BELONGS: _sha256(observed_path).encode()})
+            truth_file.add_key_value_metadata({BELONGS: sha256_of(observed_path).encode()})
 
 
 def _open(files: ExitStack, path: Path, schema: pa.Schema) -> pq.ParquetWriter:
@@ -175,7 +175,7 @@ def read_demonstrations(folder: Path) -> Demonstrations:
     if not path.is_file():
         return Demonstrations(observed)
     file = StepFile(path, TRUTH_SCHEMA)
-    if file.belongs_to != _sha256(folder / OBSERVED):
+    if file.belongs_to != sha256_of(folder / OBSERVED):
         raise ValueError(f"{path} is not the truth of {OBSERVED} beside it")
     rows = file.read()
     if not np.array_equal(file.length, observed.length):
@@ -196,6 +196,17 @@ def read_demonstrations(folder: Path) -> Demonstrations:
         return Demonstrations(observed, truth)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def read_about(path: Path) -> dict[str, Any]:
+    """How one of the two files was made, as it tells itself; its rows are not read.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`read_observed`.
+    """
+    file = StepFile(path, TRUTH_SCHEMA if path.name == TRUTH else None)
+    about: dict[str, Any] = file.stamp["about"]
+    return about
 
 
 def read_observed(folder: Path) -> Observed:
@@ -238,6 +249,7 @@ def read_observed(folder: Path) -> Observed:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _sha256(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """The checksum of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -104,8 +104,16 @@ def test_principal_axes_worked_by_hand():
     assert axes.get_xlabel() == "first of 3 principal axes of z (90%)"
 
 
+def test_single_numbers_are_drawn_along_a_line():
+    axes = draw_embeddings([panel(size=1)]).axes[0]
+    points = np.asarray(axes.collections[0].get_offsets())
+    assert points[:, 0] == pytest.approx(panel(size=1).means[TYPES == 1, 0])
+    assert not points[:, 1].any()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$z_1$", "")
+
+
 def test_collapsed_vectors_can_be_drawn():
-    for size in (2, 3):
+    for size in (1, 2, 3):
         own = EmbeddingPanel("it", np.zeros((80, size)), TYPES, NAMES, 0.0)
         assert saved(draw_embeddings([own]))
 
@@ -113,8 +121,6 @@ def test_collapsed_vectors_can_be_drawn():
 def test_panels_that_cannot_be_drawn_are_refused():
     with pytest.raises(ValueError, match="no embeddings"):
         draw_embeddings([])
-    with pytest.raises(ValueError, match="two axes, but vectors of 'it' are numbers"):
-        EmbeddingPanel("it", np.zeros((80, 1)), TYPES, NAMES, 0.0)
     with pytest.raises(ValueError, match="types of 'it' are 0 to 1 for lisa, marge, not 0 to 3"):
         EmbeddingPanel("it", np.zeros((80, 2)), TYPES, ("lisa", "marge"), 0.0)
     with pytest.raises(ValueError, match="vectors of 'it' are finite"):
@@ -159,6 +165,13 @@ def test_one_ceiling_for_all_and_points_without_an_interval():
     lines = {line.get_label(): line for line in figure.axes[0].lines}
     assert list(lines["exact Bayes"].get_ydata()) == [0.9, 0.9]
     assert saved(figure)
+
+
+def test_without_a_ceiling_there_is_no_line_of_it():
+    figure = draw_accuracy(WINDOWS, CURVES, None, 0.25)
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["unsupervised", "by identity", "chance"]
+    assert "exact Bayes" not in [line.get_label() for line in figure.axes[0].lines]
 
 
 def test_curves_that_do_not_fit_are_refused():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_marl.evaluation.statistics import Estimate, mean, share
+from hmi_marl.evaluation.statistics import Estimate, accuracy, mean, share
 
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20)
 COUNTS = st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -84,6 +84,16 @@ def test_wilson_intervals_worked_by_hand(
 def test_shares_that_are_none_are_refused(successes: int, trials: int) -> None:
     with pytest.raises(ValueError, match=f"{successes} successes in {trials} trials"):
         share(successes, trials)
+
+
+def test_an_accuracy_has_the_interval_of_independent_trials() -> None:
+    right = np.arange(8) < 6
+    assert accuracy(right, 8) == share(6, 8)
+    # Six of eight in four trials: three of them.
+    assert accuracy(right, 4) == share(3, 4)
+    # In three trials 2.25: its ends are those of two and of three.
+    found = accuracy(right, 3)
+    assert (found.mean, found.low, found.high) == (0.75, share(2, 3).low, share(3, 3).high)
 
 
 def test_json_says_none_where_nothing_is_known() -> None:

@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trait_models import save_driver
 
 from hmi_marl.agents.identify import Identification, identify
-from hmi_marl.agents.learned import make_card
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.agents.policy_files import load_policy, save_policy
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.agents.policy_files import load_policy
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.evaluation.collect import CollectSettings, collect
 from hmi_marl.evaluation.statistics import share
@@ -19,18 +17,6 @@ from hmi_marl.training.demonstrations import Observed
 from hmi_marl.training.traits.dataset import team_of
 
 FOUR = tuple(DRIVERS[name] for name in PAPER_DRIVERS)
-
-
-def save_driver(folder: Path, seed: int) -> Path:
-    """A driver that reads the traits, with weights as they come."""
-    card = make_card("driver", TeamConfig(), NetworkConfig((8,)), knows_traits=True)
-    rng = np.random.default_rng(seed)
-    weights = {
-        name: 0.4 * rng.standard_normal(shape).astype(np.float32)
-        for name, shape in card.shapes.items()
-    }
-    save_policy(folder, card, weights)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -140,6 +126,14 @@ def test_identity_and_preference() -> None:
     both = ceilings(found, [[0], [1]], [0, 1])
     assert (both.identity, both.preference) == (share(0, 2), share(2, 2))
     assert both.as_json()["preference"] == share(2, 2).as_json()
+
+
+def test_preferences_are_kinds_of_drivers_not_degrees() -> None:
+    # Two who like help, not equally, together outweigh the one who does not.
+    cast = (replace(FOUR[0], eta=0.4), replace(FOUR[1], eta=0.5), replace(FOUR[2], eta=0.9))
+    found = Identification(cast, np.log([[0.4, 0.3, 0.3]]))
+    both = ceilings(found, [[0]], [1])
+    assert (both.identity, both.preference) == (share(0, 1), share(1, 1))
 
 
 def test_pools_that_share_windows_are_no_more_trials() -> None:

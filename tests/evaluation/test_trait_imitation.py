@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -6,16 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 from demonstrations import made_up
+from trait_models import untrained
 
 from hmi_marl.agents.identify import Identification
 from hmi_marl.agents.learned import make_card
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.policy_files import save_policy
 from hmi_marl.agents.situations import situations
-from hmi_marl.agents.trait_model import TraitCard, TraitModel
+from hmi_marl.agents.trait_model import TraitModel
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
-from hmi_marl.envs.observations import Layout
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.collect import CollectSettings, collect
 from hmi_marl.evaluation.trait_ceiling import evidence
@@ -23,25 +22,11 @@ from hmi_marl.evaluation.trait_imitation import (
     action_likelihood,
     checked_pools,
     driver_latents,
-    likelihood_text,
     pool_latents,
 )
 from hmi_marl.training.demonstrations import Observed
 
 NAMES = ("lisa", "bart", "mona")
-
-
-def untrained(
-    layout: Layout, seed: int = 0, change: Callable[[str, Any], Any] = lambda name, values: values
-) -> TraitModel:
-    """A small model with weights as they come."""
-    small = NetworkConfig((4,), "tanh")
-    reads = tuple((part.name, part.size) for part in layout.parts)
-    card = TraitCard(reads, encoder_units=5, reward=small, potential=small, policy=small)
-    rng = np.random.default_rng(seed)
-    drawn = {name: rng.standard_normal(size) for name, size in card.shapes.items()}
-    weights = {name: change(name, values).astype(np.float32) for name, values in drawn.items()}
-    return TraitModel(card, weights | {"state.scale": np.ones(card.state_size, np.float32)})
 
 
 def blind(name: str, values: Any) -> Any:
@@ -210,11 +195,8 @@ def test_evidence_of_others_is_refused(observed: Observed) -> None:
             action_likelihood(model, observed, POOLS, found)
 
 
-def test_it_is_told_as_text_and_json(observed: Observed) -> None:
+def test_it_is_told_as_json(observed: Observed) -> None:
     rows = action_likelihood(untrained(observed.layout), observed, POOLS)
     content = rows[0].as_json()
     assert (content["driver"], content["exact"]) == ("lisa", None)
     assert content["own"] == rows[0].own.as_json()
-    text = likelihood_text(rows)
-    assert all(name in text for name in NAMES)
-    assert f"{rows[0].own.mean:.3f} [" in text

@@ -94,8 +94,9 @@ class Adversary:
             z: shape (P, Z), for ``driven``.
 
         Returns:
-            The losses by name, each without its weight; the mean σ of z; and shares of the
-            transitions that D takes rightly for demonstrated and for driven.
+            The losses by name, each without its weight; the mean σ of z, and the one by which L2
+            reads it (``width``); and shares of the transitions that D takes rightly for
+            demonstrated and for driven.
         """
         losses, told = self.losses(experts, labelled, driven, z)
         weights = self._settings.weights.by_loss()

@@ -21,6 +21,8 @@ from hmi_marl.training.traits.pools import Batch, Units
 
 FIRST_LOG_VARIANCE = -3.0
 """Of z at the start, when its means are random: small enough that z says something of them."""
+FORGET_BIAS = 2.0
+"""Added to the memory's forget gate at the start: evidence is to add up over a whole window."""
 SMALLEST_SPREAD = 1e-5
 """Added to the spread of the encoder's means, which may all be one."""
 SMALLEST_UNIT = 0.05
@@ -57,6 +59,9 @@ class ContextEncoder(torch.nn.Module):
         self.mean = torch.nn.Linear(units, card.latent)
         self.log_variance = torch.nn.Linear(units, card.latent)
         torch.nn.init.constant_(self.log_variance.bias, FIRST_LOG_VARIANCE)
+        with torch.no_grad():
+            bias = self.memory.get_parameter("bias_ih_l0")
+            bias[units : 2 * units] += FORGET_BIAS
         self.register_buffer("input_centre", torch.zeros(inputs))
         self.register_buffer("input_scale", torch.ones(inputs))
         self.input_centre: torch.Tensor
@@ -88,7 +93,7 @@ class ContextEncoder(torch.nn.Module):
             self.input_scale.copy_(read.std(dim=0).clamp_min(SMALLEST_UNIT))
 
     def read(self, x: torch.Tensor, actions: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
-        """The hidden states of P pools of n windows, averaged over each pool: (P, H).
+        """The hidden states at the end of P pools of n windows, averaged over each pool: (P, H).
 
         Args:
             x: situations, shape (P, n, T, D).
@@ -98,10 +103,8 @@ class ContextEncoder(torch.nn.Module):
         pools, windows, steps, _ = x.shape
         read = (self.inputs(x, actions) - self.input_centre) / self.input_scale
         hidden, _ = self.memory(read.reshape(pools * windows, steps, -1))
-        hidden = hidden.reshape(pools, windows, steps, -1)
-        there = torch.arange(steps, device=x.device) < length[..., None]
-        of_windows = (hidden * there[..., None]).sum(dim=2) / length[..., None]
-        return of_windows.mean(dim=1)
+        last = hidden[torch.arange(len(hidden), device=x.device), length.reshape(-1) - 1]
+        return last.reshape(pools, windows, -1).mean(dim=1)
 
     def posterior(
         self, hidden: torch.Tensor, centre: torch.Tensor, scale: torch.Tensor
@@ -120,13 +123,13 @@ class ContextEncoder(torch.nn.Module):
 
     def folded(self) -> dict[str, torch.Tensor]:
         """Its weights with the units of inputs and means folded in, as NumPy takes them."""
-        memory = dict(self.memory.named_parameters())
-        from_inputs = memory["weight_ih_l0"] / self.input_scale
+        memory = self.memory.get_parameter
+        from_inputs = memory("weight_ih_l0") / self.input_scale
         return {
             "encoder.input_weight": from_inputs,
-            "encoder.hidden_weight": memory["weight_hh_l0"],
-            "encoder.input_bias": memory["bias_ih_l0"] - from_inputs @ self.input_centre,
-            "encoder.hidden_bias": memory["bias_hh_l0"],
+            "encoder.hidden_weight": memory("weight_hh_l0"),
+            "encoder.input_bias": memory("bias_ih_l0") - from_inputs @ self.input_centre,
+            "encoder.hidden_bias": memory("bias_hh_l0"),
             "mean.weight": self.mean.weight / self.scale[:, None],
             "mean.bias": (self.mean.bias - self.centre) / self.scale,
             "log_variance.weight": self.log_variance.weight,

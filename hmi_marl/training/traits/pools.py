@@ -82,7 +82,7 @@ class Windows:
         units: of the states.
 
     Raises:
-        ValueError: nobody is known by name, or labels of another shape.
+        ValueError: nobody is known by name, or labels of another shape, or a driver with several.
     """
 
     def __init__(self, observed: Observed, labels: NDArray[np.float64], units: Units) -> None:
@@ -91,6 +91,10 @@ class Windows:
         self._known = observed.driver != NOBODY
         if not self._known.any():
             raise ValueError("no window's driver is known, so none can be pooled with another")
+        for who in np.unique(observed.driver[self._known]):
+            theirs = labels[observed.driver == who]
+            if len(np.unique(theirs[~np.isnan(theirs)])) > 1:
+                raise ValueError(f"windows of {observed.names[who]} have different labels")
         self._observed, self._labels = observed, labels
         x = situations(observed.states, observed.actions, observed.alerts)
         self._situations = units.standardise(x)

@@ -77,7 +77,7 @@ class TraitSettings:
     """Windows of one driver that are pooled."""
     encoder_units: int = 128
     """Units of the context encoder's recurrent layer."""
-    imitation_updates: int = 400
+    imitation_updates: int = 600
     """Updates before the policy drives: the policy learns by imitation, the encoder by what does
     not need the policy's driving."""
     steps: int = 1_000_000

@@ -91,11 +91,11 @@ def test_a_pool_is_the_mean_of_its_windows_alone(encoder: ContextEncoder) -> Non
     torch.testing.assert_close(together, expected)
 
 
-def test_a_window_is_the_mean_of_its_hidden_states(encoder: ContextEncoder) -> None:
+def test_a_window_is_the_hidden_state_at_its_end(encoder: ContextEncoder) -> None:
     x, actions, _ = alone = steps_of(BATCH, 0, 1)  # of two steps
     read = encoder_inputs(x[0, 0].numpy(), actions[0, 0].numpy())
     hidden, _ = encoder.memory(torch.from_numpy(read).float()[None])
-    torch.testing.assert_close(encoder.read(*alone)[0], (hidden[0, 0] + hidden[0, 1]) / 2)
+    torch.testing.assert_close(encoder.read(*alone)[0], hidden[0, 1])
 
 
 def test_torch_reads_what_numpy_reads() -> None:
@@ -115,9 +115,7 @@ def test_inputs_are_in_units_of_the_steps_that_there_were(encoder: ContextEncode
     expected = inputs.std(dim=0).clamp_min(SMALLEST_UNIT)  # of what hardly ever happens
     torch.testing.assert_close(encoder.input_scale, expected)
     hidden, _ = encoder.memory(((encoder.inputs(x, actions) - inputs.mean(dim=0)) / expected)[1])
-    torch.testing.assert_close(
-        encoder.read(*steps_of(BATCH, 1, 0))[0], hidden[0, : length[1, 0]].mean(dim=0)
-    )
+    torch.testing.assert_close(encoder.read(*steps_of(BATCH, 1, 0))[0], hidden[0, length[1, 0] - 1])
 
 
 @given(st.permutations(range(3)))

@@ -1,0 +1,45 @@
+"""Latent traits from driving alone: collect, learn, and see where drivers lie in latent space.
+
+Run: python examples/latent_traits.py   (or with a trained driver: --driver runs/homer)
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from hmi_marl.agents.trait_files import load_traits
+from hmi_marl.evaluation.collect import CollectSettings, collect
+from hmi_marl.training.demonstration_files import read_observed, write_demonstrations
+from hmi_marl.training.traits.dataset import held_out
+from hmi_marl.training.traits.run import learn_traits
+from hmi_marl.training.traits.settings import TraitSettings
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--driver", default="rule", help="a trained run's folder, or rule")
+parser.add_argument("--windows", type=int, default=100, help="of 20 s, for each driver")
+parser.add_argument("--updates", type=int, default=60, help="before the policy drives")
+parser.add_argument("--steps", type=int, default=50_000, help="that the policy drives")
+parser.add_argument("--out", type=Path, default=Path("runs/latent-traits"))
+choices = parser.parse_args()
+
+# What could be observed of four drivers, the hidden truth apart from it.
+data = choices.out / "demonstrations"
+record = CollectSettings(driver_policy=choices.driver, steps=100 * choices.windows)
+write_demonstrations(data, collect(record))
+
+# A fifth of the windows tells who drives; the rest is driving alone.
+settings = TraitSettings(
+    supervision="id", imitation_updates=choices.updates, steps=choices.steps, teams=16
+)
+learn_traits(settings, data, choices.out / "traits")
+
+# Every driver's held-out windows, pooled: the posterior of z.
+model = load_traits(choices.out / "traits")
+observed = read_observed(data)
+unseen = observed.take(held_out(observed, settings.held_out))
+hidden = model.encode(unseen.states, unseen.actions, unseen.alerts, unseen.length)
+for who, name in enumerate(unseen.names):
+    latent = model.latent(hidden[unseen.driver == who].mean(axis=0, keepdims=True))
+    mean, spread = latent.mean[0], np.sqrt(latent.variance[0])
+    print(f"{name:<6} z = {np.round(mean, 2).tolist()} ± {np.round(spread, 2).tolist()}")

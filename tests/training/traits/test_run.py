@@ -1,0 +1,251 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.trait_files import load_traits
+from hmi_marl.agents.trait_model import TraitModel
+from hmi_marl.envs.drivers import PAPER_DRIVERS, TRAIT_NAMES
+from hmi_marl.evaluation.collect import CollectSettings, collect
+from hmi_marl.training.checkpoint import Checkpoint
+from hmi_marl.training.demonstration_files import (
+    OBSERVED,
+    TRUTH,
+    read_demonstrations,
+    write_demonstrations,
+)
+from hmi_marl.training.demonstrations import Demonstrations, Truth
+from hmi_marl.training.settings import PPOSettings
+from hmi_marl.training.traits import run
+from hmi_marl.training.traits.run import learn_traits
+from hmi_marl.training.traits.settings import TraitSettings
+
+TINY = TraitSettings(
+    steps=40,  # two rounds of 4 cars for 5 steps
+    imitation_updates=2,
+    teams=4,
+    pool=2,
+    expert_pools=2,
+    labelled_pools=3,
+    encoder_units=6,
+    reward=NetworkConfig((4,)),
+    potential=NetworkConfig((4,)),
+    policy=NetworkConfig((4,)),
+    ppo=PPOSettings(epochs=1, mini_batches=2),
+    labelled=0.5,
+    settling=0.0,
+    device="cpu",
+    checkpoint_every=0.0,
+)
+FILES = ("traits.safetensors", "traits.json")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Ten windows of five steps of each driver, most of which share a scene with few others."""
+    settings = CollectSettings(duration=1.0, steps=50, vehicles=(1, 2), teams=16)
+    folder = tmp_path_factory.mktemp("demonstrations")
+    write_demonstrations(folder, collect(settings))
+    return folder
+
+
+def learnt(folder, dataset, settings=TINY, **choices):
+    learn_traits(settings, dataset, folder, quiet=True, **choices)
+    return {name: (folder / name).read_bytes() for name in FILES}
+
+
+def rows(folder):
+    timed = ("seconds", "steps_per_second")
+    curve = json.loads((folder / "curve.json").read_text())
+    return [{name: v for name, v in row.items() if name not in timed} for row in curve]
+
+
+@pytest.mark.parametrize("supervision", ["none", "id", "preference"])
+def test_every_setting_leaves_a_model_and_tells_its_losses(supervision, dataset, tmp_path):
+    settings = replace(TINY, supervision=supervision)
+    learn_traits(settings, dataset, tmp_path, quiet=True, typed="hmi-marl traits train it")
+    model = load_traits(tmp_path)
+    assert model.card.training["settings"]["supervision"] == supervision
+    assert model.card.training["command"] == "hmi-marl traits train it"
+    assert model.card.training["drivers"] == list(PAPER_DRIVERS)
+    assert model.card.training["steps"] == 40
+    assert [row["steps"] for row in rows(tmp_path)] == [0, 0, 20, 40]
+    for row in rows(tmp_path):
+        assert np.isfinite(list(row.values())).all()
+        assert ("L3" in row) == (supervision != "none")
+        assert ("L1" in row) == (row["steps"] > 0)
+    observed = read_demonstrations(dataset).observed
+    hidden = model.encode(observed.states, observed.actions, observed.alerts, observed.length)
+    latent = model.latent(hidden)
+    assert latent.mean.shape == (40, 2)
+    assert np.isfinite(latent.mean).all()
+    assert (latent.variance > 0).all()
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_does_not(dataset, tmp_path):
+    one = learnt(tmp_path / "one", dataset)
+    assert learnt(tmp_path / "two", dataset) == one
+    assert learnt(tmp_path / "other", dataset, replace(TINY, seed=1))[FILES[0]] != one[FILES[0]]
+
+
+def with_other_truth(dataset, folder, keep_eta=True):
+    """The same observed data beside a truth in which everything hidden is something else."""
+    data = read_demonstrations(dataset)
+    rng = np.random.default_rng(0)
+    truth, shape = data.truth, data.observed.actions.shape
+    steps = data.observed.steps_taken
+    traits = rng.random((len(data), 4)) * [1, 1, 1, 5] + [0, 0, 0, 1]
+    if keep_eta:
+        eta = TRAIT_NAMES.index("eta")
+        traits[:, eta] = truth.traits[:, eta]
+    # One driver has one set of traits.
+    traits = traits[[int((data.observed.driver == who).argmax()) for who in data.observed.driver]]
+    other = Truth(
+        np.where(steps, 1 - truth.distracted, 0),
+        np.where(steps, 1 - truth.accepted, 0),
+        np.where(steps, (truth.counter + 3) % 7, 0),
+        np.where(steps, rng.integers(0, 5, shape), -1),
+        traits,
+        {},
+    )
+    write_demonstrations(folder, iter([Demonstrations(data.observed, other)]))
+    assert (folder / TRUTH).read_bytes() != (dataset / TRUTH).read_bytes()
+    return folder
+
+
+@pytest.mark.parametrize("supervision", ["none", "id", "preference"])
+def test_nothing_of_the_hidden_truth_is_learnt_from(supervision, dataset, tmp_path):
+    settings = replace(TINY, supervision=supervision)
+    other = with_other_truth(dataset, tmp_path / "other")
+    one = learnt(tmp_path / "one", dataset, settings)[FILES[0]]
+    assert learnt(tmp_path / "two", other, settings)[FILES[0]] == one
+
+
+def test_the_preference_setting_is_told_eta_alone_so_that_the_test_above_could_fail(
+    dataset, tmp_path
+):
+    settings = replace(TINY, supervision="preference")
+    other = with_other_truth(dataset, tmp_path / "other", keep_eta=False)
+    one = learnt(tmp_path / "one", dataset, settings)[FILES[0]]
+    assert learnt(tmp_path / "two", other, settings)[FILES[0]] != one
+
+
+@pytest.mark.parametrize("supervision", ["none", "id"])
+def test_without_a_truth_the_same_is_learnt(supervision, dataset, tmp_path):
+    settings = replace(TINY, supervision=supervision)
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    (alone / OBSERVED).write_bytes((dataset / OBSERVED).read_bytes())
+    one = learnt(tmp_path / "one", dataset, settings)
+    assert learnt(tmp_path / "two", alone, settings) == one
+
+
+def test_held_out_windows_are_not_learnt_from(dataset, tmp_path):
+    data = read_demonstrations(dataset)
+    last = data.observed.number >= 8
+    alerts = np.where(last[:, None], 1 - data.observed.alerts, data.observed.alerts)
+    changed = replace(data.observed, alerts=alerts)
+    write_demonstrations(tmp_path / "data", iter([Demonstrations(changed, data.truth)]))
+    one = learnt(tmp_path / "one", dataset)[FILES[0]]
+    assert learnt(tmp_path / "two", tmp_path / "data")[FILES[0]] == one
+    settings = replace(TINY, held_out=0.0)
+    two = learnt(tmp_path / "three", dataset, settings)[FILES[0]]
+    assert learnt(tmp_path / "four", tmp_path / "data", settings)[FILES[0]] != two
+
+
+def test_people_answer_for_themselves(dataset, tmp_path):
+    settings = replace(TINY, supervision="preference")
+    answers = {name: k / 3 for k, name in enumerate(PAPER_DRIVERS)}
+    one = learnt(tmp_path / "one", dataset, settings, preferences=answers)
+    turned = {name: 1.0 - value for name, value in answers.items()}
+    other = {**turned, "lisa": 0.1}
+    assert learnt(tmp_path / "two", dataset, settings, preferences=other) != one
+    with pytest.raises(ValueError, match="say nothing of bart, homer"):
+        learnt(tmp_path / "three", dataset, settings, preferences={"lisa": 0.0, "marge": 1.0})
+
+
+def test_a_finished_run_is_left_alone(dataset, tmp_path, monkeypatch):
+    one = learnt(tmp_path, dataset)
+    monkeypatch.setattr(run._Run, "_round", None)
+    assert learnt(tmp_path, dataset) == one
+
+
+@pytest.mark.parametrize("cut", [1, 2, 3])
+def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(
+    cut, dataset, tmp_path, monkeypatch
+):
+    settings = replace(TINY, supervision="id")
+    whole = learnt(tmp_path / "whole", dataset, settings)
+    saves = 0
+    save = Checkpoint.save
+
+    def fail_after(self, path):
+        nonlocal saves
+        save(self, path)
+        saves += 1
+        if saves == cut:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "save", fail_after)
+        with pytest.raises(KeyboardInterrupt):
+            learnt(tmp_path / "cut", dataset, settings)
+    assert learnt(tmp_path / "cut", dataset, settings) == whole
+    assert rows(tmp_path / "cut") == rows(tmp_path / "whole")
+
+
+def test_a_killed_run_goes_on(dataset, tmp_path):
+    settings = replace(TINY, steps=200)
+    whole = learnt(tmp_path / "whole", dataset, settings)
+    program = (
+        "from pathlib import Path; import sys; sys.path.insert(0, sys.argv[1]);"
+        "from test_run import TINY; from dataclasses import replace;"
+        "from hmi_marl.training.traits.run import learn_traits;"
+        "learn_traits(replace(TINY, steps=200), Path(sys.argv[2]), Path(sys.argv[3]), quiet=True)"
+    )
+    folder = tmp_path / "killed"
+    here = os.path.dirname(__file__)
+    process = subprocess.Popen([sys.executable, "-c", program, here, str(dataset), str(folder)])
+    deadline = time.monotonic() + 120
+    while not (folder / "checkpoint.safetensors").is_file():
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert learnt(folder, dataset, settings) == whole
+
+
+def test_another_run_in_the_folder_is_refused(dataset, tmp_path):
+    learnt(tmp_path / "run", dataset)
+    with pytest.raises(ValueError, match=r"holds another run \(margin = 2.0, now 3.0\)"):
+        learnt(tmp_path / "run", dataset, replace(TINY, margin=3.0))
+    other = with_other_truth(dataset, tmp_path / "data")
+    data = read_demonstrations(other)
+    write_demonstrations(other, iter([data.take(np.arange(len(data))[::-1])]))
+    with pytest.raises(ValueError, match="holds another run \\(demonstrations = "):
+        learnt(tmp_path / "run", other)
+
+
+def test_the_machine_may_be_another_one(dataset, tmp_path):
+    one = learnt(tmp_path, dataset)
+    assert learnt(tmp_path, dataset, replace(TINY, checkpoint_every=9.0, threads=2)) == one
+
+
+def test_curves_go_to_tensorboard(dataset, tmp_path, capsys):
+    learn_traits(TINY, dataset, tmp_path)
+    assert list((tmp_path / "tensorboard").glob("events*"))
+    assert "40.0/40.0" in capsys.readouterr().err
+
+
+def test_a_larger_z_can_be_learnt(dataset, tmp_path):
+    learnt(tmp_path, dataset, replace(TINY, latent=3))
+    assert isinstance(load_traits(tmp_path), TraitModel)
+    assert load_traits(tmp_path).card.latent == 3

@@ -1,0 +1,65 @@
+from dataclasses import replace
+
+import pytest
+from demonstrations import LAYOUT
+
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.training.traits.settings import LossWeights, TraitSettings
+
+
+def test_the_losses_weigh_as_the_paper_says():
+    weights = LossWeights().by_loss()
+    assert {name: weights[name] for name in ("L1", "L2", "L3", "L4")} == {
+        "L1": 1.0,
+        "L2": 5.0,
+        "L3": 10.0,
+        "L4": 1e-4,
+    }
+
+
+def test_the_model_is_the_papers():
+    settings = TraitSettings()
+    card = settings.card(LAYOUT)
+    assert (card.encoder_units, card.latent, card.pool) == (128, 2, 8)
+    assert card.reward == NetworkConfig((32, 32))
+    assert card.potential == card.policy == NetworkConfig((32,))
+    assert card.discount == settings.ppo.discount
+    assert card.state_size == LAYOUT.size
+
+
+def test_rounds_are_whole():
+    settings = TraitSettings(steps=1001, teams=8)
+    assert settings.rounds(100) == 2
+    assert replace(settings, steps=800).rounds(100) == 1
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"labelled": 0.0}, r"labelled is a share in \(0, 1\]"),
+        ({"labelled": 1.1}, "labelled is a share"),
+        ({"held_out": 1.0}, r"held_out is a share in \[0, 1\)"),
+        ({"settling": -0.1}, "settling is a share"),
+        ({"labelled_pools": 1}, "labelled_pools is at least 2"),
+        ({"expert_pools": 3}, "expert_pools is an even number"),
+        ({"imitation_updates": -1}, "imitation_updates is a number"),
+        ({"teams": 12}, "teams is a multiple of pool = 8, but got 12"),
+        ({"teams": 2, "pool": 2}, "2 teams make no 4 mini-batches"),
+        ({"latent": 0}, "latent is at least 1"),
+        ({"steps": 0}, "steps is at least 1"),
+        ({"margin": 0.0}, "margin is a positive number"),
+        ({"softness": float("nan")}, "softness is a number of at least 0"),
+        ({"learning_rate": float("inf")}, "learning_rate is a positive number"),
+        ({"checkpoint_every": -1.0}, "checkpoint_every is a time"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_what_makes_no_training_is_refused(choice, message):
+    with pytest.raises(ValueError, match=message):
+        TraitSettings(**choice)
+
+
+@pytest.mark.parametrize("name", vars(LossWeights()))
+def test_weights_are_numbers_of_at_least_none(name):
+    with pytest.raises(ValueError, match=f"{name} is a number of at least 0, but got -1"):
+        LossWeights(**{name: -1.0})

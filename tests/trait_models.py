@@ -1,0 +1,45 @@
+"""Trait models and driver policies for the tests, with weights as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hmi_marl.agents.learned import make_card
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.policy_files import save_policy
+from hmi_marl.agents.trait_model import TraitCard, TraitModel
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.observations import Layout
+
+
+def untrained(
+    layout: Layout,
+    seed: int = 0,
+    change: Callable[[str, Any], Any] = lambda name, values: values,
+    **settings: Any,
+) -> TraitModel:
+    """A small model; ``settings`` are of its card."""
+    small = NetworkConfig((4,), "tanh")
+    reads = tuple((part.name, part.size) for part in layout.parts)
+    sizes: dict[str, Any] = {"encoder_units": 5, "reward": small, "potential": small}
+    card = TraitCard(reads, **{**sizes, "policy": small, **settings})
+    rng = np.random.default_rng(seed)
+    drawn = {name: rng.standard_normal(size) for name, size in card.shapes.items()}
+    weights = {name: change(name, values).astype(np.float32) for name, values in drawn.items()}
+    return TraitModel(card, weights | {"state.scale": np.ones(card.state_size, np.float32)})
+
+
+def save_driver(folder: Path, seed: int = 0) -> Path:
+    """A driver that reads the traits."""
+    card = make_card("driver", TeamConfig(), NetworkConfig((8,)), knows_traits=True)
+    rng = np.random.default_rng(seed)
+    weights = {
+        name: 0.4 * rng.standard_normal(shape).astype(np.float32)
+        for name, shape in card.shapes.items()
+    }
+    save_policy(folder, card, weights)
+    return folder
