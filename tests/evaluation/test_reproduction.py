@@ -3,6 +3,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from trait_models import save_driver
 
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import DRIVERS, get_driver
@@ -142,3 +143,45 @@ def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys):
     weights = (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns
     assert main(command) == 0  # nothing is learnt twice
     assert (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns == weights
+
+
+def test_traits_are_reproduced_and_nothing_is_learnt_twice(tmp_path: Path, monkeypatch, capsys):
+    out = tmp_path / "traits"
+    command = ["reproduce", "traits", "--driver-run", str(save_driver(tmp_path / "driver"))]
+    command += ["--demonstrated", "2000", "--population", "4", "--workers", "1", "--out", str(out)]
+    learn = {"pool": 1, "teams": 2, "ppo.mini-batches": 1, "steps": 1, "imitation-updates": 1}
+    for name, value in (learn | {"encoder-units": 4, "device": "cpu"}).items():
+        command += [f"--learn.{name}", str(value)]
+    command += ["--judge.episodes", "1", "--judge.ranked", "2"]
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    for told in ("Who drives", "Traits of unseen drivers", "KL 6 times", "training the trait mod"):
+        assert told in printed
+    content = json.loads((out / "traits-report.json").read_text())
+    assert list(content["settings"]) == ["none", "id", "preference"]
+    for setting in content["settings"].values():
+        (seed,) = setting["seeds"]
+        assert seed["identified"][0]["ceilings"] is not None
+        assert set(seed["traits"]) == {"beta", "alpha", "eta", "inflation"}
+    page = (out / "index.html").read_text()
+    assert page.count("data:image/png;base64") == 2
+    assert "http" not in page
+    kept = [*out.glob("traits-*/*.safetensors"), *out.glob("*/*.parquet")]
+    assert len(kept) == 3 * 2 + 2 * 2
+    before = {path: path.stat().st_mtime_ns for path in kept}
+    assert main([*command, "--learn.latent", "3"]) == 2  # it needs more windows
+    assert "too few windows to judge by" in capsys.readouterr().err
+
+    def judged(runs, *_):
+        raise ValueError(f"{len(runs)} runs once more")
+
+    monkeypatch.setattr("hmi_marl.evaluation.trait_reproduction.assess_runs", judged)
+    assert main(command) == 2
+    assert "3 runs once more" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in kept} == before
+
+
+def test_a_driver_to_demonstrate_must_be_there(tmp_path: Path, capsys):
+    command = ["reproduce", "traits", "--driver-run", str(tmp_path / "nowhere")]
+    assert main([*command, "--out", str(tmp_path / "traits")]) == 2
+    assert "no policy for the seat of driver" in capsys.readouterr().err.splitlines()[-1]

@@ -311,9 +311,9 @@ def test_halves_are_equal_whoever_has_too_few_windows() -> None:
 def test_a_population_that_tells_too_little_is_refused() -> None:
     with pytest.raises(ValueError, match="only where the truth is known"):
         population_pools(Demonstrations(strangers().observed), 2)
-    with pytest.raises(ValueError, match="4 drivers or more with 2 windows each, but .* has 3"):
+    with pytest.raises(ValueError, match=r"4 drivers or more with 2 windows each, but .* has 3"):
         regress_traits(speed_reader(), strangers(3), 2)
-    with pytest.raises(ValueError, match="4 drivers or more with 3 windows each, but .* has 0"):
+    with pytest.raises(ValueError, match=r"4 drivers or more with 3 windows each, but .* has 0"):
         population_pools(strangers(), 3)
     truth, pools = population_pools(strangers(), 2)
     assert pools.shape == (12, 2)
