@@ -192,6 +192,7 @@ class ReproduceTraits(TraitReproduction):
             assess_runs,
             collect_datasets,
             learn_all,
+            seconds_of,
             write_report,
         )
 
@@ -206,18 +207,19 @@ class ReproduceTraits(TraitReproduction):
                 train_all([job], 1, typed)
         with watch.timing("collecting"):
             collect_datasets(size, driver_run, self.out)
-        with watch.timing("training the trait models"):
+        with watch.timing("all training of this call, side by side"):
             learn_all(size, self.out, workers, typed)
         with watch.timing("judging"):
+            runs = list(size.trainings(self.out))
             assessments, pools = assess_runs(
-                list(size.trainings(self.out)),
+                runs,
                 self.out / DEMONSTRATIONS,
                 self.out / POPULATION,
                 str(driver_run),
                 size.judge,
             )
-        settings = plain(size)
-        print(write_report(self.out, assessments, pools, watch.seconds, typed, settings))
+        seconds = seconds_of(runs) | watch.seconds
+        print(write_report(self.out, assessments, pools, seconds, typed, plain(size)))
         print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")
 
 

@@ -96,6 +96,11 @@ def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identif
     return evidence(observed, driver_policy, drivers)
 
 
+def supervision_of(model: TraitModel) -> str:
+    """How a model was supervised, as its card tells."""
+    return str(model.card.training.get("settings", {}).get("supervision", "none"))
+
+
 def assess(
     model: TraitModel,
     split: Split,
@@ -104,6 +109,7 @@ def assess(
     settings: AssessSettings,
     windows: Sequence[int],
     progress: Callable[[], Any] = tuple,
+    whole: bool = True,
 ) -> Assessment:
     """Judge one model.
 
@@ -115,6 +121,7 @@ def assess(
         settings: how much.
         windows: how many are seen, of those that :func:`traits.pool_sizes` tells.
         progress: called ``PARTS`` times.
+        whole: if not, only how well drivers are told apart, which is told over seeds.
 
     Raises:
         ValueError: demonstrations of another layout, too few of them, or of another version of the
@@ -123,6 +130,11 @@ def assess(
     unseen = split.unseen.observed
     identified, embedding = identify_drivers(model, split, identification, windows)
     progress()
+    supervision = supervision_of(model)
+    if not whole:
+        for _ in range(PARTS - 1):
+            progress()
+        return Assessment(supervision, identified, embedding, [], [], [], None)
     pools = disjoint_pools(unseen.driver, model.card.pool)
     likelihood = action_likelihood(model, unseen, pools, identification)
     progress()
@@ -144,5 +156,4 @@ def assess(
     if population is not None:
         traits = regress_traits(model, population, model.card.pool, settings.seed)
     progress()
-    supervision = model.card.training.get("settings", {}).get("supervision", "none")
     return Assessment(supervision, identified, embedding, likelihood, driving, ranking, traits)

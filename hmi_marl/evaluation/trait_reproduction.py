@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import current_process, get_context
@@ -17,7 +18,13 @@ from hmi_marl.agents.trait_files import load_traits
 from hmi_marl.agents.trait_model import TraitModel
 from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation.collect import collect
-from hmi_marl.evaluation.trait_assessment import PARTS, Assessment, assess, exact_evidence
+from hmi_marl.evaluation.trait_assessment import (
+    PARTS,
+    Assessment,
+    assess,
+    exact_evidence,
+    supervision_of,
+)
 from hmi_marl.evaluation.trait_ceiling import NoCeilingError
 from hmi_marl.evaluation.trait_driving import check_fits
 from hmi_marl.evaluation.trait_report import (
@@ -45,6 +52,7 @@ from hmi_marl.training.demonstration_files import (
     sha256_of,
     write_demonstrations,
 )
+from hmi_marl.training.jobs import CURVE
 from hmi_marl.training.traits.settings import TraitSettings
 from hmi_marl.workers import pool
 
@@ -100,6 +108,14 @@ def _learn(settings: TraitSettings, demonstrations: Path, folder: Path, typed: s
     learn_traits(replace(settings, threads=1), demonstrations, folder, typed=typed, line=line)
 
 
+def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
+    """What each training took in all, however often it was cut off, by its folder's name."""
+    return {
+        f"training {run.name}": json.loads((run / CURVE).read_text("utf-8"))[-1]["seconds"]
+        for run in runs
+    }
+
+
 def assess_runs(
     runs: Sequence[Path],
     demonstrations: Path,
@@ -117,7 +133,8 @@ def assess_runs(
         size: how much.
 
     Returns:
-        Assessments by supervision, and the size of the pools.
+        Assessments by supervision, and the size of the pools. The first model of a setting is
+        judged in every respect, others by how well they tell drivers apart.
 
     Raises:
         FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learnt from
@@ -148,7 +165,8 @@ def assess_runs(
             bar.write(str(error), file=sys.stderr)
         bar.update()
         for model in models:
-            one = assess(model, split, exact, strangers, size, windows, bar.update)
+            first = supervision_of(model) not in found
+            one = assess(model, split, exact, strangers, size, windows, bar.update, whole=first)
             found.setdefault(one.supervision, []).append(one)
     ordered: dict[str, list[Assessment]] = {
         name: found[name] for name in SUPERVISIONS if name in found

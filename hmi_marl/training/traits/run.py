@@ -10,7 +10,6 @@ The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors`
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,7 +26,12 @@ from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.files import make_folder, write_json
 from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
 from hmi_marl.training.claim import SETTINGS, check_same, read_settings
-from hmi_marl.training.demonstration_files import OBSERVED, read_demonstrations, read_observed
+from hmi_marl.training.demonstration_files import (
+    OBSERVED,
+    read_demonstrations,
+    read_observed,
+    sha256_of,
+)
 from hmi_marl.training.demonstrations import Demonstrations
 from hmi_marl.training.jobs import CURVE
 from hmi_marl.training.processes import Processes
@@ -70,14 +74,19 @@ def learn_traits(
 
     Raises:
         FileNotFoundError: no demonstrations there.
-        ValueError: the folder holds another run, or demonstrations that cannot be learnt from.
+        ValueError: the folder holds another run, or demonstrations that cannot be learnt from, or
+            preferences for a setting that asks for none.
     """
-    make_folder(folder)
+    if preferences is not None and settings.supervision != "preference":
+        raise ValueError(
+            f"preferences are for supervision 'preference', not {settings.supervision!r}"
+        )
     threads = torch.get_num_threads()
     with torch.random.fork_rng():
         torch.set_num_threads(settings.threads)
         try:
             run = _Run(settings, demonstrations, folder, preferences, typed)
+            make_folder(folder)
             run.go(quiet, line)
         finally:
             torch.set_num_threads(threads)
@@ -102,7 +111,7 @@ class _Run:
             "version": hmi_marl.__version__,
             "settings": plain(settings),
             "preferences": plain(preferences),
-            "demonstrations": _digest(place / OBSERVED),
+            "demonstrations": sha256_of(place / OBSERVED),
         }
         data = data.take(~held_out(data.observed, settings.held_out))
         observed = data.observed
@@ -229,8 +238,3 @@ class _Run:
         }
         self._state.save(self._folder / CHECKPOINT)
         write_json(self._folder / CURVE, self._state.curve)
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

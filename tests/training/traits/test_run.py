@@ -249,3 +249,16 @@ def test_a_larger_z_can_be_learnt(dataset, tmp_path):
     learnt(tmp_path, dataset, replace(TINY, latent=3))
     assert isinstance(load_traits(tmp_path), TraitModel)
     assert load_traits(tmp_path).card.latent == 3
+
+
+def test_preferences_are_for_the_preference_setting(dataset, tmp_path):
+    settings = replace(TINY, supervision="id")
+    with pytest.raises(ValueError, match="preferences are for supervision 'preference', not 'id'"):
+        learn_traits(settings, dataset, tmp_path / "run", {"lisa": 1.0}, quiet=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_that_cannot_begin_leaves_no_folder(tmp_path):
+    with pytest.raises(FileNotFoundError, match="hmi-marl collect"):
+        learn_traits(TINY, tmp_path / "nothing", tmp_path / "run", quiet=True)
+    assert not (tmp_path / "run").exists()
