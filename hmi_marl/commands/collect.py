@@ -19,7 +19,7 @@ class Collect:
     What could be observed of a person goes to observed.parquet, the hidden truth apart from it to
     truth.parquet, and what is printed to summary.json.
 
-    Example: hmi-marl collect --driver-policy runs/homer --population 100 --out runs/demonstrations
+    Example: hmi-marl collect --driver-policy runs/homer --out runs/demonstrations
     """
 
     record: tyro.conf.OmitArgPrefixes[CollectSettings] = field(default_factory=CollectSettings)

@@ -14,8 +14,10 @@ from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.agents.policy_files import find_policy
 from hmi_marl.agents.trait_files import load_traits
 from hmi_marl.agents.trait_model import TraitModel
+from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation.collect import collect
 from hmi_marl.evaluation.trait_assessment import (
@@ -41,8 +43,9 @@ from hmi_marl.evaluation.trait_settings import (
     AssessSettings,
     TraitReproduction,
 )
-from hmi_marl.evaluation.traits import Split, pool_sizes, population_pools
+from hmi_marl.evaluation.traits import Split, pool_sizes, population_pools, strangers
 from hmi_marl.files import make_folder, write_bytes, write_json, write_text
+from hmi_marl.training.claim import FREE as MACHINE
 from hmi_marl.training.claim import check_same
 from hmi_marl.training.demonstration_files import (
     OBSERVED,
@@ -57,7 +60,7 @@ from hmi_marl.training.traits.settings import TraitSettings
 from hmi_marl.workers import pool
 
 FREE = ("driver_policy", "teams")
-"""What a dataset may differ in: where the policy lies (not which it is), and memory."""
+"""What a dataset may differ in: where the policy lies (which it is, is looked at), and memory."""
 
 
 def collect_datasets(settings: TraitReproduction, driver_run: Path, folder: Path) -> None:
@@ -72,6 +75,7 @@ def collect_datasets(settings: TraitReproduction, driver_run: Path, folder: Path
         if truth.is_file():  # which is written last
             before = _binding(read_about(truth).get("settings", {}))
             check_same(before, _binding(plain(dataset)), truth.parent)
+            _check_driver(read_about(truth), driver_run, truth.parent)
             continue
         make_folder(folder / name)
         with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:
@@ -80,6 +84,15 @@ def collect_datasets(settings: TraitReproduction, driver_run: Path, folder: Path
     split = Split.of(demonstrations, learn.held_out, settings.judge.windows)
     pool_sizes(split, learn.pool, learn.latent)
     population_pools(read_demonstrations(folder / POPULATION), learn.pool)
+
+
+def _check_driver(about: Mapping[str, Any], driver_run: Path, folder: Path) -> None:
+    weights = find_policy(driver_run, DRIVER).with_suffix(".safetensors")
+    if about["driver_policy"].get("sha256") != sha256_of(weights):
+        raise ValueError(
+            f"{folder} was recorded with another driver policy than that of {driver_run}; choose "
+            "another --out, or remove the folder"
+        )
 
 
 def _binding(settings: dict[str, Any]) -> dict[str, Any]:
@@ -150,12 +163,14 @@ def assess_runs(
             raise ValueError(f"{run} pools or holds out other windows than {runs[0]}")
         if learnt != digest:
             raise ValueError(f"{run} learnt from other demonstrations than {demonstrations}")
+    _check_seeds(runs, models)
     split = Split.of(data, share, size.windows)
     windows = pool_sizes(split, pools, max(model.card.latent for model in models))
-    strangers = None if population is None else read_demonstrations(population)
-    if strangers is not None:
-        population_pools(strangers, pools)
-        check_fits(models[0], strangers.observed)
+    unknown = None
+    if population is not None:
+        unknown = strangers(read_demonstrations(population), data)
+        population_pools(unknown, pools)
+        check_fits(models[0], unknown.observed)
     found: dict[str, list[Assessment]] = {}
     with tqdm(total=1 + PARTS * len(models), unit=" parts", desc="judging") as bar:
         exact = None
@@ -166,12 +181,31 @@ def assess_runs(
         bar.update()
         for model in models:
             first = supervision_of(model) not in found
-            one = assess(model, split, exact, strangers, size, windows, bar.update, whole=first)
+            one = assess(model, split, exact, unknown, size, windows, bar.update, whole=first)
             found.setdefault(one.supervision, []).append(one)
     ordered: dict[str, list[Assessment]] = {
         name: found[name] for name in SUPERVISIONS if name in found
     }
     return ordered, pools
+
+
+def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:
+    """Raise unless runs of one supervision differ in their seed and in nothing else."""
+    first: dict[str, tuple[Path, dict[str, Any]]] = {}
+    seen: dict[tuple[str, int], Path] = {}
+    for run, model in zip(runs, models, strict=True):
+        told = dict(model.card.training["settings"])
+        seed, supervision = told.pop("seed", None), supervision_of(model)
+        if (supervision, seed) in seen:
+            raise ValueError(f"{run} and {seen[supervision, seed]} are of one seed")
+        seen[supervision, seed] = run
+        other, settings = first.setdefault(supervision, (run, told))
+        odd = [n for n in told if n not in MACHINE and told[n] != settings.get(n)]
+        if odd:
+            raise ValueError(
+                f"{run} was learnt with another {odd[0]} than {other}: runs of one supervision "
+                "are taken for seeds of one setting; judge them one at a time"
+            )
 
 
 def _learnt_from(run: Path, model: TraitModel) -> tuple[float, str]:
@@ -194,7 +228,8 @@ def write_report(
     """Write the page, the figures and the numbers into ``folder``; returns the text."""
     text = as_text(assessments, pools, seconds)
     write_text(folder / "traits.txt", text + "\n")
-    write_json(folder / "traits-report.json", as_json(assessments, pools, seconds))
+    told = as_json(assessments, pools, seconds) | {"command": typed, "judged_with": settings}
+    write_json(folder / "traits-report.json", told)
     write_bytes(folder / "embeddings.png", embeddings_figure(assessments, pools))
     write_bytes(folder / "accuracy.png", accuracy_figure(assessments))
     write_text(folder / "index.html", as_html(assessments, pools, seconds, typed, settings))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.envs.streams import check_seed
 from hmi_marl.evaluation.collect import CollectSettings
 from hmi_marl.evaluation.reproduction import driver_job
 from hmi_marl.training.jobs import Job
@@ -14,6 +15,8 @@ from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
 DEMONSTRATIONS, POPULATION = "demonstrations", "population"
+FEWEST_STRANGERS = 4
+"""Whom nothing was learnt from: two to fit a regression by, and two to judge it by."""
 _FRESH = 1
 """Added to the seed for the population's episodes."""
 
@@ -57,7 +60,9 @@ class TraitReproduction:
     population: int = 200
     """Unseen drivers, over whom traits are regressed."""
     learn: TraitSettings = field(default_factory=TraitSettings)
-    """How each setting is learnt, but for its supervision and seed."""
+    """How each setting is learnt; supervision and seed are set for each."""
+    seed: int = 0
+    """Of the driver, the demonstrations and the first learning of each setting."""
     seeds: int = 1
     """Times that each setting is learnt."""
     judge: AssessSettings = field(default_factory=AssessSettings)
@@ -66,18 +71,33 @@ class TraitReproduction:
     def __post_init__(self) -> None:
         for name in ("driver_steps", "demonstrated", "population", "seeds"):
             check_count(name, getattr(self, name))
+        object.__setattr__(self, "seed", check_seed(self.seed))
+        if (self.learn.supervision, self.learn.seed) != ("none", 0):
+            raise ValueError(
+                "every supervision is learnt, from --seed on: leave out "
+                "--learn.supervision and --learn.seed"
+            )
+        if self.population < FEWEST_STRANGERS:
+            raise ValueError(
+                f"traits are regressed over {FEWEST_STRANGERS} drivers or more, but got "
+                f"population = {self.population}"
+            )
 
     def driver_job(self, folder: Path) -> Job:
         """One driver policy, conditioned on traits, over the four drivers."""
-        return driver_job(PAPER_DRIVERS, self.driver_steps, 512, self.learn.seed, folder)
+        return driver_job(PAPER_DRIVERS, self.driver_steps, 512, self.seed, folder)
 
     def datasets(self, driver_run: Path) -> dict[str, CollectSettings]:
         """What to collect, by folder."""
-        common = CollectSettings(driver_policy=str(driver_run), seed=self.learn.seed)
+        common = CollectSettings(driver_policy=str(driver_run), seed=self.seed)
         return {
             DEMONSTRATIONS: replace(common, steps=self.demonstrated),
             POPULATION: replace(
-                common, drivers=(), population=self.population, seed=self.learn.seed + _FRESH
+                common,
+                drivers=(),
+                population=self.population,
+                windows=max(common.windows, 2 * self.learn.pool),
+                seed=self.seed + _FRESH,
             ),
         }
 
@@ -85,7 +105,7 @@ class TraitReproduction:
         """What to learn, by folder; the first seed of each setting comes first."""
         return {
             folder / f"traits-{supervision}{'' if seed == 0 else f'-{seed}'}": replace(
-                self.learn, supervision=supervision, seed=self.learn.seed + seed
+                self.learn, supervision=supervision, seed=self.seed + seed
             )
             for seed in range(self.seeds)
             for supervision in SUPERVISIONS

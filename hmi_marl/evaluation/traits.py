@@ -19,13 +19,12 @@ from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.evaluation.separability import Separability, separability
 from hmi_marl.evaluation.trait_ceiling import LIKES_HELP, Ceilings, ceilings
 from hmi_marl.evaluation.trait_regression import TraitR2, trait_r2
+from hmi_marl.evaluation.trait_settings import FEWEST_STRANGERS
 from hmi_marl.training.demonstrations import NOBODY, Demonstrations, Observed, Truth
 from hmi_marl.training.traits.dataset import held_out
 
 WINDOWS = (1, 2, 4, 8, 16)
 """Windows seen of a driver."""
-FEWEST_STRANGERS = 4
-"""Whom nothing was learnt from: two to fit a regression by, and two to judge it by."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +154,8 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
             f"too few windows to judge by: it takes {least} of each driver that were learnt from "
             f"and {least} that were held out (pools of {pool}, {latent + 2} of them for z of size "
             f"{latent}), but of {names[counts.argmin()]} there are {counts.min()}; demonstrate "
-            "more, or learn with a smaller --pool or a larger --held-out"
+            "more, look at more with --windows, or learn with a smaller --pool or a larger "
+            "--held-out; a population's drivers belong into a dataset of their own"
         )
     sizes = sorted({*WINDOWS, pool})
     return tuple(size for size in sizes if (latent + 2) * size <= counts.min())
@@ -206,6 +206,24 @@ def identify_drivers(
     means = model.latent(unseen.pooled(judged)).mean
     names = split.unseen.observed.names
     return rows, Embedding(means, unseen.driver[judged[:, 0]], names)
+
+
+def strangers(population: Demonstrations, demonstrations: Demonstrations) -> Demonstrations:
+    """Windows of the population whose drivers have other traits than any who demonstrated.
+
+    Raises:
+        ValueError: there are none.
+    """
+    if population.truth is None or demonstrations.truth is None:
+        return population
+    known = {tuple(traits) for traits in demonstrations.truth.traits.tolist()}
+    new = np.array([tuple(traits) not in known for traits in population.truth.traits.tolist()])
+    if not new.any():
+        raise ValueError(
+            "everybody in the population has demonstrated: traits of drivers whom a "
+            "model has learnt from tell nothing; see hmi-marl collect --population"
+        )
+    return population.take(new)
 
 
 def population_pools(population: Demonstrations, size: int) -> tuple[Truth, NDArray[np.int64]]:

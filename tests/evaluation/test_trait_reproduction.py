@@ -65,11 +65,21 @@ def population(tmp_path_factory: pytest.TempPathFactory, steering: Path) -> Path
 
 
 def a_run(
-    folder: Path, data: Path, supervision: str = "none", held_out: float = 0.4, **card: Any
+    folder: Path,
+    data: Path,
+    supervision: str = "none",
+    held_out: float = 0.4,
+    margin: float = 2.0,
+    **card: Any,
 ) -> Path:
     """As if it had learnt from the data."""
     training = {
-        "settings": {"supervision": supervision, "held_out": held_out},
+        "settings": {
+            "supervision": supervision,
+            "held_out": held_out,
+            "seed": card.get("seed", 0),
+            "margin": margin,
+        },
         "demonstrations": sha256_of(data / OBSERVED),
     }
     model = untrained(
@@ -83,7 +93,7 @@ def a_run(
 
 
 def test_every_setting_is_learnt_as_often_as_there_are_seeds(tmp_path: Path) -> None:
-    size = TraitReproduction(seeds=2, learn=TraitSettings(seed=5, latent=3))
+    size = TraitReproduction(seeds=2, seed=5, learn=TraitSettings(latent=3))
     jobs = size.trainings(tmp_path)
     assert [(path.name, job.supervision, job.seed) for path, job in jobs.items()] == [
         ("traits-none", "none", 5),
@@ -93,7 +103,7 @@ def test_every_setting_is_learnt_as_often_as_there_are_seeds(tmp_path: Path) -> 
         ("traits-id-1", "id", 6),
         ("traits-preference-1", "preference", 6),
     ]
-    assert {replace(job, supervision="none", seed=5) for job in jobs.values()} == {size.learn}
+    assert {replace(job, supervision="none", seed=0) for job in jobs.values()} == {size.learn}
     assert list(dict.fromkeys(job.supervision for job in jobs.values())) == list(SUPERVISIONS)
 
 
@@ -112,6 +122,14 @@ def test_the_population_shares_no_driver_and_no_episode_with_the_demonstrations(
 def test_a_reproduction_of_nothing_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name} is at least 1"):
         TraitReproduction(**{name: 0})
+
+
+def test_what_a_reproduction_sets_itself_is_refused() -> None:
+    for learn in (TraitSettings(supervision="id"), TraitSettings(seed=1)):
+        with pytest.raises(ValueError, match=r"leave out --learn\.supervision and"):
+            TraitReproduction(learn=learn)
+    with pytest.raises(ValueError, match="over 4 drivers or more, but got population = 3"):
+        TraitReproduction(population=3)
 
 
 def test_what_is_recorded_is_not_recorded_again(
@@ -137,8 +155,10 @@ def test_what_is_recorded_is_not_recorded_again(
         collect_datasets(larger, steering, tmp_path)
     monkeypatch.setattr(trait_reproduction, "pool_sizes", lambda *given: (1,))
     many = replace(TINY, learn=TraitSettings(pool=32))
-    with pytest.raises(ValueError, match="4 drivers or more with 32 windows each"):
+    with pytest.raises(ValueError, match=r"population holds another .*windows = 16, now 64"):
         collect_datasets(many, steering, tmp_path)
+    with pytest.raises(ValueError, match="recorded with another driver policy than that of"):
+        collect_datasets(TINY, save_driver(tmp_path / "other", 7), tmp_path)
 
 
 # Judging.
@@ -160,6 +180,8 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
     assert first.identified[0].ceilings == second.identified[0].ceilings is not None
     assert not (first.embedding.means == second.embedding.means).all()
     assert first.traits is not None
+    assert second.traits is None  # only what is told over seeds
+    assert not second.ranking
     text = write_report(
         tmp_path / "out", found, pools, {"judging": 1.0}, "hmi-marl", {"windows": 10}
     )
@@ -182,10 +204,12 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
 
 def test_sizes_of_z_may_differ(tmp_path: Path, data: Path) -> None:
     # Eight held-out windows make pools of two enough for a z of one number, not of four.
-    runs = [a_run(tmp_path / f"{z}", data, "id", latent=z, pool=1) for z in (1, 4)]
+    sizes = {"none": 1, "id": 4}
+    runs = [a_run(tmp_path / name, data, name, latent=z, pool=1) for name, z in sizes.items()]
     found, _ = assess_runs(runs, data, None, None, SMALL)
-    assert [[row.windows for row in one.identified] for one in found["id"]] == [[1], [1]]
-    assert found["id"][0].traits is None
+    for name in sizes:
+        assert [row.windows for row in found[name][0].identified] == [1]
+        assert found[name][0].traits is None
     write_report(tmp_path / "out", found, 1, {}, "", {})
 
 
@@ -207,6 +231,8 @@ def test_what_cannot_be_judged_together_is_told(tmp_path: Path, data: Path) -> N
         (a_run(tmp_path / "share", data, held_out=0.3), "share pools or holds out other"),
         (a_run(tmp_path / "from", other), "from learnt from other demonstrations than"),
         (a_run(tmp_path / "none", data, training={}), "none does not tell what it learnt from"),
+        (good, "good and .*good are of one seed"),
+        (a_run(tmp_path / "wide", data, margin=3.0, seed=1), "wide was learnt with another margin"),
     ):
         with pytest.raises(ValueError, match=told):
             assess_runs([good, run], data, None, None, SMALL)
@@ -235,6 +261,8 @@ def test_too_little_to_judge_by_is_told_before_anything_is_judged(
     few = record(tmp_path / "few", "rule", drivers=(), population=3, windows=2)
     with pytest.raises(ValueError, match="4 drivers or more with 2 windows each"):
         assess_runs([run], data, few, None, SMALL)
+    with pytest.raises(ValueError, match="everybody in the population has demonstrated"):
+        assess_runs([run], data, data, None, SMALL)
     coarse = made_up([5] * 8, driver=[0, 1, 2, 3] * 2, names=("a", "b", "c", "d"))
     write_demonstrations(tmp_path / "coarse", coarse)
     with pytest.raises(ValueError, match="use the scene that it was trained on"):

@@ -45,8 +45,8 @@ class Adversary:
     Args:
         card: of the model.
         settings: weights of the losses, and how fast it learns.
-        policy: π(a | s, z), whose driving it judges. It learns here too, by imitation, if the
-            losses weigh that.
+        policy: π(a | s, z), whose driving it judges. It learns here too, by imitation; what is
+            judged is the driving of the round, with log π as it stands.
         device: where it learns.
     """
 

@@ -91,7 +91,7 @@ class Generator:
             return actions.squeeze(1).long().cpu().numpy()
 
         with torch.inference_mode():
-            drives = drive(self._config, act, self._alert_rate, seeds)
+            drives = drive(self._config, act, self._alert_rate, seeds, self._settings.threads)
         return drives, self._batch(drives)
 
     def _batch(self, drives: Drives) -> Batch:

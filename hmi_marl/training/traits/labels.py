@@ -54,7 +54,7 @@ def make_labels(
             needed.
 
     Raises:
-        ValueError: preferences that are not known, or out of [0, 1].
+        ValueError: preferences that are not known, or out of [0, 1]; or all labels are the same.
     """
     observed = demonstrations.observed
     marked = choose_labelled(observed.driver, share, rng)
@@ -63,6 +63,8 @@ def make_labels(
         labels[marked] = observed.driver[marked]
     elif supervision == "preference":
         labels[marked] = _preferences(demonstrations, marked, preferences)
+    if supervision != "none" and len(np.unique(labels[~np.isnan(labels)])) < 2:
+        raise ValueError("all labels are the same, so nothing can be learnt from them")
     return labels
 
 

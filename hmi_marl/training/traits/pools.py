@@ -91,6 +91,8 @@ class Windows:
         self._known = observed.driver != NOBODY
         if not self._known.any():
             raise ValueError("no window's driver is known, so none can be pooled with another")
+        if observed.length.max() < 2:
+            raise ValueError("windows of a single step lead nowhere; record longer ones")
         for who in np.unique(observed.driver[self._known]):
             theirs = labels[observed.driver == who]
             if len(np.unique(theirs[~np.isnan(theirs)])) > 1:

@@ -18,6 +18,7 @@ from hmi_marl.agents.situations import Recent
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.worlds import make_world
 from hmi_marl.training.demonstrations import STATE_PARTS
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
@@ -49,6 +50,7 @@ def drive(
     act: Callable[[NDArray[np.float32]], NDArray[np.int64]],
     alert_rate: float,
     seeds: NDArray[np.uint64],
+    threads: int | None = None,
 ) -> Drives:
     """Drive one episode for each seed; a crashed car stands until the time is over.
 
@@ -57,9 +59,11 @@ def drive(
         act: actions (N,) in situations (N, D), called once for each step.
         alert_rate: how often an alert sounds.
         seeds: of the episodes, shape (N,).
+        threads: of the world; all cores by default. Does not change results.
     """
     config = replace(config, driver=ATTENTIVE, reward="driving", end_at_crash=False)
-    teaming = Teaming(config, len(seeds), "batched")
+    world = make_world("batched", config.scene, len(seeds), threads)
+    teaming = Teaming(config, len(seeds), world)
     alarm, recent = RandomAlert(alert_rate), Recent(len(seeds))
     teaming.reset(seeds)
     alarm.reset(seeds)

@@ -1,8 +1,9 @@
 """Learning latent traits in a folder, round by round, resumable.
 
-First encoder and policy learn to imitate (:attr:`TraitSettings.imitation_updates`). Then in every
-round the frozen policy drives, given z of demonstrated pools; the discriminator learns from that
-and from demonstrations; and the policy learns for the reward, by PPO.
+First the policy learns to imitate, and the encoder from labels, if there are any
+(:attr:`TraitSettings.imitation_updates`). Then in every round the policy drives, given z of
+demonstrated pools; the discriminator learns from that and from demonstrations, while the policy
+goes on imitating; and the policy learns for the reward, by PPO.
 
 The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``, ``curve.json``
 (a row for each round), ``tensorboard/``, and what was learnt, ``traits.json`` with its weights.
@@ -47,6 +48,8 @@ from hmi_marl.training.traits.settings import TraitSettings
 PREPARING_POOLS = 64
 """From which the encoder takes its units."""
 ADVERSARY, GENERATOR = "adversary", "generator"
+_TELLING = 10
+"""Imitation updates between two looks at how far they have come."""
 _IMITATING, _ROUNDS, _DONE = range(3)
 """Phases of a run."""
 
@@ -113,7 +116,15 @@ class _Run:
             "preferences": plain(preferences),
             "demonstrations": sha256_of(place / OBSERVED),
         }
-        data = data.take(~held_out(data.observed, settings.held_out))
+        if data.observed.about.get("team", {}).get("end_at_crash"):
+            raise ValueError(
+                "these windows end at a crash, which would tell them from the policy's, whose "
+                "crashed car stands; collect with --no-end-at-crash"
+            )
+        learnt = ~held_out(data.observed, settings.held_out)
+        if not learnt.any():
+            raise ValueError("held_out leaves no window to learn from; demonstrate more")
+        data = data.take(learnt)
         observed = data.observed
         rng = np.random.default_rng(self._draw(Stream.LEARNING, 0))
         labels = make_labels(data, settings.supervision, settings.labelled, rng, preferences)
@@ -141,8 +152,7 @@ class _Run:
         total = per_round * settings.rounds(self._generator.horizon)
         with Telling(board, name, total, state.steps, quiet, line) as telling:
             if state.phase == _IMITATING:
-                telling.phase(f"{name}: imitating")
-                self._imitate()
+                self._imitate(telling)
                 state.phase, state.iteration = _ROUNDS, 0
                 self._save()
             telling.phase(name)
@@ -163,9 +173,12 @@ class _Run:
         state.phase = _DONE
         self._save()
 
-    def _imitate(self) -> None:
+    def _imitate(self, telling: Telling) -> None:
         state = self._state
-        while state.iteration < self._settings.imitation_updates:
+        updates = self._settings.imitation_updates
+        while state.iteration < updates:
+            if state.iteration % _TELLING == 0:
+                telling.phase(f"{self._folder.name}: imitating {state.iteration}/{updates}")
             began = time.monotonic()
             rng = self._seed(2 * state.iteration)
             row = self._adversary.learn(*self._demonstrated(rng))
@@ -221,7 +234,13 @@ class _Run:
         if not checkpoint.is_file():  # nothing was learnt that could be lost
             write_json(path, self._about | {"command": self._typed})
             return
-        check_same(read_settings(path), self._about, self._folder)
+        before = read_settings(path)
+        if before.get("demonstrations") != self._about["demonstrations"]:
+            raise ValueError(
+                f"{self._folder} holds a run that learnt from other demonstrations; choose another "
+                "--out, or remove the folder"
+            )
+        check_same(before, self._about, self._folder)
         self._state = Checkpoint.load(checkpoint)
         self._adversary.load(self._state.tensors[ADVERSARY])
         self._generator.learner.load(self._state.tensors[GENERATOR])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.trait_model import TraitCard
@@ -17,7 +17,7 @@ Supervision = Literal["none", "id", "preference"]
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the losses of the paper's loss table.
+    """Weights of the losses of the paper's loss table, and how far the encoder imitates.
 
     Raises:
         ValueError: a weight below 0, or not finite.
@@ -126,6 +126,13 @@ class TraitSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", check_seed(self.seed))
+        if self.supervision not in get_args(Supervision):
+            raise ValueError(
+                f"supervision is one of {', '.join(get_args(Supervision))}, not "
+                f"{self.supervision!r}"
+            )
+        if self.softness and self.supervision == "id":
+            raise ValueError("softness is for graded labels, but who drives is not graded")
         for name in ("steps", "teams", "expert_pools", "updates", "threads", "pool", "latent"):
             check_count(name, getattr(self, name))
         if self.expert_pools % 2:

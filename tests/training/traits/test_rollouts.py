@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,10 +31,29 @@ def test_the_policy_is_never_distracted_and_sees_true_sizes():
     layout = seen.layouts[VEHICLE_AI]
     shown = seen.observe(VEHICLE_AI)
     size = observed_layout(CONFIG).size
+    assert not np.array_equal(shown[:, layout["lidar"]], 0)
     states = np.concatenate([layout.get(shown, name) for name in STATE_PARTS], axis=1)
     np.testing.assert_array_equal(drives.situations[:, 0, :size], states)
     again = np.stack([by_turns(x) for x in np.moveaxis(drives.situations, 1, 0)], axis=1)
     np.testing.assert_array_equal(drives.actions, again)
+
+
+def test_what_the_policy_does_is_what_the_car_does():
+    steps = iter(range(10))
+
+    def to_and_fro(x):
+        return np.full(len(x), (FASTER, SLOWER)[next(steps) % 2])
+
+    drives = drive(CONFIG, to_and_fro, 0.3, SEEDS)
+    attentive = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
+    by_hand = Teaming(replace(CONFIG, driver=attentive), 6, "batched")
+    by_hand.reset(SEEDS)
+    for t in range(10):
+        by_hand.intend(drives.actions[:, t])
+        by_hand.step(drives.alerts[:, t])
+        np.testing.assert_array_equal(by_hand.applied, drives.actions[:, t])
+        np.testing.assert_array_equal(by_hand.ego.speed, drives.speed[:, t])
+    assert (np.diff(drives.speed, axis=1) != 0).any()
 
 
 def test_situations_are_those_of_the_recorded_drive():
