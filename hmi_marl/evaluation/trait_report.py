@@ -53,7 +53,10 @@ def accuracy(assessments: Sequence[Assessment], size: int, of: str = "types") ->
         of: "types" or "preferences".
     """
     probes = [getattr(one.at_pool(size), of).linear_probe for one in assessments]
-    return probes[0] if len(probes) == 1 else over_seeds([probe.mean for probe in probes])
+    if len(probes) == 1:
+        return probes[0]
+    found = over_seeds([probe.mean for probe in probes])
+    return Estimate(found.mean, max(found.low, 0.0), min(found.high, 1.0))
 
 
 def average_kl(assessments: Sequence[Assessment], size: int) -> Estimate:
