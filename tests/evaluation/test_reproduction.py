@@ -155,7 +155,7 @@ def test_traits_are_reproduced_and_nothing_is_learnt_twice(tmp_path: Path, monke
     command += ["--judge.episodes", "1", "--judge.ranked", "2"]
     assert main(command) == 0
     printed = capsys.readouterr().out
-    for told in ("Who drives", "Traits of unseen drivers", "KL 6 times", "training the trait mod"):
+    for told in ("Who drives", "Traits of unseen drivers", "KL 6 times", "training traits-id:"):
         assert told in printed
     content = json.loads((out / "traits-report.json").read_text())
     assert list(content["settings"]) == ["none", "id", "preference"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from hmi_marl.agents import policy_files
+from hmi_marl.agents import weight_files
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.policy_files import load_policy, read_policy
@@ -171,7 +171,7 @@ def test_a_run_cut_off_at_any_checkpoint_ends_as_if_it_had_not_been(
 @pytest.mark.parametrize("card", [1, 2, 3, 4])
 def test_a_run_cut_off_in_the_middle_of_writing_a_policy_mends_it(card, tmp_path, monkeypatch):
     whole = learnt(tmp_path / "whole", ALTERNATING)
-    write, written = policy_files.write_json, 0
+    write, written = weight_files.write_json, 0
 
     def cut_off(path, content):
         nonlocal written
@@ -180,7 +180,7 @@ def test_a_run_cut_off_in_the_middle_of_writing_a_policy_mends_it(card, tmp_path
             raise Killed
         write(path, content)
 
-    monkeypatch.setattr(policy_files, "write_json", cut_off)
+    monkeypatch.setattr(weight_files, "write_json", cut_off)
     with pytest.raises(Killed):
         train(ALTERNATING, tmp_path / "cut", quiet=True)
     assert learnt(tmp_path / "cut", ALTERNATING) == whole

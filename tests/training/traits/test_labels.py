@@ -88,3 +88,9 @@ def test_other_files_are_no_preferences(text, tmp_path):
     path.write_bytes(b"\xff{")
     with pytest.raises(ValueError, match="is no JSON file"):
         read_preferences(path)
+
+
+def test_labels_that_are_all_the_same_are_refused():
+    answers = dict.fromkeys(NAMES, 0.5)
+    with pytest.raises(ValueError, match="all labels are the same"):
+        make_labels(demonstrations(), "preference", 1.0, np.random.default_rng(0), answers)

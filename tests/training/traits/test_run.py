@@ -262,3 +262,17 @@ def test_a_run_that_cannot_begin_leaves_no_folder(tmp_path):
     with pytest.raises(FileNotFoundError, match="hmi-marl collect"):
         learn_traits(TINY, tmp_path / "nothing", tmp_path / "run", quiet=True)
     assert not (tmp_path / "run").exists()
+
+
+def test_windows_that_end_at_a_crash_are_refused(tmp_path):
+    settings = CollectSettings(
+        duration=1.0, steps=10, vehicles=(1, 2), drivers=("lisa", "bart"), end_at_crash=True
+    )
+    write_demonstrations(tmp_path / "data", collect(settings))
+    with pytest.raises(ValueError, match="collect with --no-end-at-crash"):
+        learn_traits(TINY, tmp_path / "data", tmp_path / "run", quiet=True)
+
+
+def test_something_has_to_be_left_to_learn_from(dataset, tmp_path):
+    with pytest.raises(ValueError, match="held_out leaves no window to learn from"):
+        learn_traits(replace(TINY, held_out=0.99), dataset, tmp_path / "run", quiet=True)

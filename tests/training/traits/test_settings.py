@@ -52,6 +52,8 @@ def test_rounds_are_whole():
         ({"learning_rate": float("inf")}, "learning_rate is a positive number"),
         ({"checkpoint_every": -1.0}, "checkpoint_every is a time"),
         ({"seed": -1}, "seed"),
+        ({"supervision": "foo"}, "supervision is one of none, id, preference, not 'foo'"),
+        ({"supervision": "id", "softness": 0.1}, "who drives is not graded"),
     ],
 )
 def test_what_makes_no_training_is_refused(choice, message):
