@@ -184,3 +184,12 @@ def test_no_transition_leads_past_a_windows_end(seed):
 def test_windows_of_a_single_step_have_no_transitions():
     found = transitions(Batch(torch.zeros(1, 2, 1, 3), torch.zeros(1, 2, 1), torch.ones(1, 2)))
     assert [len(values) for values in found] == [0, 0, 0, 0]
+
+
+def test_windows_that_cannot_be_learnt_from_are_refused():
+    single = made_up([1, 1], driver=[0, 0]).observed
+    with pytest.raises(ValueError, match="windows of a single step lead nowhere"):
+        Windows(single, np.full(2, NAN), Units.of(single))
+    two = made_up([3, 3], driver=[0, 0]).observed
+    with pytest.raises(ValueError, match="windows of lisa have different labels"):
+        Windows(two, np.array([0.0, 1.0]), Units.of(two))
