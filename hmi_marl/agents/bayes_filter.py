@@ -58,6 +58,7 @@ class BayesFilter:
         cannot be."""
         self.distracted = np.zeros((count, len(self.drivers)))
         """p_k(d_t = 1 | v up to now): if k drives. Shape (N, K)."""
+        self._attentive = np.ones((count, len(self.drivers)))  # 1 - distracted, to its last digits
         self._traits = Traits.of(self.drivers)
         self._accepted, self._counter = np.zeros((2, count), np.int64)
         self._applied = np.full(count, NO_ACTION)
@@ -76,6 +77,7 @@ class BayesFilter:
         self._counter = np.where(fresh, 0, self._counter)
         self._applied = np.where(fresh, NO_ACTION, self._applied)
         self.distracted = np.where(fresh[:, None], 0.0, self.distracted)
+        self._attentive = np.where(fresh[:, None], 1.0, self._attentive)
 
     def update(
         self,
@@ -109,16 +111,19 @@ class BayesFilter:
         if not ((chosen[acts] >= 0) & (chosen[acts] <= 1 + _ROUNDING)).all():
             raise ValueError("the probability of an intent lies in [0, 1]")
         accepted, counter = next_acceptance(self._accepted, self._counter, alerts, self.window)
-        predicted = self._predict(accepted)
+        predicted, attentive = self._predict(accepted)
         is_first = (self._applied == NO_ACTION)[:, None]
         is_kept = (self._applied == applied)[:, None]
         with_distracted = predicted * np.where(is_first, chosen, is_kept)
-        evidence = with_distracted + (1.0 - predicted) * chosen
+        with_attentive = attentive * chosen
+        evidence = with_distracted + with_attentive
         possible = evidence > 0
         gain = np.log(evidence, out=np.full(evidence.shape, -np.inf), where=possible)
-        belief = np.divide(with_distracted, evidence, out=predicted.copy(), where=possible)
+        belief = np.divide(with_distracted, evidence, out=predicted, where=possible)
+        doubt = np.divide(with_attentive, evidence, out=attentive, where=possible)
         self.log_evidence = np.where(acts[:, None], self.log_evidence + gain, self.log_evidence)
         self.distracted = np.where(acts[:, None], belief, self.distracted)
+        self._attentive = np.where(acts[:, None], doubt, self._attentive)
         self._accepted = np.where(acts, accepted, self._accepted)
         self._counter = np.where(acts, counter, self._counter)
         self._applied = np.where(acts, applied, self._applied)
@@ -127,11 +132,15 @@ class BayesFilter:
         """p(k | all that was seen), shape (N, K); see :func:`posterior`."""
         return posterior(self.log_evidence, prior)
 
-    def _predict(self, accepted: NDArray[np.int64]) -> NDArray[np.float64]:
-        """p_k(d_t = 1) before v_t is seen, shape (N, K), from i_t of shape (N,)."""
+    def _predict(
+        self, accepted: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """p_k(d_t = 1) and p_k(d_t = 0) before v_t is seen, (N, K) each, from i_t (N,)."""
         traits = self._traits.beta, self._traits.alpha, self._traits.eta
         becomes, stays = (distraction_probability(d, accepted[:, None], *traits) for d in (0, 1))
-        return self.distracted * stays + (1.0 - self.distracted) * becomes
+        distracted = self.distracted * stays + self._attentive * becomes
+        attentive = self.distracted * (1.0 - stays) + self._attentive * (1.0 - becomes)
+        return distracted, attentive
 
     def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
         count = len(self._applied)
