@@ -26,8 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.bayes_filter import BayesFilter, check_candidates, posterior
 from hmi_marl.envs.config import DRIVER, TeamConfig
-from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Driver, Traits
-from hmi_marl.envs.observations import driver_layout
+from hmi_marl.envs.drivers import Driver, Traits
+from hmi_marl.envs.observations import driver_layout, traits_part
 from hmi_marl.envs.teaming import Teaming
 
 _ROWS = 2**14
@@ -217,7 +217,7 @@ def perceived(
     """
     inflations, which = np.unique([driver.inflation for driver in drivers], return_inverse=True)
     replays = [_attentive_teams(config, inflation, seeds) for inflation in inflations.tolist()]
-    layout, traits = driver_layout(config), _shown_traits(drivers)
+    layout, traits = driver_layout(config), traits_part(Traits.of(drivers))
     for t in range(int(length.max(initial=0))):
         on = t < length
         if (on & replays[0].over).any():
@@ -240,13 +240,6 @@ def _attentive_teams(config: TeamConfig, inflation: float, seeds: NDArray[np.uin
     teams = Teaming(replace(config, driver=driver), len(seeds), "batched")
     teams.reset(seeds)
     return teams
-
-
-def _shown_traits(drivers: Sequence[Driver]) -> NDArray[np.float64]:
-    """The part ``traits`` of each driver's observation, shape (K, 4)."""
-    traits = Traits.of(drivers).as_array()
-    traits[:, TRAIT_NAMES.index("inflation")] /= MAX_INFLATION
-    return traits
 
 
 def check_tells_probabilities(policy: object) -> TellsProbabilities:

@@ -117,13 +117,14 @@ class Network:
         kept = old @ w["memory.hidden_weight"].T + w["memory.hidden_bias"]
         reset_in, update_in, new_in = np.split(seen, 3, axis=1)
         reset_old, update_old, new_old = np.split(kept, 3, axis=1)
-        update = _sigmoid(update_in + update_old)
-        new = np.tanh(new_in + _sigmoid(reset_in + reset_old) * new_old)
+        update = sigmoid(update_in + update_old)
+        new = np.tanh(new_in + sigmoid(reset_in + reset_old) * new_old)
         return (1.0 - update) * new + update * old
 
 
-def _sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    return 0.5 + 0.5 * np.tanh(0.5 * x)  # does not overflow
+def sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1 / (1 + e^-x), which does not overflow."""
+    return 0.5 + 0.5 * np.tanh(0.5 * x)
 
 
 _ACTIVATIONS: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {

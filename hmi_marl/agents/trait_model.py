@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.network import Network, NetworkConfig, Weights
+from hmi_marl.agents.network import Network, NetworkConfig, Weights, sigmoid
 from hmi_marl.agents.situations import ACTIONS, EXTRA, LONG_AGO, situations
 from hmi_marl.agents.weight_files import check_shapes
 
@@ -174,8 +174,8 @@ class TraitModel:
         gates = inputs @ w["encoder.input_weight"].T + w["encoder.input_bias"]
         gates += state.hidden @ w["encoder.hidden_weight"].T + w["encoder.hidden_bias"]
         let_in, keep, new, show = np.split(gates, 4, axis=1)
-        cell = _sigmoid(keep) * state.cell + _sigmoid(let_in) * np.tanh(new)
-        return EncoderState(_sigmoid(show) * np.tanh(cell), cell)
+        cell = sigmoid(keep) * state.cell + sigmoid(let_in) * np.tanh(new)
+        return EncoderState(sigmoid(show) * np.tanh(cell), cell)
 
     def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
         """Situations (..., D + EXTRA) with their states in units of the demonstrations."""
@@ -285,7 +285,3 @@ def encoder_inputs(x: NDArray[np.float32], actions: NDArray[np.int64]) -> NDArra
 def _beside(x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float32]:
     rows = np.broadcast_to(z, (len(x), z.shape[-1])).astype(np.float32)
     return np.concatenate([x, rows], axis=1)
-
-
-def _sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    return 0.5 + 0.5 * np.tanh(0.5 * x)  # does not overflow

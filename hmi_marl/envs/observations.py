@@ -18,7 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import MAX_INFLATION
+from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits
 from hmi_marl.envs.scene import LANE_WIDTH, Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego
 
@@ -179,6 +179,13 @@ def motion_parts(ego: Ego, scene: Scene) -> dict[str, NDArray[np.float64]]:
         "lane": one_hot(ego.lane, scene.lanes + 1),
         "position": ego.x[:, None] / scene.length,
     }
+
+
+def traits_part(traits: Traits) -> NDArray[np.float64]:
+    """Traits of N drivers as they are shown: shape (N, 4), inflation over its most."""
+    shown = traits.as_array()
+    shown[:, TRAIT_NAMES.index("inflation")] /= MAX_INFLATION
+    return shown
 
 
 def lidar_part(grid: NDArray[np.float32], scene: Scene) -> NDArray[np.float32]:

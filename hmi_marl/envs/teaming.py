@@ -19,7 +19,7 @@ from hmi_marl.envs import attention as attention_model
 from hmi_marl.envs import observations as obs
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits, check_traits
+from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
 from hmi_marl.envs.rewards import attention_terms, driving_terms, share
 from hmi_marl.envs.streams import Stream, uniform
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
@@ -221,8 +221,6 @@ class Teaming:
         actions, now = len(VEHICLE_ACTIONS), self.attention
         # Before intend() the latest a^H already is the last step's.
         previous = np.where(self.intent_given, self.previous_intended, self.intended)
-        traits = self.traits.as_array()
-        traits[:, TRAIT_NAMES.index("inflation")] /= MAX_INFLATION
         return obs.motion_parts(self.ego, self.config.scene) | {
             "intended_action": obs.one_hot(self.intended, actions),
             "previous_intended_action": obs.one_hot(previous, actions),
@@ -232,7 +230,7 @@ class Teaming:
             "distracted": now.distracted[:, None],
             "accepted": now.accepted[:, None],
             "counter": now.counter[:, None] / self.config.alert_window,
-            "traits": traits,
+            "traits": obs.traits_part(self.traits),
         }
 
     def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:

@@ -73,9 +73,10 @@ def collect_datasets(settings: TraitReproduction, driver_run: Path, folder: Path
     for name, dataset in settings.datasets(driver_run).items():
         truth = folder / name / TRUTH
         if truth.is_file():  # which is written last
-            before = _binding(read_about(truth).get("settings", {}))
+            about = read_about(truth)
+            before = _binding(about.get("settings", {}))
             check_same(before, _binding(plain(dataset)), truth.parent)
-            _check_driver(read_about(truth), driver_run, truth.parent)
+            _check_driver(about, driver_run, truth.parent)
             continue
         make_folder(folder / name)
         with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:

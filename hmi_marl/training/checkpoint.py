@@ -7,6 +7,7 @@ its seeds, like all that the learner draws, follow from the run's seed and the b
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from hmi_marl.files import write_bytes
 
 CHECKPOINT = "checkpoint.safetensors"
 """In a run's folder."""
+OPTIMIZER = "optimizer"
 FORMAT = "hmi-marl checkpoint 1"
 
 
@@ -79,3 +81,28 @@ class Checkpoint:
             return cls(tensors=tensors, **header)
         except TypeError as error:
             raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
+
+
+def flat_moments(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """What an optimiser's state dict holds of each parameter, by flat names."""
+    return {
+        f"{OPTIMIZER}.{parameter}.{name}": torch.as_tensor(value)
+        for parameter, moments in state["state"].items()
+        for name, value in moments.items()
+    }
+
+
+def with_moments(state: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+    """An optimiser's state dict with the moments that :func:`flat_moments` told of another.
+
+    Args:
+        state: of the optimiser that goes on.
+        tensors: by flat names; those that are not of an optimiser are left alone.
+    """
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for full_name, value in tensors.items():
+        kind, name = full_name.split(".", 1)
+        if kind == OPTIMIZER:
+            parameter, moment = name.split(".")
+            moments.setdefault(int(parameter), {})[moment] = value
+    return {**state, "state": moments}

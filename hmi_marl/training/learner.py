@@ -12,6 +12,7 @@ from rsl_rl.storage import RolloutStorage  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.training.checkpoint import OPTIMIZER, flat_moments, with_moments
 from hmi_marl.training.processes import Processes
 from hmi_marl.training.settings import PPOSettings
 from hmi_marl.training.views import IntentShown, SeatView
@@ -152,10 +153,7 @@ class PPOLearner:
             for model in ("actor", "critic")
             for name, value in saved[f"{model}_state_dict"].items()
         }
-        for parameter, moments in saved["optimizer_state_dict"]["state"].items():
-            for name, value in moments.items():
-                tensors[f"optimizer.{parameter}.{name}"] = torch.as_tensor(value)
-        return tensors
+        return tensors | flat_moments(saved["optimizer_state_dict"])
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Go back to what :meth:`tensors` gave.
@@ -164,15 +162,11 @@ class PPOLearner:
             RuntimeError: they are of other networks.
         """
         models: dict[str, dict[str, torch.Tensor]] = {"actor": {}, "critic": {}}
-        moments: dict[int, dict[str, torch.Tensor]] = {}
         for full_name, value in tensors.items():
             kind, name = full_name.split(".", 1)
-            if kind == "optimizer":
-                parameter, moment = name.split(".")
-                moments.setdefault(int(parameter), {})[moment] = value
-            else:
+            if kind != OPTIMIZER:
                 models[kind][name] = value
-        optimizer = self.ppo.optimizer.state_dict() | {"state": moments}
+        optimizer = with_moments(self.ppo.optimizer.state_dict(), tensors)
         self.ppo.load(
             {f"{name}_state_dict": values for name, values in models.items()}
             | {"optimizer_state_dict": optimizer},

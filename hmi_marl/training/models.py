@@ -93,7 +93,7 @@ def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
     weights = layers_of(actor.mlp)
     if actor.is_recurrent:
         for name, its in _MEMORY.items():
-            weights[f"memory.{name}"] = _array(getattr(actor.rnn.rnn, its))
+            weights[f"memory.{name}"] = array_of(getattr(actor.rnn.rnn, its))
     return weights
 
 
@@ -120,12 +120,13 @@ def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
     linear = [layer for layer in mlp.modules() if isinstance(layer, torch.nn.Linear)]
     weights = {}
     for place, layer in enumerate(linear):
-        weights[f"layer{place}.weight"] = _array(layer.weight)
-        weights[f"layer{place}.bias"] = _array(layer.bias)
+        weights[f"layer{place}.weight"] = array_of(layer.weight)
+        weights[f"layer{place}.bias"] = array_of(layer.bias)
     return weights
 
 
-def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
+def array_of(tensor: torch.Tensor) -> NDArray[np.float32]:
+    """A copy for NumPy, without gradients."""
     return tensor.detach().cpu().numpy().copy()
 
 

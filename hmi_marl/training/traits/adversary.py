@@ -10,6 +10,7 @@ import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 
 from hmi_marl.agents.trait_model import TraitCard
+from hmi_marl.training.checkpoint import flat_moments, with_moments
 from hmi_marl.training.traits.losses import (
     adversarial_loss,
     cohesion_loss,
@@ -29,6 +30,7 @@ from hmi_marl.training.traits.pools import Batch, transitions
 from hmi_marl.training.traits.settings import TraitSettings
 
 LONGEST_GRADIENT = 10.0
+_MODEL = "model."
 
 
 class Labelled(NamedTuple):
@@ -163,25 +165,17 @@ class Adversary:
 
     def rewards(self, driven: Batch, z: torch.Tensor) -> torch.Tensor:
         """The reward f of every step but the last of what the policy drove, shape (P, n, T - 1)."""
-        pools, windows, steps, width = driven.situations.shape
-        x = driven.situations
-        given = z[:, None, None].expand(pools, windows, steps - 1, -1).reshape(-1, z.shape[1])
+        steps = transitions(driven)
         with torch.no_grad():
             f: torch.Tensor = self.model.reward(
-                x[:, :, :-1].reshape(-1, width),
-                driven.actions[:, :, :-1].reshape(-1),
-                x[:, :, 1:].reshape(-1, width),
-                given,
+                steps.before, steps.actions, steps.after, z[steps.pool]
             )
-        return f.reshape(pools, windows, steps - 1)
+        return f.reshape(*driven.length.shape, -1)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Everything that it has learnt, optimiser included, by flat names."""
-        tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
-        for parameter, moments in self._optimizer.state_dict()["state"].items():
-            for name, value in moments.items():
-                tensors[f"optimizer.{parameter}.{name}"] = torch.as_tensor(value)
-        return tensors
+        tensors = {f"{_MODEL}{name}": value for name, value in self.model.state_dict().items()}
+        return tensors | flat_moments(self._optimizer.state_dict())
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Go back to what :meth:`tensors` gave.
@@ -189,14 +183,11 @@ class Adversary:
         Raises:
             RuntimeError: they are of another model.
         """
-        model: dict[str, torch.Tensor] = {}
-        moments: dict[int, dict[str, torch.Tensor]] = {}
-        for full_name, value in tensors.items():
-            kind, name = full_name.split(".", 1)
-            if kind == "optimizer":
-                parameter, moment = name.split(".")
-                moments.setdefault(int(parameter), {})[moment] = value
-            else:
-                model[name] = value
-        self.model.load_state_dict(model)
-        self._optimizer.load_state_dict(self._optimizer.state_dict() | {"state": moments})
+        self.model.load_state_dict(
+            {
+                name.removeprefix(_MODEL): value
+                for name, value in tensors.items()
+                if name.startswith(_MODEL)
+            }
+        )
+        self._optimizer.load_state_dict(with_moments(self._optimizer.state_dict(), tensors))

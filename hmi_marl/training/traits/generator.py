@@ -12,7 +12,7 @@ from hmi_marl.agents.trait_model import TraitCard
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.training.learner import PPOLearner
 from hmi_marl.training.processes import Processes
-from hmi_marl.training.traits.model import log_policy, make_policy, make_value
+from hmi_marl.training.traits.model import log_likelihood, make_policy, make_value
 from hmi_marl.training.traits.pools import Batch, Units
 from hmi_marl.training.traits.rollouts import Drives, drive
 from hmi_marl.training.traits.settings import TraitSettings
@@ -116,10 +116,8 @@ class Generator:
             f: of each step but the last, shape (P, n, T - 1).
         """
         storage = self.learner.ppo.storage
-        given = z[:, None, None].expand(*batch.situations.shape[:3], -1)
         with torch.no_grad():
-            every = log_policy(self.learner.ppo.actor, batch.situations, given)
-            log_pi = every.gather(3, batch.actions[..., None]).squeeze(3)[:, :, :-1]
+            log_pi = log_likelihood(self.policy, batch, z).reshape(batch.actions.shape)[:, :, :-1]
         rewards = (f - log_pi).reshape(-1, f.shape[2]) * self._settings.ppo.reward_scale
         storage.rewards.copy_(rewards.T[..., None])
         losses = self.learner.learn(self._seen)

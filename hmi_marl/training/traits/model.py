@@ -16,7 +16,7 @@ from hmi_marl.agents.heads import OneAction
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.situations import ACTIONS, EXTRA
 from hmi_marl.agents.trait_model import PARTS, TraitCard
-from hmi_marl.training.models import GROUPS, layers_of
+from hmi_marl.training.models import GROUPS, array_of, layers_of, make_critic
 from hmi_marl.training.traits.pools import Batch, Units
 
 FIRST_LOG_VARIANCE = -3.0
@@ -173,12 +173,15 @@ class Discriminator(torch.nn.Module):
 
 def make_policy(card: TraitCard) -> MLPModel:
     """π(a | s, z), which reads a situation and z side by side."""
-    return _model("actor", card.inputs("policy"), card.policy, True)
+    template = TensorDict({"actor": torch.zeros(1, card.inputs("policy"))}, batch_size=[1])
+    head = {"class_name": OneAction, "choices": ACTIONS}
+    sizes = (template, GROUPS, "actor", 1, card.policy.hidden, card.policy.activation)
+    return MLPModel(*sizes, distribution_cfg=head)
 
 
 def make_value(card: TraitCard) -> MLPModel:
     """V(s, z) for the generator."""
-    return _model("critic", card.inputs("policy"), NetworkConfig((64, 64)), False)
+    return make_critic(card.inputs("policy"), NetworkConfig((64, 64)))
 
 
 def log_policy(policy: MLPModel, x: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
@@ -201,7 +204,7 @@ def weights_of_model(
     """All weights, by the names of :attr:`TraitCard.shapes`."""
     encoder = discriminator.encoder
     weights = {"state.centre": units.centre, "state.scale": units.scale}
-    weights |= {name: _array(values) for name, values in encoder.folded().items()}
+    weights |= {name: array_of(values) for name, values in encoder.folded().items()}
     networks = (discriminator.reward.reward, discriminator.reward.potential, policy.mlp)
     for part, network in zip(PARTS, networks, strict=True):
         for name, values in layers_of(network).items():
@@ -209,17 +212,6 @@ def weights_of_model(
     return weights
 
 
-def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
-    return tensor.detach().cpu().numpy().copy()
-
-
 def _mlp(card: TraitCard, part: str) -> MLP:
     network: NetworkConfig = getattr(card, part)
     return MLP(card.inputs(part), 1, network.hidden, network.activation)
-
-
-def _model(group: str, inputs: int, network: NetworkConfig, acts: bool) -> MLPModel:
-    template = TensorDict({group: torch.zeros(1, inputs)}, batch_size=[1])
-    head = {"class_name": OneAction, "choices": ACTIONS} if acts else None
-    sizes = (template, GROUPS, group, 1, network.hidden, network.activation)
-    return MLPModel(*sizes, distribution_cfg=head)
