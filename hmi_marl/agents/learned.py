@@ -122,8 +122,7 @@ class PolicyCard:
                     f"this {self.seat} policy reads {size} columns of {name!r}, but here it has "
                     f"{shown}; use the scene that it was trained on"
                 )
-        every = np.arange(layout.size)
-        return np.concatenate([every[layout[name]] for name, _ in self.reads])
+        return layout.columns(name for name, _ in self.reads)
 
 
 def make_card(

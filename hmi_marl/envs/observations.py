@@ -8,7 +8,7 @@ slice(58, 59, None)
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -64,6 +64,11 @@ class Layout:
         if name not in self.slices:
             raise KeyError(f"no part {name!r} in this observation; it has {', '.join(self.slices)}")
         return self.slices[name]
+
+    def columns(self, names: Iterable[str]) -> NDArray[np.int64]:
+        """Where the named parts lie, one after the other, as indices of columns."""
+        every = np.arange(self.size)
+        return np.concatenate([every[self[name]] for name in names])
 
     def get(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float32]:
         """The named part of observations of shape (..., size): shape (..., part's size)."""

@@ -214,7 +214,7 @@ def _play(
     driver, hmi = settings.make_driver(config), settings.make_hmi(config)
     teaming = begin(config, driver, hmi, seeds, "batched")
     layout, seen = observed_layout(config), teaming.layouts[VEHICLE_AI]
-    columns = np.concatenate([np.arange(seen.size)[seen[part.name]] for part in layout.parts])
+    columns = seen.columns(part.name for part in layout.parts)
     shape = len(seeds), config.horizon
     states = np.zeros((*shape, layout.size), np.float32)
     alerts, distracted, accepted, counter = np.zeros((4, *shape), np.int64)

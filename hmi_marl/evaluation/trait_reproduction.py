@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import current_process, get_context
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +54,8 @@ from hmi_marl.training.demonstration_files import (
     sha256_of,
     write_demonstrations,
 )
-from hmi_marl.training.jobs import CURVE
+from hmi_marl.training.jobs import CURVE, own_line, side_by_side
 from hmi_marl.training.traits.settings import TraitSettings
-from hmi_marl.workers import pool
 
 FREE = ("driver_policy", "teams")
 """What a dataset may differ in: where the policy lies (which it is, is looked at), and memory."""
@@ -106,20 +104,15 @@ def learn_all(settings: TraitReproduction, folder: Path, workers: int, typed: st
     Raises:
         ValueError: what :func:`hmi_marl.training.traits.run.learn_traits` refuses.
     """
-    jobs = settings.trainings(folder)
-    lock = get_context("spawn").RLock()
-    with pool(max(1, min(workers, len(jobs))), tqdm.set_lock, lock) as workshop:
-        data = folder / DEMONSTRATIONS
-        for future in [workshop.submit(_learn, job, data, out, typed) for out, job in jobs.items()]:
-            future.result()
+    jobs, data = settings.trainings(folder), folder / DEMONSTRATIONS
+    side_by_side(_learn, [(job, data, out, typed) for out, job in jobs.items()], workers)
 
 
 def _learn(settings: TraitSettings, demonstrations: Path, folder: Path, typed: str) -> None:
     from hmi_marl.training.traits.run import learn_traits  # torch, with the threads just set
 
-    place = current_process()._identity
-    line = place[-1] - 1 if place else 0
-    learn_traits(replace(settings, threads=1), demonstrations, folder, typed=typed, line=line)
+    settings = replace(settings, threads=1)
+    learn_traits(settings, demonstrations, folder, typed=typed, line=own_line())
 
 
 def seconds_of(runs: Iterable[Path]) -> dict[str, float]:

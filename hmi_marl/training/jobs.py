@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import current_process, get_context
 from pathlib import Path
@@ -46,10 +46,23 @@ def train_all(jobs: Sequence[Job], workers: int, typed: str = "", quiet: bool = 
         ValueError: what :func:`hmi_marl.training.run.train` refuses.
     """
     need_training()
+    side_by_side(_train, [(job, typed, quiet) for job in jobs], workers)
+
+
+def side_by_side(
+    learn: Callable[..., None], tasks: Sequence[tuple[Any, ...]], workers: int
+) -> None:
+    """Call ``learn`` with each task's arguments, ``workers`` of them at a time."""
     lock = get_context("spawn").RLock()
-    with pool(max(1, min(workers, len(jobs))), tqdm.set_lock, lock) as workshop:
-        for future in [workshop.submit(_train, job, typed, quiet) for job in jobs]:
+    with pool(max(1, min(workers, len(tasks))), tqdm.set_lock, lock) as workshop:
+        for future in [workshop.submit(learn, *task) for task in tasks]:
             future.result()
+
+
+def own_line() -> int:
+    """The line of the terminal for this worker's progress bar."""
+    place = current_process()._identity
+    return place[-1] - 1 if place else 0
 
 
 def need_training() -> None:
@@ -64,6 +77,5 @@ def need_training() -> None:
 def _train(job: Job, typed: str, quiet: bool) -> None:
     from hmi_marl.training.run import train  # torch, with the threads that were just set
 
-    place = current_process()._identity
-    line = place[-1] - 1 if place else 0
-    train(replace(job.settings, threads=1), job.folder, quiet=quiet, typed=typed, line=line)
+    settings = replace(job.settings, threads=1)
+    train(settings, job.folder, quiet=quiet, typed=typed, line=own_line())

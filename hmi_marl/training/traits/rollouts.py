@@ -19,7 +19,7 @@ from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import make_world
-from hmi_marl.training.demonstrations import STATE_PARTS
+from hmi_marl.training.demonstrations import observed_layout
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
 """Never distracted, so that what they intend is what the car does."""
@@ -68,8 +68,7 @@ def drive(
     teaming.reset(seeds)
     alarm.reset(seeds)
     layout = teaming.layouts[VEHICLE_AI]
-    every = np.arange(layout.size)
-    columns = np.concatenate([every[layout[p.name]] for p in layout.parts if p.name in STATE_PARTS])
+    columns = layout.columns(part.name for part in observed_layout(config).parts)
     shape = config.horizon, len(seeds)
     actions, alerts = np.zeros((2, *shape), np.int64)
     speed, headway, rewards = np.zeros((3, *shape))
