@@ -3,7 +3,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test test-slow parity soak lint format clean
+.PHONY: help run test test-slow parity soak docs lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
@@ -11,6 +11,7 @@ help:
 	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
 	@echo "make parity     hold the batched world against highway-env, for hundreds of seeds"
 	@echo "make soak       ten million random team steps over random configurations"
+	@echo "make docs       the documentation site, in site/"
 	@echo "make lint       ruff and mypy"
 	@echo "make format     let ruff format the code"
 	@echo "make clean      remove $(VENV) and what was made"
@@ -32,6 +33,10 @@ parity: $(VENV)/.for-test
 soak: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 0 -m slow -k ten_million tests/envs/worlds
 
+docs: $(VENV)/.for-docs
+	$(BIN)/mkdocs build --strict
+	@echo "open site/index.html; to search as well: $(BIN)/mkdocs serve"
+
 lint: $(VENV)/.for-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -42,7 +47,7 @@ format: $(VENV)/.for-test
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) runs build dist .coverage .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) runs site build dist .coverage .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -56,5 +61,9 @@ $(VENV)/.for-run: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.for-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) torch
-	$(PIP_INSTALL) -e '.[video,train,interop,data,dev]'
+	$(PIP_INSTALL) -e '.[video,train,interop,data,docs,dev]'
+	touch $@
+
+$(VENV)/.for-docs: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) -e '.[docs]'
 	touch $@

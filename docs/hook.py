@@ -1,0 +1,131 @@
+"""What mkdocs puts into pages that are made from the code: one source for each text.
+
+A page names such a part by a comment in a line of its own, ``<!-- made: environment -->``, up to
+``<!-- end -->``; what stands between is for who reads the page in the repository.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import io
+import os
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from pygments.formatters import HtmlFormatter
+
+from hmi_marl import merge_v0
+from hmi_marl.cli import parse
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.observations import (
+    Layout,
+    driver_layout,
+    state_layout,
+    vehicle_ai_layout,
+)
+
+ROOT = Path(__file__).parents[1]
+_PART = re.compile(r"^<!-- made: ([\w .-]+) -->\n(?:.*?\n)?<!-- end -->$", re.MULTILINE | re.DOTALL)
+_WIDTH = "96"
+"""Of the texts of help, in columns."""
+
+
+def fill(page: str) -> str:
+    """The page with its made parts in place.
+
+    Raises:
+        ValueError: a comment that names no part, or a part that has no end.
+    """
+    if re.search(r"^<!-- (?:made|end)", _PART.sub("", page), re.MULTILINE):
+        raise ValueError("a made part is '<!-- made: NAME -->', lines, '<!-- end -->'")
+    return _PART.sub(lambda found: _make(found[1]), page)
+
+
+def _make(name: str) -> str:
+    kind, _, argument = name.partition(" ")
+    makers: dict[str, Callable[[], str]] = {
+        "environment": environment,
+        "layouts": layouts,
+        "commands": commands,
+        "file": lambda: _without_title((ROOT / argument).read_text(encoding="utf-8")),
+    }
+    if kind not in makers:
+        raise ValueError(f"unknown part {name!r}; known: {', '.join(makers)}")
+    return makers[kind]().strip()
+
+
+def environment() -> str:
+    """The environment's own page, its module's docstring."""
+    return _without_title(inspect.getdoc(merge_v0) or "")
+
+
+def layouts() -> str:
+    """A table of each seat's observation and of the state, with the defaults."""
+    config = TeamConfig()
+    made = {
+        "driver": driver_layout(config),
+        "vehicle_ai": vehicle_ai_layout(config),
+        "state()": state_layout(config),
+    }
+    return "\n\n".join(
+        f"### `{name}`, {layout.size} numbers\n\n{_table(layout)}" for name, layout in made.items()
+    )
+
+
+def _table(layout: Layout) -> str:
+    rows = ["| columns | name | bounds | |", "| --- | --- | --- | --- |"]
+    for part in layout.parts:
+        where = layout[part.name]
+        bounds = f"{part.low:g} to {part.high:g}"
+        rows.append(f"| {where.start}:{where.stop} | `{part.name}` | {bounds} | {part.meaning} |")
+    return "\n".join(rows)
+
+
+def commands() -> str:
+    """What every command says to ``--help``."""
+    return "\n\n".join(
+        f"## {' '.join(['hmi-marl', *command])}\n\n```text\n{text}\n```"
+        for command, text in _helps()
+    )
+
+
+def _helps(command: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+    text = _help(command)
+    yield command, text
+    _, _, subcommands = text.partition("─ subcommands ")
+    for name in re.findall(r"^│   • ([\w-]+)", subcommands, re.MULTILINE):
+        yield from _helps((*command, name))
+
+
+def _help(command: tuple[str, ...]) -> str:
+    printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # an encoding that has lines
+    with (
+        mock.patch.dict(os.environ, {"COLUMNS": _WIDTH, "NO_COLOR": "1"}),
+        contextlib.redirect_stdout(printed),
+        contextlib.suppress(SystemExit),
+    ):
+        parse([*command, "--help"])
+    printed.seek(0)
+    return "\n".join(line.rstrip() for line in printed).strip("\n")
+
+
+def _without_title(text: str) -> str:
+    return re.sub(r"\A# .*\n", "", text)
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Called by mkdocs for each page."""
+    return fill(markdown)
+
+
+def on_files(files: Any, config: Any, **_: Any) -> Any:
+    """Called by mkdocs once the files are known: colours for code are one more."""
+    from mkdocs.structure.files import File
+
+    colours = HtmlFormatter(style="default").get_style_defs(".highlight")
+    files.append(File.generated(config, "css/code.css", content=colours))
+    return files

@@ -1,0 +1,36 @@
+"""What the tests of README and site have in common: the code and the commands on a page."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+
+
+def hook() -> ModuleType:
+    """What makes parts of the site's pages."""
+    spec = importlib.util.spec_from_file_location("hook", DOCS / "hook.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """The fenced blocks of a language, in order."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def commands(text: str) -> list[list[str]]:
+    """The arguments of every line that calls hmi-marl, what commands print aside."""
+    whole = re.sub(r"^```text\n.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    whole = whole.replace("\\\n", " ")
+    lines = re.findall(r"^hmi-marl (.*)", whole, re.MULTILINE)
+    return [line.split("#")[0].split() for line in lines]
