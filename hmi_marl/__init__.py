@@ -15,6 +15,7 @@ import gymnasium
 import pettingzoo
 
 from hmi_marl.envs import merge_v0
+from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.drivers import (
     DRIVERS,
     Choice,
@@ -33,6 +34,7 @@ __all__ = [
     "Choice",
     "Driver",
     "DriverList",
+    "Fatigue",
     "RewardWeights",
     "Scene",
     "TraitDistributions",

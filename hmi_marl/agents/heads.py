@@ -8,10 +8,7 @@ from __future__ import annotations
 import torch
 from rsl_rl.modules.distribution import Distribution  # type: ignore[import-untyped]
 
-from hmi_marl.agents.learned import ACTIONS
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-
-INTENTS, ALERTS = ACTIONS[DRIVER], ACTIONS[VEHICLE_AI]
+from hmi_marl.agents.learned import INTENTS
 
 
 class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
@@ -72,17 +69,22 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
 class IntentThenAlert(Distribution):  # type: ignore[misc]
     r"""a^H, then a^A given the a^H that was drawn: π(a^H) π(a^A | a^H).
 
-    Takes 5 logits of a^H and then, for each a^H, 2 of a^A. Entropy and KL follow the chain rule,
+    Takes 5 logits of a^H and then, for each a^H, A of a^A, of which there are A = 2 (k + 1 with k
+    strengths of alert). Entropy and KL follow the chain rule,
     H(a^H, a^A) = H(a^H) + Σ π(a^H) H(a^A | a^H), and need no sampling.
     """
+
+    def __init__(self, output_dim: int, alerts: int = 2) -> None:
+        super().__init__(output_dim)
+        self.alerts = alerts
 
     @property
     def input_dim(self) -> int:
         """Logits that it takes."""
-        return INTENTS + INTENTS * ALERTS
+        return INTENTS + INTENTS * self.alerts
 
     def update(self, mlp_output: torch.Tensor) -> None:
-        """Take the network's logits, shape (..., 15)."""
+        """Take the network's logits, shape (..., 5 + 5 A)."""
         intent, alert = self._split(mlp_output)
         self._intent = torch.log_softmax(intent, dim=-1)
         self._alert = torch.log_softmax(alert, dim=-1)
@@ -101,7 +103,7 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
     @property
     def mean(self) -> torch.Tensor:
-        """Probabilities of a^H, and of a^A given each a^H, shape (..., 15)."""
+        """Probabilities of a^H, and of a^A given each a^H, shape (..., 5 + 5 A)."""
         return torch.cat([self._intent, self._alert.flatten(-2)], dim=-1).exp()
 
     @property
@@ -116,7 +118,7 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
     @property
     def params(self) -> tuple[torch.Tensor, ...]:
-        """Log-probabilities of a^H, shape (..., 5), and of a^A given a^H, shape (..., 5, 2)."""
+        """Log-probabilities of a^H, shape (..., 5), and of a^A given a^H, shape (..., 5, A)."""
         return self._intent, self._alert
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
@@ -132,10 +134,9 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
         of_alert = divergence(old_params[1], new_params[1])
         return divergence(old_params[0], new_params[0]) + (old_params[0].exp() * of_alert).sum(-1)
 
-    @staticmethod
-    def _split(logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _split(self, logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         return logits[..., :INTENTS], logits[..., INTENTS:].reshape(
-            *logits.shape[:-1], INTENTS, ALERTS
+            *logits.shape[:-1], INTENTS, self.alerts
         )
 
 
@@ -163,6 +164,6 @@ def divergence(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
 
 
 def _row(table: torch.Tensor, intent: torch.Tensor) -> torch.Tensor:
-    """The row of a^H, shape (..., 2), out of (..., 5, 2)."""
-    index = intent.long().unsqueeze(-1).expand(*intent.shape, ALERTS)
+    """The row of a^H, shape (..., A), out of (..., 5, A)."""
+    index = intent.long().unsqueeze(-1).expand(*intent.shape, table.shape[-1])
     return table.gather(-2, index).squeeze(-2)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.bayes_filter import BayesFilter, check_candidates, posterior
+from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver, Traits
 from hmi_marl.envs.observations import driver_layout, traits_part
@@ -140,6 +141,7 @@ def identify(
             windows that go on after their end when they are played again.
     """
     check_tells_probabilities(policy)
+    need_plain(config.alerts, "identify()")
     candidates = check_candidates(drivers)
     seeds, actions, alerts, length = _checked(config, seeds, actions, alerts, length)
     at_once = max(1, _ROWS // len(candidates))

@@ -21,14 +21,15 @@ from numpy.typing import ArrayLike, NDArray
 from hmi_marl.agents.memory import Draws
 from hmi_marl.agents.network import Network, NetworkConfig, Weights
 from hmi_marl.agents.weight_files import check_shapes
+from hmi_marl.envs.alerts import FULL, check_strengths
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.observations import Layout, driver_layout, vehicle_ai_layout
 from hmi_marl.envs.streams import Stream
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 INTENT = "intended_action"
-ACTIONS = {DRIVER: len(VEHICLE_ACTIONS), VEHICLE_AI: 2}
-"""How many actions each seat has."""
+INTENTS = len(VEHICLE_ACTIONS)
+"""How many actions the driver has."""
 _LAYOUTS = {DRIVER: driver_layout, VEHICLE_AI: vehicle_ai_layout}
 _STREAMS = {DRIVER: Stream.DRIVER_POLICY, VEHICLE_AI: Stream.HMI_POLICY}
 
@@ -58,6 +59,8 @@ class PolicyCard:
     """Of the vehicle AI: logits for each a^H instead of reading a^H."""
     taking_turns: bool = True
     """Whether it learnt taking turns; if not, a^H_t was not known to the vehicle AI."""
+    alert_strengths: tuple[float, ...] = FULL
+    """Of the vehicle AI: the alerts that it can give. (1.0,) is alert or not."""
     training: dict[str, Any] = field(default_factory=dict)
     """How it was made: the environment's version and configuration, protocol, seed, steps."""
 
@@ -65,6 +68,7 @@ class PolicyCard:
         if self.seat not in AGENTS:
             raise ValueError(f"a policy's seat is one of {', '.join(AGENTS)}, not {self.seat!r}")
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
+        object.__setattr__(self, "alert_strengths", check_strengths(self.alert_strengths))
         if not self.reads or min(size for _, size in self.reads) < 1 or self.context < 0:
             raise ValueError("a policy reads parts of at least one column, and z has no size < 0")
         if self.by_intent and (self.seat == DRIVER or INTENT in dict(self.reads)):
@@ -76,9 +80,14 @@ class PolicyCard:
         return sum(size for _, size in self.reads) + self.context
 
     @property
+    def actions(self) -> int:
+        """How many actions it chooses from."""
+        return INTENTS if self.seat == DRIVER else len(self.alert_strengths) + 1
+
+    @property
     def outputs(self) -> int:
         """Logits that the network gives."""
-        return ACTIONS[self.seat] * (len(VEHICLE_ACTIONS) if self.by_intent else 1)
+        return self.actions * (INTENTS if self.by_intent else 1)
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -140,12 +149,14 @@ def make_card(
         left_out.add(INTENT)
     parts = seat_layout(seat, config).parts
     reads = tuple((part.name, part.size) for part in parts if part.name not in left_out)
-    return PolicyCard(seat, reads, network, context, by_intent, taking_turns)
+    strengths = config.alert_strengths if seat == VEHICLE_AI else FULL
+    return PolicyCard(seat, reads, network, context, by_intent, taking_turns, strengths)
 
 
 _HINTS = {
     "traits": " (observe_traits=False hides it)",
     "distracted": " (ai_sees_attention=False hides it)",
+    "fatigue": " (only with fatigue=, and unless ai_sees_attention=False hides it)",
 }
 
 
@@ -171,6 +182,11 @@ class LearnedPolicy:
         self, card: PolicyCard, weights: Weights, config: TeamConfig, greedy: bool = True
     ) -> None:
         check_weights(card, weights)
+        if card.seat == VEHICLE_AI and card.alert_strengths != config.alert_strengths:
+            raise ValueError(
+                f"this vehicle_ai policy gives alerts of strengths {card.alert_strengths}, but "
+                f"here alert_strengths = {config.alert_strengths}"
+            )
         self.card = card
         self.weights = weights
         self.greedy = greedy
@@ -234,7 +250,7 @@ class LearnedPolicy:
         logits = self._network(inputs)
         if self.card.by_intent:
             intent = self._layout.get(observations, INTENT)  # one-hot; zeros, so even odds, if none
-            logits = logits.reshape(len(logits), len(VEHICLE_ACTIONS), -1)
+            logits = logits.reshape(len(logits), INTENTS, -1)
             logits = (logits * intent[:, :, None]).sum(axis=1)
         logits = logits - logits.max(axis=1, keepdims=True)
         odds = np.exp(logits)

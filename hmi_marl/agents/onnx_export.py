@@ -31,9 +31,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.agents.learned import ACTIONS, INTENT, LearnedPolicy, PolicyCard, check_weights
+from hmi_marl.agents.learned import INTENT, INTENTS, LearnedPolicy, PolicyCard, check_weights
 from hmi_marl.agents.network import Weights
-from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import write_bytes
 
 try:
@@ -68,7 +67,7 @@ def export_onnx(policy: LearnedPolicy | tuple[PolicyCard, Weights], path: Path) 
 
 def observed_columns(card: PolicyCard) -> tuple[tuple[str, int], ...]:
     """Names and sizes of the parts of the model's ``observation``, in their order."""
-    return (*card.reads, (INTENT, ACTIONS[DRIVER])) if card.by_intent else card.reads
+    return (*card.reads, (INTENT, INTENTS)) if card.by_intent else card.reads
 
 
 def _model(card: PolicyCard, weights: Weights) -> onnx.ModelProto:
@@ -80,7 +79,7 @@ def _model(card: PolicyCard, weights: Weights) -> onnx.ModelProto:
     if card.network.memory:
         inputs["memory_in"] = card.network.memory
     outputs = [
-        _value("probabilities", TensorProto.FLOAT, ACTIONS[card.seat]),
+        _value("probabilities", TensorProto.FLOAT, card.actions),
         _value("action", TensorProto.INT64),
     ]
     if card.network.memory:
@@ -143,7 +142,7 @@ def _read(nodes: _Nodes, card: PolicyCard) -> str:
     """What the network takes: the observation but for a^H apart, and z."""
     x = "observation"
     if card.by_intent:
-        sizes = nodes.constant("split_sizes", [card.inputs - card.context, ACTIONS[DRIVER]])
+        sizes = nodes.constant("split_sizes", [card.inputs - card.context, INTENTS])
         nodes.add("Split", x, sizes, to=("seen", "intent"), axis=1)
         x = "seen"
     return nodes.add("Concat", x, "context", to="conditioned", axis=1) if card.context else x
@@ -190,7 +189,7 @@ def _layers(nodes: _Nodes, card: PolicyCard, x: str) -> str:
             x = nodes.add(_ACTIVATIONS[card.network.activation], x, to=f"{name}.active")
     if not card.by_intent:
         return x
-    shape = nodes.constant("by_intent_shape", [-1, ACTIONS[DRIVER], ACTIONS[card.seat]])
+    shape = nodes.constant("by_intent_shape", [-1, INTENTS, card.actions])
     nodes.add("Reshape", x, shape, to="by_intent")
     nodes.add("Unsqueeze", "intent", nodes.constant("action_axis", [2]), to="intent_column")
     nodes.add("Mul", "by_intent", "intent_column", to="of_intent")

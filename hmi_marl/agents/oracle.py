@@ -10,19 +10,26 @@ of the paper's reward table, and nothing that the car does changes it. Dynamic p
 
 for an episode of T steps from d = i = c = 0. Since i and c move for sure, each state has two
 successors, and a step of it costs O(N).
+
+Alerts of k strengths, and alerts that weary (:mod:`hmi_marl.envs.alerts`), are the same problem
+with a^A and i in 0 .. k and, with fatigue, a fourth axis f in 0 .. F, which moves for sure as
+well. In what follows S stands for the shape of the states: (2, 2, window) with the paper's alerts,
+(2, k + 1, window) with k strengths, and (2, k + 1, window, F + 1) with fatigue.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.identify import identify as identify  # exact as well: who drives
-from hmi_marl.envs.attention import Successors, check_window, successors
+from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
+from hmi_marl.envs.attention import check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
 
@@ -44,6 +51,8 @@ class AlertReturns:
     """Expected reward of each attention term in each step, shape (horizon,)."""
     alert_rate: NDArray[np.float64]
     """Probability of an alert in each step, shape (horizon,)."""
+    rate_by_strength: NDArray[np.float64]
+    """The same for each strength, shape (k, horizon)."""
 
     @property
     def distraction_return(self) -> float:
@@ -81,9 +90,21 @@ class AlertSolution(AlertReturns):
     """The optimum: its exact returns, its policy and its value function."""
 
     policy: NDArray[np.int8]
-    """policy[t, d, i, c] is 1 to alert, 0 not to. Shape (horizon, 2, 2, window)."""
+    """policy[t, d, i, c] is a^A: 1 to alert, 0 not to; of k strengths, which of them. Shape
+    (horizon, 2, 2, window), in general (horizon, *S), so policy[t, d, i, c, f] with fatigue."""
     values: NDArray[np.float64]
-    """Expected return from step t on. Shape (horizon + 1, 2, 2, window); the last is 0."""
+    """Expected return from step t on. Shape (horizon + 1, *S); the last is 0."""
+
+    @property
+    def alert_probability(self) -> NDArray[np.float64]:
+        """The policy as :func:`evaluate` takes one: a 0 or 1 for each alert, (k, horizon, *S).
+
+        With a single strength it is the policy itself, (horizon, *S).
+        """
+        strengths = len(self.rate_by_strength)
+        if strengths == 1:
+            return self.policy.astype(np.float64)
+        return _each(self.policy, strengths)
 
 
 class Reachable(NamedTuple):
@@ -102,31 +123,52 @@ def check_horizon(horizon: int) -> int:
     return int(horizon)
 
 
-def _expected_rewards(after: Successors, weights: RewardWeights) -> dict[str, NDArray[np.float64]]:
-    """Expected reward of each attention term, each of shape (2, 2, 2, N) = [a, d, i, c]."""
-    alert, before, now = np.indices((2, 2, 2))
-    terms = attention_terms(weights, alert=alert, distracted_before=before, distracted=now)
-    p_now = np.stack([1.0 - after.distracted, after.distracted], axis=-1)
-    return {name: np.einsum("adice,ade->adic", p_now, terms[name]) for name in ATTENTION_TERMS}
+@dataclass(frozen=True)
+class _Chain:
+    """One driver's alert problem. Arrays have shape (k + 1, *S), what a^A does in every state."""
 
+    p_distracted: NDArray[np.float64]
+    """p(d_t = 1)."""
+    place: NDArray[np.int64]
+    """Where (i_t, c_t), or (i_t, c_t, f_t), lies among all such, in the order of S."""
+    rewards: dict[str, NDArray[np.float64]]
+    """Expected reward of each attention term."""
 
-def _expected_value(after: Successors, value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of ``value`` [d, i, c] in the next step; shape (2, 2, 2, N) = [a, d, i, c]."""
-    attentive = value[0, after.accepted, after.counter]
-    distracted = value[1, after.accepted, after.counter]
-    return (1.0 - after.distracted) * attentive + after.distracted * distracted
+    @classmethod
+    def of(cls, driver: Driver, window: int, alerts: Alerts, weights: RewardWeights) -> _Chain:
+        after = successors(driver, window, alerts)
+        known = (after.accepted, after.counter, after.fatigue)
+        sizes = (alerts.choices, window, alerts.levels + 1)
+        action, before, now = np.indices((alerts.choices, 2, 2))
+        terms = attention_terms(
+            weights, alert=alerts.strength(action), distracted_before=before, distracted=now
+        )
+        p_now = np.stack([1.0 - after.distracted, after.distracted], axis=-1)
+        rewards = {
+            name: np.einsum("ad...e,ade->ad...", p_now, terms[name]) for name in ATTENTION_TERMS
+        }
+        return cls(after.distracted, np.ravel_multi_index(known, sizes), rewards)
 
+    def expected(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of ``value``, shape S, in the next step: shape (k + 1, *S)."""
+        attentive, distracted = value.reshape(2, -1)
+        p = self.p_distracted
+        return (1.0 - p) * attentive[self.place] + p * distracted[self.place]
 
-def _flow(after: Successors, joint: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Probability of each [d, i, c] in the next step, from that of [a, d, i, c] in this one."""
-    window = joint.shape[-1]
-    place = (after.accepted * window + after.counter).ravel()
-    return np.stack(
-        [
-            np.bincount(place, (joint * p).ravel(), minlength=2 * window).reshape(2, window)
-            for p in (1.0 - after.distracted, after.distracted)
+    def flow(self, joint: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probability of each state in the next step, from that of [a, state] in this one."""
+        states = joint.shape[1:]
+        places, count = self.place.ravel(), math.prod(states[1:])
+        after = [
+            np.bincount(places, (joint * p).ravel(), minlength=count)
+            for p in (1.0 - self.p_distracted, self.p_distracted)
         ]
-    )
+        return np.asarray(after, np.float64).reshape(states)
+
+
+def _each(policy: NDArray[np.int8], strengths: int) -> NDArray[np.float64]:
+    """1 where the policy gives the alert, for each of the alerts 1 .. k: shape (k, ...)."""
+    return np.stack([policy == alert for alert in range(1, strengths + 1)]).astype(np.float64)
 
 
 def solve_alerts(
@@ -134,31 +176,40 @@ def solve_alerts(
     window: int = DEFAULT_WINDOW,
     horizon: int = DEFAULT_HORIZON,
     weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
 ) -> AlertSolution:
     """The alert policy with the highest attention return, by dynamic programming.
 
-    Where both choices are equally good the policy does not alert.
+    Where several choices are equally good the policy takes the weakest, no alert before all others.
 
     Args:
         driver: a known driver's name, or a Driver.
         window: N, the intervention window in steps.
         horizon: steps in the episode.
         weights: of the reward terms; the paper's by default.
+        strengths: of the alerts, rising within (0, 1]; the paper's one by default.
+        fatigue: how alerts weary the driver; they do not by default.
 
     Raises:
-        ValueError: unknown driver, window < 1 or horizon < 1.
+        ValueError: unknown driver, window < 1, horizon < 1, or strengths that do not rise.
     """
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
+    alerts = Alerts(tuple(strengths), fatigue)
     weights = weights or RewardWeights()
-    after = successors(driver, window)
-    reward = sum(_expected_rewards(after, weights).values())
-    policy = np.zeros((horizon, 2, 2, window), np.int8)
-    values = np.zeros((horizon + 1, 2, 2, window))
+    chain, states = _Chain.of(driver, window, alerts, weights), alerts.shape(window)
+    reward = sum(chain.rewards.values())
+    policy = np.zeros((horizon, *states), np.int8)
+    values = np.zeros((horizon + 1, *states))
     for t in reversed(range(horizon)):
-        action_values = reward + _expected_value(after, values[t + 1])
-        policy[t] = action_values[1] > action_values[0] + _TIE
-        values[t] = np.where(policy[t], action_values[1], action_values[0])
-    returns = evaluate(policy, driver, window, horizon, weights)
+        action_values = reward + chain.expected(values[t + 1])
+        good = action_values >= action_values.max(axis=0) - _TIE
+        policy[t] = good.argmax(axis=0)  # the first that is good
+        values[t] = np.take_along_axis(action_values, policy[None, t].astype(np.int64), 0)[0]
+    given: dict[str, Any] = {"strengths": strengths, "fatigue": fatigue}
+    rule = _each(policy, alerts.strongest)
+    returns = evaluate(rule, driver, window, horizon, weights, **given)
     return AlertSolution(**vars(returns), policy=policy, values=values)
 
 
@@ -168,41 +219,65 @@ def evaluate(
     window: int = DEFAULT_WINDOW,
     horizon: int = DEFAULT_HORIZON,
     weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
 ) -> AlertReturns:
     """Exact expected returns of a given HMI policy that sees the driver's attention.
 
     Args:
         alert_probability: of the policy in [t, d, i, c], each in [0, 1]; any shape that
-            broadcasts to (horizon, 2, 2, window), so that a single number is a random HMI.
-        driver, window, horizon, weights: as in :func:`solve_alerts`.
+            broadcasts to (horizon, 2, 2, window), so that a single number is a random HMI. With
+            k strengths, of each of them: any shape that broadcasts to (k, horizon, *S), where
+            what is left of 1 is the probability of no alert.
+        driver, window, horizon, weights, strengths, fatigue: as in :func:`solve_alerts`.
 
     Raises:
-        ValueError: a probability outside [0, 1] or NaN, or a shape that does not fit.
+        ValueError: a probability outside [0, 1] or NaN, several whose sum is above 1, or a shape
+            that does not fit.
     """
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    given = np.asarray(alert_probability, np.float64)
-    try:
-        probability = np.broadcast_to(given, (horizon, 2, 2, window))
-    except ValueError:
-        raise ValueError(
-            f"alert_probability of shape {given.shape} does not broadcast to "
-            f"(horizon, 2, 2, window) = {(horizon, 2, 2, window)}"
-        ) from None
-    if not np.all((probability >= 0) & (probability <= 1)):
-        raise ValueError("every alert probability lies in [0, 1]")
-    after = successors(driver, window)
-    rewards = _expected_rewards(after, weights or RewardWeights())
-    by_step = {name: np.zeros(horizon) for name in rewards}
-    alert_rate = np.zeros(horizon)
-    occupancy = np.zeros((2, 2, window))
-    occupancy[0, 0, 0] = 1.0
+    alerts = Alerts(tuple(strengths), fatigue)
+    states = alerts.shape(window)
+    probability = _checked_probability(alert_probability, alerts, (horizon, *states))
+    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
+    by_step = {name: np.zeros(horizon) for name in chain.rewards}
+    rate_by_strength = np.zeros((alerts.choices - 1, horizon))
+    occupancy = np.zeros(states)
+    occupancy.flat[0] = 1.0
     for t in range(horizon):
-        joint = np.stack([1.0 - probability[t], probability[t]]) * occupancy
-        alert_rate[t] = joint[1].sum()
-        for name, reward in rewards.items():
+        alerting = probability[:, t]
+        silence = np.maximum(0.0, 1.0 - alerting.sum(axis=0))
+        joint = np.concatenate([silence[None], alerting]) * occupancy
+        rate_by_strength[:, t] = joint[1:].reshape(len(alerting), -1).sum(axis=1)
+        for name, reward in chain.rewards.items():
             by_step[name][t] = (joint * reward).sum()
-        occupancy = _flow(after, joint)
-    return AlertReturns(driver, window, horizon, by_step, alert_rate)
+        occupancy = chain.flow(joint)
+    rate = rate_by_strength.sum(axis=0)
+    return AlertReturns(driver, window, horizon, by_step, rate, rate_by_strength)
+
+
+def _checked_probability(
+    alert_probability: ArrayLike, alerts: Alerts, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """The probability of each alert in every step and state, (k, horizon, *S), or an error."""
+    given, wanted = np.asarray(alert_probability, np.float64), (alerts.choices - 1, *shape)
+    try:
+        probability = np.broadcast_to(given, wanted)
+    except ValueError:
+        axes = "(alerts, horizon, 2, alerts + 1, window"
+        axes += ", levels + 1)" if alerts.fatigue else ")"
+        raise ValueError(
+            f"alert_probability of shape {given.shape} does not broadcast to {axes} = {wanted}"
+        ) from None
+    if not np.all((given >= 0) & (given <= 1)):
+        raise ValueError("every alert probability lies in [0, 1]")
+    if len(probability) > 1 and probability.sum(axis=0).max() > 1.0 + _TIE:
+        raise ValueError(
+            f"the probabilities of the {len(probability)} alerts add up to more than 1 somewhere; "
+            "give one for each, shape (alerts, ...)"
+        )
+    return probability
 
 
 def reachable(
@@ -210,6 +285,9 @@ def reachable(
     window: int = DEFAULT_WINDOW,
     horizon: int = DEFAULT_HORIZON,
     weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
 ) -> Reachable:
     """The least and the most distraction return that any alert policy can reach.
 
@@ -217,12 +295,12 @@ def reachable(
     since in a Markov decision process a Markov policy attains both ends.
     """
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    after = successors(driver, window)
-    reward = _expected_rewards(after, weights or RewardWeights())["distraction"]
+    alerts = Alerts(tuple(strengths), fatigue)
+    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
     ends = []
     for choose in (np.min, np.max):
-        value = np.zeros((2, 2, window))
+        value = np.zeros(alerts.shape(window))
         for _ in range(horizon):
-            value = choose(reward + _expected_value(after, value), axis=0)
-        ends.append(float(value[0, 0, 0]))
+            value = choose(chain.rewards["distraction"] + chain.expected(value), axis=0)
+        ends.append(float(value.flat[0]))
     return Reachable(*ends)

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hmi_marl.agents import oracle
+from hmi_marl.envs.alerts import FULL, Alerts
 from hmi_marl.envs.attention import check_window
+from hmi_marl.envs.config import as_fatigue
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.evaluation.alert_report import alert_report
 from hmi_marl.files import make_folder, write_json
@@ -25,6 +27,11 @@ class Oracle:
     """N, for how many steps an alert stays in effect."""
     horizon: int = oracle.DEFAULT_HORIZON
     """Steps in an episode (5 per second)."""
+    alert_strengths: tuple[float, ...] = FULL
+    """Strengths of alert that the HMI can choose from, rising within (0, 1]."""
+    fatigue: tuple[int, int, float] | None = None
+    """LEVELS PER_ALERT EFFECT, how alerts that pile up lose their effect, for example 10 2 0.5;
+    they do not by default."""
     out: Path = Path("runs/oracle")
     """Folder for the JSON."""
 
@@ -32,9 +39,15 @@ class Oracle:
         """Solve, write and print."""
         driver, window = get_driver(self.driver), check_window(self.window)
         horizon = oracle.check_horizon(self.horizon)
+        alerts = Alerts(self.alert_strengths, as_fatigue(self.fatigue))
         make_folder(self.out)
-        found = alert_report(driver, window, horizon)
-        path = self.out / f"{driver.name}-window{window}-horizon{horizon}.json"
+        found = alert_report(driver, window, horizon, alerts)
+        name = f"{driver.name}-window{window}-horizon{horizon}"
+        if alerts.strengths != FULL:
+            name += "-strengths" + "-".join(f"{strength:g}" for strength in alerts.strengths)
+        if self.fatigue is not None:
+            name += "-fatigue" + "-".join(f"{number:g}" for number in self.fatigue)
+        path = self.out / f"{name}.json"
         write_json(path, found.as_json())
         print(found.as_text())
         print(f"\nwritten: {path}")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.alerts import FULL
+from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.envs.scene import Scene
 from hmi_marl.evaluation import clip
@@ -27,10 +28,10 @@ class Watch:
     driver: str = "homer"
     """lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     hmi: str = "optimal"
-    """never, always, random[:RATE], when-distracted, optimal[:DRIVER], average, belief[:DRIVER], or
-    the folder of a trained run."""
+    """never, always, random[:RATE], when-distracted, optimal[:DRIVER], average, belief[:DRIVER],
+    the folder of a trained run, or trained:NAME."""
     policy: str = "rule"
-    """Who steers: rule, random, or the folder of a trained run."""
+    """Who steers: rule, random, the folder of a trained run, or trained:NAME."""
     seed: int = 0
     """Of the episode."""
     out: Path | None = None
@@ -41,6 +42,11 @@ class Watch:
     """The HMI does not see whether the driver is distracted."""
     alert_window: int = 7
     """N, for how many steps an alert stays in effect."""
+    alert_strengths: tuple[float, ...] = FULL
+    """Strengths of alert that the HMI can choose from, rising within (0, 1]."""
+    fatigue: tuple[int, int, float] | None = None
+    """LEVELS PER_ALERT EFFECT, how alerts that pile up lose their effect, for example 10 2 0.5;
+    they do not by default."""
     end_at_crash: bool = True
     """Whether a crash ends the episode."""
     vehicles: tuple[int, int] = (1, 20)
@@ -54,6 +60,8 @@ class Watch:
             driver=get_driver(self.driver),
             ai_sees_attention=not self.hide_attention,
             alert_window=self.alert_window,
+            alert_strengths=self.alert_strengths,
+            fatigue=as_fatigue(self.fatigue),
             end_at_crash=self.end_at_crash,
             duration=self.duration,
             scene=Scene(vehicles=self.vehicles),

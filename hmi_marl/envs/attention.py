@@ -7,6 +7,10 @@ paper's three relations for i_t and c_t), then the distraction d is drawn:
     p(d_t = 1 | d_{t-1} = 0) = \max(0, \beta - \eta 1(i_t = 1)) \\
     p(d_t = 0 | d_{t-1} = 1) = \min(1, \alpha + \eta 1(i_t = 1))
 
+Where alerts have several strengths, or weary the driver, i says which alert is in effect, a fourth
+number f how weary of alerts the driver is, and η 1(i_t = 1) becomes the η_t of
+:mod:`hmi_marl.envs.alerts`; f is updated last.
+
 All functions are pure, element by element, and know nothing of roads or agents.
 """
 
@@ -18,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.envs.alerts import PLAIN, Alerts
 from hmi_marl.envs.drivers import Driver, Traits
 
 
@@ -28,14 +33,16 @@ class Attention:
     distracted: NDArray[np.int64]
     """d: 1 when distracted."""
     accepted: NDArray[np.int64]
-    """i: 1 while an accepted alert is in effect."""
+    """i: 1 while an accepted alert is in effect; of several strengths, which of them, 1 .. k."""
     counter: NDArray[np.int64]
     """c: steps since that alert, 0 .. window - 1."""
+    fatigue: NDArray[np.int64]
+    """f: how weary of alerts they are; stays 0 without fatigue."""
 
     @classmethod
     def initial(cls, num_teams: int) -> Attention:
-        """d_0 = i_0 = c_0 = 0."""
-        return cls(*(np.zeros(num_teams, np.int64) for _ in range(3)))
+        """d_0 = i_0 = c_0 = f_0 = 0."""
+        return cls(*(np.zeros(num_teams, np.int64) for _ in range(4)))
 
     def where(self, mask: NDArray[np.bool_], other: Attention) -> Attention:
         """This where ``mask`` (shape (N,)) holds, ``other`` elsewhere."""
@@ -43,6 +50,7 @@ class Attention:
             np.where(mask, self.distracted, other.distracted),
             np.where(mask, self.accepted, other.accepted),
             np.where(mask, self.counter, other.counter),
+            np.where(mask, self.fatigue, other.fatigue),
         )
 
 
@@ -61,33 +69,36 @@ def next_acceptance(
     """i_t and c_t from i_{t-1}, c_{t-1} and a^A_t (the paper's three relations).
 
     An alert is always accepted and restarts the window; without one, an acceptance lasts until
-    c_{t-1} = N - 1.
+    c_{t-1} = N - 1. Of several strengths a weaker alert does not undo a stronger one: that goes on
+    until its own window is over.
 
     Args:
-        accepted, counter, alert: integers, broadcast against each other.
+        accepted, counter, alert: integers, broadcast against each other. i and a^A are 0 or 1, or
+            which of several strengths.
         window: N, in steps.
 
     Returns:
         (i_t, c_t), int64 arrays of the broadcast shape.
     """
     accepted, counter, alert = np.broadcast_arrays(accepted, counter, alert)
-    continues = (accepted == 1) & (alert == 0)
-    next_accepted = np.where(continues, counter < window - 1, alert == 1).astype(np.int64)
-    next_counter = np.where(continues, (counter + 1) % window, 0).astype(np.int64)
+    goes_on = (accepted > alert) & (counter < window - 1)
+    next_accepted = np.where(goes_on, accepted, alert).astype(np.int64)
+    next_counter = np.where(goes_on, counter + 1, 0).astype(np.int64)
     return next_accepted, next_counter
 
 
 def distraction_probability(
-    distracted: ArrayLike, accepted: ArrayLike, beta: ArrayLike, alpha: ArrayLike, eta: ArrayLike
+    distracted: ArrayLike, helped: ArrayLike, beta: ArrayLike, alpha: ArrayLike, eta: ArrayLike
 ) -> NDArray[np.float64]:
     """p(d_t = 1 | d_{t-1}, i_t), the paper's two equations for d.
 
     Args:
         distracted: d_{t-1}.
-        accepted: i_t, after its update.
+        helped: the share of η that helps, in [0, 1]: with the paper's alerts i_t, after its
+            update; with others see :meth:`Alerts.help`.
         beta, alpha, eta: traits. All five are broadcast against each other.
     """
-    help_given = np.asarray(eta) * (np.asarray(accepted) == 1)
+    help_given = np.asarray(eta) * np.asarray(helped)
     becomes_distracted = np.maximum(0.0, np.asarray(beta) - help_given)
     becomes_attentive = np.minimum(1.0, np.asarray(alpha) + help_given)
     return np.where(np.asarray(distracted) == 1, 1.0 - becomes_attentive, becomes_distracted)
@@ -99,25 +110,32 @@ def step(
     traits: Traits,
     window: int,
     draws: NDArray[np.float64],
+    alerts: Alerts = PLAIN,
 ) -> Attention:
-    """One step of the chain for N teams: c, then i, then d.
+    """One step of the chain for N teams: c, then i, then d, then f.
 
     Args:
-        attention: (d, i, c) after step t - 1.
+        attention: (d, i, c, f) after step t - 1.
         alert: a^A_t, shape (N,).
         traits: of the N drivers.
         window: N, in steps.
         draws: uniform in [0, 1), shape (N,); d_t = 1 where the draw is below its probability.
+        alerts: what a^A means.
     """
     accepted, counter = next_acceptance(attention.accepted, attention.counter, alert, window)
+    helped = alerts.help(accepted, attention.fatigue)
     probability = distraction_probability(
-        attention.distracted, accepted, traits.beta, traits.alpha, traits.eta
+        attention.distracted, helped, traits.beta, traits.alpha, traits.eta
     )
-    return Attention((draws < probability).astype(np.int64), accepted, counter)
+    fatigue = alerts.next_fatigue(attention.fatigue, alert)
+    return Attention((draws < probability).astype(np.int64), accepted, counter, fatigue)
 
 
 class Successors(NamedTuple):
-    """Where every [a, d, i, c] leads: i and c for sure, d by chance. Shapes (2, 2, 2, N)."""
+    """Where every [a, d, i, c] leads: i and c for sure, d by chance. Shapes (2, 2, 2, N).
+
+    With k strengths (k + 1, 2, k + 1, N), and with fatigue another axis f of F + 1 levels.
+    """
 
     accepted: NDArray[np.int64]
     """i_t."""
@@ -125,16 +143,20 @@ class Successors(NamedTuple):
     """c_t."""
     distracted: NDArray[np.float64]
     """p(d_t = 1)."""
+    fatigue: NDArray[np.int64]
+    """f_t, 0 without fatigue."""
 
 
-def successors(driver: Driver, window: int) -> Successors:
+def successors(driver: Driver, window: int, alerts: Alerts = PLAIN) -> Successors:
     """The chain's transitions in the form that dynamic programming needs, O(N) in all."""
-    alert, distracted, accepted, counter = np.indices((2, 2, 2, check_window(window)))
+    states = alerts.shape(check_window(window))
+    alert, distracted, accepted, counter, *levels = np.indices((alerts.choices, *states))
+    fatigue = levels[0] if levels else np.zeros_like(counter)
     next_i, next_c = next_acceptance(accepted, counter, alert, window)
     p_distracted = distraction_probability(
-        distracted, next_i, driver.beta, driver.alpha, driver.eta
+        distracted, alerts.help(next_i, fatigue), driver.beta, driver.alpha, driver.eta
     )
-    return Successors(next_i, next_c, p_distracted)
+    return Successors(next_i, next_c, p_distracted, alerts.next_fatigue(fatigue, alert))
 
 
 def transition_matrix(driver: Driver, window: int) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
+from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
 from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.drivers import Driver, DriverList, Population, as_population
 from hmi_marl.envs.rewards import RewardWeights, Sharing, check_sharing
@@ -38,6 +39,11 @@ class TeamConfig:
     """Whose reward: "team", "individual", "driving" or "attention" (see :func:`rewards.share`)."""
     alert_window: int = 7
     """N, the intervention window in steps."""
+    alert_strengths: tuple[float, ...] = FULL
+    """Of the alerts that the vehicle AI can give, rising within (0, 1]; (1.0,) is the paper's bit,
+    alert or not. See :mod:`hmi_marl.envs.alerts`."""
+    fatigue: Fatigue | None = None
+    """How alerts that pile up lose their effect; None: they do not."""
     duration: float = 20.0
     """Length of an episode [s]."""
     end_at_crash: bool = True
@@ -52,6 +58,7 @@ class TeamConfig:
         object.__setattr__(self, "driver", as_population(self.driver))
         check_sharing(self.reward)
         object.__setattr__(self, "alert_window", check_window(self.alert_window))
+        object.__setattr__(self, "alert_strengths", self.alerts.strengths)
         for name in ("observe_traits", "ai_sees_attention", "end_at_crash"):
             value = getattr(self, name)
             if not isinstance(value, (bool, np.bool_)):
@@ -81,6 +88,11 @@ class TeamConfig:
         return round(self.duration * self.scene.policy_frequency)
 
     @property
+    def alerts(self) -> Alerts:
+        """What alerts there are and how they help."""
+        return Alerts(self.alert_strengths, self.fatigue)
+
+    @property
     def population(self) -> Population:
         """Where the driver of an episode is drawn from."""
         assert isinstance(self.driver, Population)
@@ -101,6 +113,12 @@ class TeamSettings:
 
     alert_window: int = 7
     """N, the intervention window in steps."""
+    alert_strengths: tuple[float, ...] = FULL
+    """Strengths of alert that the HMI can choose from, rising within (0, 1]."""
+    fatigue: tuple[int, int, float] | None = None
+    """LEVELS PER_ALERT EFFECT, how alerts that pile up lose their effect: an alert of strength 1
+    wearies by PER_ALERT of LEVELS, a step without one rests by 1, and a driver who is as weary as
+    can be lacks the share EFFECT of η. For example 10 2 0.5; none by default."""
     duration: float = 20.0
     """Length of an episode [s]."""
     end_at_crash: bool = True
@@ -121,10 +139,17 @@ class TeamSettings:
             ai_sees_attention=self.ai_sees_attention,
             reward=reward,
             alert_window=self.alert_window,
+            alert_strengths=self.alert_strengths,
+            fatigue=as_fatigue(self.fatigue),
             duration=self.duration,
             end_at_crash=self.end_at_crash,
             scene=Scene(vehicles=self.vehicles),
         )
+
+
+def as_fatigue(numbers: tuple[int, int, float] | None) -> Fatigue | None:
+    """(levels, per_alert, effect), as a command takes them, checked."""
+    return None if numbers is None else Fatigue(*numbers)
 
 
 _P = ParamSpec("_P")

@@ -2,7 +2,7 @@
 
 | Agents | `driver`, `vehicle_ai` |
 | --- | --- |
-| Actions | `Discrete(5)`, `Discrete(2)` |
+| Actions | `Discrete(5)`, `Discrete(2)` (k + 1 with k strengths of alert) |
 | Observations | flat `Box`, float32, one for each seat |
 | State | flat `Box`, float32, for centralised critics |
 | Import | `from hmi_marl import merge_v0` |
@@ -17,14 +17,17 @@ conversion would hide a^H from the AI (and `is_parallelizable` is therefore Fals
 ## Actions
 
 `driver`, a^H: 0 move_left, 1 keep_speed, 2 move_right, 3 speed_up, 4 slow_down (highway-env's
-LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER). `vehicle_ai`, a^A: 0 no_alert, 1 alert.
+LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER). `vehicle_ai`, a^A: 0 no_alert, 1 alert; with
+`alert_strengths` s_1 < ... < s_k, j is an alert of strength s_j.
 
 ## One step
 
 1. `driver` acts, then `vehicle_ai`.
 2. The counter c, the acceptance i and the distraction d are updated, in this order. An alert is
    in effect for `alert_window` steps, in which becoming distracted is less likely by η and
-   becoming attentive more likely by η.
+   becoming attentive more likely by η. An alert of strength s helps by η s, and a weaker one
+   does not undo a stronger one. With `fatigue`, alerts that pile up help less, and the level of
+   weariness f is updated last (`hmi_marl.envs.alerts`).
 3. The applied action is v_t = v_{t-1} if d_t = 1, else a^H_t; v_0 = a^H_0.
 4. The world moves by one policy step (1/5 s in three simulator steps).
 5. Both agents get their rewards.
@@ -43,7 +46,9 @@ obstacles, `speed`, `target_speed`, `heading`, `lateral`, `lane` (one-hot), `pos
 
 `vehicle_ai` (65): the same with true sizes in `lidar`, and `intended_action` (one-hot; taking
 turns a^H_t, at once a^H_{t-1}), `previous_intended_action` (a^H_{t-1}), and, with
-`ai_sees_attention`, `distracted`, `accepted`, `counter` (d, i, c of the last step).
+`ai_sees_attention`, `distracted`, `accepted`, `counter` (d, i, c of the last step). Of graded
+alerts `alerted` and `accepted` are strengths, 0 for none; with `fatigue`, `fatigue` (f over its
+levels) follows `counter`.
 
 `state()`: both lidars and everything that either seat could see, attention and traits included.
 
@@ -57,11 +62,12 @@ turns a^H_t, at once a^H_{t-1}), `previous_intended_action` (a^H_{t-1}), and, wi
 | `merging` | -0.1 Σ (target - current) / target speed over vehicles in the merging lane |
 | `lane_change` | -0.1 if a^H is a lane change |
 | `distraction` | -10 if d_t = 1 |
-| `alert` | 10 if no alert and d_{t-1} = 0 |
+| `alert` | 10 if no alert and d_{t-1} = 0; 10 (1 - s) if an alert of strength s |
 | `accept_alert` | 30 if alert, d_{t-1} = 1 and d_t = 0 |
 
 `info` of both agents carries each term, `distracted`, `accepted`, `counter`, `applied_action`,
-`crashed`, `speed`, `time_headway` and the driver's traits: the truth, for evaluation.
+`crashed`, `speed`, `time_headway` and the driver's traits: the truth, for evaluation. Of alerts of
+other strengths than 1 also `strength` (in effect), with `fatigue` also `fatigue` (the level).
 
 ## Arguments
 
@@ -75,6 +81,8 @@ merge_v0.env(
                              # to the AI), "driving" (the five driving terms to both) or
                              # "attention" (the three others to both)
     alert_window=7,          # N, in steps
+    alert_strengths=(1.0,),  # of the alerts there are, rising within (0, 1]
+    fatigue=None,            # or Fatigue(levels=10, per_alert=2, effect=0.5)
     duration=20.0,           # s
     end_at_crash=True,       # False: the crashed car stands until the time is over
     scene=Scene(),           # lanes, vehicles=(1, 20), lengths, frequencies, lidar
@@ -146,7 +154,7 @@ class _TwoSeats:
         }
         self.action_spaces = {
             DRIVER: spaces.Discrete(len(VEHICLE_ACTIONS)),
-            VEHICLE_AI: spaces.Discrete(2),
+            VEHICLE_AI: spaces.Discrete(self.config.alerts.choices),
         }
         self.state_space = self.team.teaming.state_layout.space()
         self._begun = False

@@ -138,14 +138,19 @@ _INTENDED = Part(
 )
 _PREVIOUS = Part("previous_intended_action", _ACTIONS, 0.0, 1.0, "one-hot a^H of the last step")
 _APPLIED = Part("applied_action", _ACTIONS, 0.0, 1.0, "one-hot v of the last step")
-_ALERTED = Part("alerted", 1, 0.0, 1.0, "a^A of the last step")
+_ALERTED = Part("alerted", 1, 0.0, 1.0, "strength of the alert in the last step, 0 if none")
 _TIME = Part("time", 1, 0.0, 1.0, "share of the episode's steps that are over")
 _ATTENTION = (
     Part("distracted", 1, 0.0, 1.0, "d of the last step"),
-    Part("accepted", 1, 0.0, 1.0, "i of the last step"),
+    Part("accepted", 1, 0.0, 1.0, "i of the last step: strength of the alert in effect, or 0"),
     Part("counter", 1, 0.0, 1.0, "c of the last step over the alert window"),
 )
+_FATIGUE = Part("fatigue", 1, 0.0, 1.0, "f of the last step over its levels")
 _TRAITS = Part("traits", 4, 0.0, 1.0, f"β, α, η, inflation over {MAX_INFLATION:g}")
+
+
+def _attention(config: TeamConfig) -> tuple[Part, ...]:
+    return _ATTENTION if config.fatigue is None else (*_ATTENTION, _FATIGUE)
 
 
 def driver_layout(config: TeamConfig) -> Layout:
@@ -158,7 +163,7 @@ def driver_layout(config: TeamConfig) -> Layout:
 def vehicle_ai_layout(config: TeamConfig) -> Layout:
     """The vehicle AI's observation: true lidar, motion, a^H and v, attention if it is seen."""
     lidar = _lidar("lidar", config.scene, "true sizes")
-    attention = _ATTENTION if config.ai_sees_attention else ()
+    attention = _attention(config) if config.ai_sees_attention else ()
     traits = (_TRAITS,) if config.observe_traits else ()
     actions = (_INTENDED, _PREVIOUS, _APPLIED, _ALERTED)
     return Layout((lidar, *_motion(config.scene), *actions, _TIME, *attention, *traits))
@@ -169,9 +174,8 @@ def state_layout(config: TeamConfig) -> Layout:
     true_lidar = _lidar("lidar", config.scene, "true sizes")
     perceived = _lidar("perceived_lidar", config.scene, "others inflated")
     actions = (_INTENDED, _PREVIOUS, _APPLIED, _ALERTED)
-    return Layout(
-        (true_lidar, perceived, *_motion(config.scene), *actions, _TIME, *_ATTENTION, _TRAITS)
-    )
+    own = _motion(config.scene)
+    return Layout((true_lidar, perceived, *own, *actions, _TIME, *_attention(config), _TRAITS))
 
 
 def motion_parts(ego: Ego, scene: Scene) -> dict[str, NDArray[np.float64]]:

@@ -28,6 +28,7 @@ from hmi_marl.envs.worlds.highway import MergeScene
 
 PANEL_HEIGHT = 74
 PIXELS_PER_METRE = 5.5
+BELIEF_ROWS = 4
 GREEN, RED, AMBER, BLUE = (50, 170, 60), (205, 60, 60), (240, 170, 30), (90, 170, 230)
 DARK, GREY, LIGHT, PANEL = (40, 44, 52), (150, 155, 165), (232, 234, 238), (250, 250, 252)
 GHOST = (200, 60, 160, 45)
@@ -50,6 +51,10 @@ class TeamStatus:
     speed: float
     time: float
     crashed: bool
+    strength: float = 1.0
+    """Of the alert, where there is one."""
+    belief: tuple[tuple[str, float], ...] = ()
+    """What the HMI believes about who drives: names and their probabilities."""
 
 
 def team_status(teaming: Teaming, team: int) -> TeamStatus:
@@ -67,13 +72,14 @@ def team_status(teaming: Teaming, team: int) -> TeamStatus:
         inflation=own[3],
         distracted=bool(attention.distracted[team]),
         alert=bool(teaming.alerted[team]),
-        steps_left=int(attention.accepted[team] * (window - attention.counter[team])),
+        steps_left=int((attention.accepted[team] > 0) * (window - attention.counter[team])),
         window=window,
         intended=_action_name(intended[team]),
         applied=_action_name(teaming.applied[team]),
         speed=float(teaming.ego.speed[team]),
         time=float(teaming.steps[team] / teaming.config.scene.policy_frequency),
         crashed=bool(teaming.ego.crashed[team]),
+        strength=float(teaming.alerts.strength(max(1, teaming.alerted[team]))),
     )
 
 
@@ -232,8 +238,9 @@ class Viewer:
         if status.crashed:
             state = ("CRASHED", RED)
         self._badge(*state, (190, first))
+        alert = "ALERT" if status.strength == 1.0 else f"ALERT {status.strength:.2g}"
         self._badge(
-            "ALERT" if status.alert else "no alert", RED if status.alert else None, (330, first)
+            alert if status.alert else "no alert", RED if status.alert else None, (330, first)
         )
         self._text("alert in effect", (190, second), small=True)
         for cell in range(status.window):
@@ -245,7 +252,23 @@ class Viewer:
             f"applied    {status.applied}", (480, second - 3), colour=RED if overridden else DARK
         )
         if self._perceived:
-            self._text(f"others perceived x {status.inflation:g}", (680, first + 3), small=True)
+            place = (100, first + 6) if status.belief else (680, first + 3)
+            words = "x" if status.belief else "others perceived x"
+            self._text(f"{words} {status.inflation:g}", place, small=True)
+        if status.belief:
+            self._draw_belief(status.belief, top)
+
+    def _draw_belief(self, belief: tuple[tuple[str, float], ...], top: int) -> None:
+        """A bar for each name, the likeliest in colour: as many as the panel has room for."""
+        rows = sorted(belief, key=lambda entry: -entry[1])[:BELIEF_ROWS]
+        shown = [entry for entry in belief if entry in rows]  # where they were before
+        likeliest = rows[0]
+        for row, (name, probability) in enumerate(shown):
+            y = top + 5 + row * (PANEL_HEIGHT - 8) // BELIEF_ROWS
+            self._text(name, (700, y), small=True)
+            pygame.draw.rect(self._canvas, LIGHT, (770, y + 1, 96, 11))
+            colour = BLUE if (name, probability) == likeliest else GREY
+            pygame.draw.rect(self._canvas, colour, (770, y + 1, round(96 * probability), 11))
 
     def _text(
         self,

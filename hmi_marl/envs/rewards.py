@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
 DRIVER_TERMS = (*DRIVING_TERMS, "distraction")
@@ -39,7 +39,7 @@ class RewardWeights:
     distraction: float = -10.0
     """Each step with d_t = 1."""
     alert: float = 10.0
-    """No alert while d_{t-1} = 0."""
+    """No alert while d_{t-1} = 0; an alert of strength s leaves 1 - s of it."""
     accept_alert: float = 30.0
     """An alert that turns d_{t-1} = 1 into d_t = 0."""
     max_speed: float = 30.0
@@ -93,15 +93,16 @@ def driving_terms(
 def attention_terms(
     weights: RewardWeights,
     *,
-    alert: NDArray[np.int64],
-    distracted_before: NDArray[np.int64],
-    distracted: NDArray[np.int64],
+    alert: ArrayLike,
+    distracted_before: ArrayLike,
+    distracted: ArrayLike,
 ) -> dict[str, NDArray[np.float64]]:
     """The three terms about the driver's attention.
 
     Args:
         weights: the coefficients.
-        alert: a^A_t. All arrays are broadcast against each other.
+        alert: strength of the alert in step t, 0 for none: of the paper's alerts a^A_t itself.
+            All arrays are broadcast against each other.
         distracted_before: d_{t-1}.
         distracted: d_t.
 
@@ -111,9 +112,9 @@ def attention_terms(
     alert, before, now = np.broadcast_arrays(alert, distracted_before, distracted)
     return {
         "distraction": np.where(now == 1, weights.distraction, 0.0),
-        "alert": np.where((alert == 0) & (before == 0), weights.alert, 0.0),
+        "alert": np.where(before == 0, weights.alert * (1.0 - alert), 0.0) + 0.0,  # no -0.0
         "accept_alert": np.where(
-            (alert == 1) & (before == 1) & (now == 0), weights.accept_alert, 0.0
+            (alert > 0) & (before == 1) & (now == 0), weights.accept_alert, 0.0
         ),
     }
 

@@ -60,7 +60,7 @@ class SingleTeam:
 
     def check_alert(self, action: Any) -> int:
         """Return a^A as an int, or raise."""
-        return _index(action, 2, VEHICLE_AI)
+        return _index(action, self.teaming.alerts.choices, VEHICLE_AI)
 
     def alert(self, action: Any) -> StepResult:
         """a^A, checked; takes the step."""

@@ -60,6 +60,8 @@ class Teaming:
         if num_teams < 1:
             raise ValueError(f"there is at least one team, but got num_teams = {num_teams}")
         self.config = config
+        self.alerts = config.alerts
+        """What a^A means."""
         self.num_teams = num_teams
         self.world = _fitting(world, config, num_teams)
         self.layouts = {
@@ -79,7 +81,7 @@ class Teaming:
         self.applied = nobody + NO_ACTION
         """The latest v."""
         self.alerted = nobody.copy()
-        """The latest a^A."""
+        """The latest a^A, 0 to k."""
         self.over = np.ones(num_teams, np.bool_)
         """Teams whose episode has ended, or has not begun."""
         self.ego: Ego = self.world.ego()
@@ -113,6 +115,25 @@ class Teaming:
         self.world.reset(self.seeds, self.traits.inflation, fresh)
         self.ego = self.world.ego()
 
+    def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
+        """Other drivers take the wheel in mid-trip, attentive; car, time and v stay as they are.
+
+        Args:
+            traits: of N drivers; those of unmarked teams are not taken.
+            which: the teams in which they do, shape (N,), bool; all by default.
+
+        Raises:
+            ValueError, TypeError: impossible traits, a mask that does not fit, or a turn that has
+                begun: somebody else would carry out its intent. Nothing has changed then.
+        """
+        fresh = self._mask(which)
+        if (fresh & self.intent_given).any():
+            raise ValueError("the wheel is handed over between turns; alert with step() first")
+        new = check_traits(traits, self.num_teams).as_array()
+        self.traits = Traits.from_array(np.where(fresh[:, None], new, self.traits.as_array()))
+        self.attention = Attention.initial(self.num_teams).where(fresh, self.attention)
+        self.world.perceive(self.traits.inflation, fresh)
+
     def intend(self, driver_actions: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """The drivers' a^H_t, shape (N,), integers 0 to 4.
 
@@ -137,7 +158,9 @@ class Teaming:
         self.intent_given = np.zeros(self.num_teams, np.bool_)
 
     def step(self, alerts: ArrayLike) -> StepResult:
-        """The HMIs' a^A_t, shape (N,), integers 0 or 1: attention, then the world, then rewards.
+        """The HMIs' a^A_t, shape (N,), integers: attention, then the world, then rewards.
+
+        Of the paper's alerts they are 0 or 1; of k strengths 0 to k.
 
         Ended teams stay as they are and get zeros.
 
@@ -147,10 +170,11 @@ class Teaming:
         config, active, before = self.config, ~self.over, self.attention
         if not self.intent_given[active].all():
             raise ValueError("the driver acts first: call intend() with the driver's action")
-        alerts = self._checked(alerts, 2, "vehicle_ai", active)
+        alerts = self._checked(alerts, self.alerts.choices, "vehicle_ai", active)
         self.intent_given = np.zeros(self.num_teams, np.bool_)
         draws = uniform(self.seeds, Stream.ATTENTION, self.steps.astype(np.uint64))
-        after = attention_model.step(before, alerts, self.traits, config.alert_window, draws)
+        window = config.alert_window
+        after = attention_model.step(before, alerts, self.traits, window, draws, self.alerts)
         self.attention = after.where(active, before)
         keeps = (self.attention.distracted == 1) & (self.applied != NO_ACTION)
         applied = np.where(keeps, self.applied, self.intended)
@@ -190,7 +214,7 @@ class Teaming:
         )
         return driving | attention_terms(
             weights,
-            alert=alerts,
+            alert=self.alerts.strength(alerts),
             distracted_before=before.distracted,
             distracted=self.attention.distracted,
         )
@@ -225,11 +249,12 @@ class Teaming:
             "intended_action": obs.one_hot(self.intended, actions),
             "previous_intended_action": obs.one_hot(previous, actions),
             "applied_action": obs.one_hot(self.applied, actions),
-            "alerted": self.alerted[:, None],
+            "alerted": self.alerts.strength(self.alerted)[:, None],
             "time": self.steps[:, None] / self.config.horizon,
             "distracted": now.distracted[:, None],
-            "accepted": now.accepted[:, None],
+            "accepted": self.alerts.strength(now.accepted)[:, None],
             "counter": now.counter[:, None] / self.config.alert_window,
+            "fatigue": now.fatigue[:, None] / max(1, self.alerts.levels),
             "traits": obs.traits_part(self.traits),
         }
 
@@ -269,7 +294,7 @@ class Teaming:
             raise ValueError(
                 f"{agent} action {given[wrong][0]} is out of range: it is one of 0 to {count - 1}"
             )
-        return given.astype(np.int64)
+        return np.where(acts, given, 0).astype(np.int64)
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

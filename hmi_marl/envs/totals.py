@@ -21,9 +21,9 @@ class Totals:
     def add(
         self, result: StepResult, rewards: NDArray[np.float64], alerted: NDArray[np.int64]
     ) -> None:
-        """Take in one step."""
+        """Take in one step; an alert counts as one, however strong."""
         terms = [result.terms[name] for name in TERMS]
-        self._sums += np.stack([rewards, *terms, np.ones_like(rewards), alerted])
+        self._sums += np.stack([rewards, *terms, np.ones_like(rewards), alerted > 0])
 
     def of(self, which: NDArray[np.bool_]) -> dict[str, torch.Tensor]:
         """The marked teams' sums, float32 on the CPU."""

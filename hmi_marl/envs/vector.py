@@ -5,7 +5,7 @@ seat                    actions                        turns
 ======================  =============================  =========================================
 ``"driver"``            (N, 1): a^H, 0 to 4            the partner alerts inside ``step``, seeing
                                                        this a^H
-``"vehicle_ai"``        (N, 1): a^A, 0 or 1            the partner has always driven before the
+``"vehicle_ai"``        (N, 1): a^A, 0 or 1 (or to k)  the partner has always driven before the
                                                        observation, which therefore holds a^H_t
 ``"team"``              (N, 2): a^H and a^A            both at once: the AI sees a^H_{t-1}
 ======================  =============================  =========================================
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 Seat = Literal["driver", "vehicle_ai", "team"]
 TEAM = "team"
 
-_ACTION_SIZES = {DRIVER: len(VEHICLE_ACTIONS), VEHICLE_AI: 2}
 _TRAITS = Layout(
     tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
 )
@@ -87,8 +86,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """N, the number of teams."""
         self.agents = (DRIVER, VEHICLE_AI) if seat == TEAM else (seat,)
         """Whose actions the columns of ``step``'s argument are."""
-        self.action_sizes = tuple(_ACTION_SIZES[agent] for agent in self.agents)
-        """How many values each column of actions takes: (5,), (2,) or (5, 2)."""
+        sizes = {DRIVER: len(VEHICLE_ACTIONS), VEHICLE_AI: teaming.alerts.choices}
+        self.action_sizes = tuple(sizes[agent] for agent in self.agents)
+        """How many values each column of actions takes: (5,), (2,) or (5, 2); k + 1 in place of 2
+        with k strengths of alert."""
         self.num_actions = len(self.agents)
         """Columns of actions, 1 or 2."""
         self.max_episode_length = teaming.config.horizon

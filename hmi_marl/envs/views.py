@@ -35,8 +35,6 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's)
     seat: str
     other_seat: str
-    actions: int
-    partner_actions: int
 
     def __init__(
         self,
@@ -51,7 +49,8 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.render_mode = render_mode
         self.metadata = self.metadata | {"render_fps": config.scene.policy_frequency}
         self.observation_space: spaces.Box = self.layout.space()  # type: ignore[assignment]
-        self.action_space = spaces.Discrete(self.actions)
+        self._sizes = {DRIVER: len(VEHICLE_ACTIONS), VEHICLE_AI: config.alerts.choices}
+        self.action_space = spaces.Discrete(self._sizes[self.seat])
 
     @property
     def layout(self) -> Layout:
@@ -91,7 +90,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def _partner_action(self) -> int:
         answer = np.asarray(self.partner.act(self.team.teaming.observe(self.other_seat)))
-        count = self.partner_actions
+        count = self._sizes[self.other_seat]
         if (
             answer.shape != (1,)
             or not np.issubdtype(answer.dtype, np.integer)
@@ -122,7 +121,6 @@ class MergeDriver(_OneSeat):
     """The driver's seat; the HMI is given."""
 
     seat, other_seat = DRIVER, VEHICLE_AI
-    actions, partner_actions = len(VEHICLE_ACTIONS), 2
 
     def _act(self, action: Any) -> None:
         at_once = None if takes_turns(self.partner) else self._partner_action()
@@ -139,7 +137,6 @@ class MergeHMI(_OneSeat):
     """The vehicle AI's seat; the driver is given, and has always acted before the AI observes."""
 
     seat, other_seat = VEHICLE_AI, DRIVER
-    actions, partner_actions = 2, len(VEHICLE_ACTIONS)
 
     def _act(self, action: Any) -> None:
         if not self.team.teaming.intent_given.all():

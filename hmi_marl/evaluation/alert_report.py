@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from hmi_marl.agents import oracle
+from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.oracle import AlertReturns, Reachable
+from hmi_marl.envs.alerts import PLAIN, Alerts
 from hmi_marl.envs.drivers import Driver, get_driver
+from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation import audit
 from hmi_marl.evaluation.audit import AuditedCell
 
@@ -26,6 +26,8 @@ class AlertReport:
     """By HMI."""
     reachable: Reachable
     audited: list[AuditedCell]
+    alerts: Alerts = PLAIN
+    """What alerts there are; the audit is of the paper's alone."""
 
     def as_text(self) -> str:
         """For people."""
@@ -33,6 +35,7 @@ class AlertReport:
         lines = [
             f"{driver.name}: β = {driver.beta:g}, α = {driver.alpha:g}, η = {driver.eta:g}; "
             f"N = {self.window}, {self.horizon} steps. Exact expectations over one episode:",
+            *([] if self.alerts.plain else [self._about_alerts()]),
             "",
             f"{'HMI':<17}{'attention return':>17}{'distraction return':>20}{'alerts':>9}",
         ]
@@ -49,6 +52,14 @@ class AlertReport:
         ]
         return "\n".join(lines)
 
+    def _about_alerts(self) -> str:
+        strengths = ", ".join(f"{strength:g}" for strength in self.alerts.strengths)
+        fatigue = "none" if self.alerts.fatigue is None else f"{self.alerts.fatigue}"
+        return (
+            f"Alerts of strength {strengths}, of which plain rules give the strongest; "
+            f"fatigue: {fatigue}."
+        )
+
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
         return {
@@ -60,27 +71,33 @@ class AlertReport:
                     "total_return": row.total_return,
                     "distraction_return": row.distraction_return,
                     "alerts": row.alerts,
+                    "alerts_by_strength": row.rate_by_strength.sum(axis=1).tolist(),
                 }
                 for name, row in self.returns.items()
             },
+            "alerts": plain(self.alerts),
             "reachable_distraction_return": self.reachable._asdict(),
             "audit": audit.audit_json(self.audited),
         }
 
 
-def alert_report(driver: str | Driver, window: int, horizon: int) -> AlertReport:
+def alert_report(
+    driver: str | Driver, window: int, horizon: int, alerts: Alerts = PLAIN
+) -> AlertReport:
     """Solve the alert problem and hold some plain rules beside the optimum.
 
     Raises:
         ValueError: unknown driver, window < 1 or horizon < 1.
     """
     driver = get_driver(driver)
-    rules: dict[str, ArrayLike] = {
-        "optimal": oracle.solve_alerts(driver, window, horizon).policy,
-        "when-distracted": np.arange(2.0).reshape(1, 2, 1, 1),
-        "never": 0.0,
-        "always": 1.0,
+    given: dict[str, Any] = {"strengths": alerts.strengths, "fatigue": alerts.fatigue}
+    problem = driver, window, horizon
+    rules = {
+        "when-distracted": strongest_alert(alerts, 0.0, 1.0),
+        "never": strongest_alert(alerts, 0.0),
+        "always": strongest_alert(alerts, 1.0),
     }
-    returns = {name: oracle.evaluate(rule, driver, window, horizon) for name, rule in rules.items()}
-    reachable = oracle.reachable(driver, window, horizon)
-    return AlertReport(driver, window, horizon, returns, reachable, audit.audit(window))
+    returns: dict[str, AlertReturns] = {"optimal": oracle.solve_alerts(*problem, **given)}
+    returns |= {name: oracle.evaluate(rule, *problem, **given) for name, rule in rules.items()}
+    reachable = oracle.reachable(*problem, **given)
+    return AlertReport(*problem, returns, reachable, audit.audit(window), alerts)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned import LearnedPolicy
 from hmi_marl.agents.policy_files import find_policy
+from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import (
     PAPER_DRIVERS,
@@ -83,7 +84,9 @@ class CollectSettings(TeamSettings):
                 raise ValueError(f"{name} is at least {least}, but got {value}")
         if not self.drivers and not self.population:
             raise ValueError("somebody has to drive: name drivers, or draw a population")
-        self.make_hmi(self.team(PAPER_DRIVERS))
+        team = self.team(PAPER_DRIVERS)
+        need_plain(team.alerts, "a dataset of demonstrations")
+        self.make_hmi(team)
         counts = Counter(driver.name for driver, _ in self.cast())
         twice = [name for name, count in counts.items() if count > 1]
         if twice:

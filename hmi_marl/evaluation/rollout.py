@@ -102,7 +102,7 @@ def play(
         result = turn(teaming, driver, hmi)
         for name, values in result.terms.items():
             returns[name] += values
-        alerts += active & (teaming.alerted == 1)
+        alerts += active & (teaming.alerted > 0)
         distracted += active & (teaming.attention.distracted == 1)
         headways[step] = np.where(active, teaming.time_headway(), np.inf)
         step += 1

@@ -20,7 +20,6 @@ from hmi_marl.agents.learned import LearnedPolicy
 from hmi_marl.envs.config import TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, get_driver
 from hmi_marl.envs.plain import plain
-from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.worlds import check_world
@@ -42,9 +41,10 @@ class TableSettings(TeamSettings):
     """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     hmis: tuple[str, ...] = PAPER_HMIS
     """Rows: NoHMI (or never), always, random[:RATE], when-distracted, AvgHMI (or average), own (or
-    optimal), optimal:DRIVER, belief[:DRIVER], or the folders of trained runs."""
+    optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or
+    trained:NAME."""
     driver_policy: str = "rule"
-    """Who steers: rule, random, or the folder of a trained run."""
+    """Who steers: rule, random, the folder of a trained run, or trained:NAME."""
     episodes: int = 16
     """Episodes in each cell."""
     seed: int = 0
@@ -142,12 +142,18 @@ class Cell:
 def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:
     """Sum up the episodes of one cell, beside what is known exactly."""
     team = config.team(driver)
-    settings = (get_driver(driver), team.alert_window, team.horizon, RewardWeights())
-    best = oracle.solve_alerts(*settings)
+    settings: dict[str, Any] = {
+        "driver": get_driver(driver),
+        "window": team.alert_window,
+        "horizon": team.horizon,
+        "strengths": team.alert_strengths,
+        "fatigue": team.fatigue,
+    }
+    best = oracle.solve_alerts(**settings)
     exact = same_steps = None
     rule = known_rule(make_hmi(hmi, team), team)
     if rule is not None:
-        returns = oracle.evaluate(rule, *settings)
+        returns = oracle.evaluate(rule, **settings)
         exact = returns.distraction_return
         same_steps = float(returns.return_after(episodes.length, ["distraction"]).mean())
     minutes = episodes.length / team.scene.policy_frequency / 60
@@ -166,7 +172,7 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
         exact_distraction_return_same_steps=same_steps,
         optimal_attention_return_same_steps=float(best.return_after(episodes.length).mean()),
         optimal_distraction_return=best.distraction_return,
-        reachable_distraction_return=oracle.reachable(*settings),
+        reachable_distraction_return=oracle.reachable(**settings),
     )
 
 
@@ -182,7 +188,9 @@ def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
         return None
     trained = hmi.card.training.get("team", {})
     here = plain(team)
-    same = all(trained.get(name) == here[name] for name in ("alert_window", "weights"))
+    old = {"alert_strengths": [1.0], "fatigue": None}  # of cards that do not tell it
+    chain = ("alert_window", "weights", *old)
+    same = all((old | trained).get(name) == here[name] for name in chain)
     if not same or trained["reward"] not in ("team", "attention"):
         return None
     trained_for = trained["driver"].get("drivers", [])

@@ -10,8 +10,8 @@ from rsl_rl.modules import MLP  # type: ignore[import-untyped]
 from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
-from hmi_marl.agents.heads import INTENTS, IntentThenAlert, OneAction
-from hmi_marl.agents.learned import ACTIONS, PolicyCard
+from hmi_marl.agents.heads import IntentThenAlert, OneAction
+from hmi_marl.agents.learned import INTENTS, PolicyCard
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.envs.config import DRIVER
 
@@ -22,7 +22,7 @@ GROUPS = {"actor": ["actor"], "critic": ["critic"]}
 def make_actor(card: PolicyCard) -> MLPModel:
     """An actor for one seat, as its card says."""
     network = card.network
-    head = {"class_name": OneAction, "choices": ACTIONS[card.seat]}
+    head = {"class_name": OneAction, "choices": card.actions}
     template = _template("actor", card.inputs)
     sizes = (template, GROUPS, "actor", 1, network.hidden, network.activation)
     if not network.memory:
@@ -60,7 +60,7 @@ class TwoSeats(torch.nn.Module):
         self._of_driver = driver.inputs
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Logits of a^H, then of a^A for each a^H: shape (..., 15)."""
+        """Logits of a^H, then of a^A for each a^H: shape (..., 15) with one kind of alert."""
         of_driver, of_vehicle_ai = inputs[..., : self._of_driver], inputs[..., self._of_driver :]
         return torch.cat([self.driver(of_driver), self.vehicle_ai(of_vehicle_ai)], dim=-1)
 
@@ -76,7 +76,7 @@ def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
     if not vehicle_ai.by_intent:
         raise ValueError("in the composite policy the vehicle AI gives logits by intent")
     template = _template("actor", driver.inputs + vehicle_ai.inputs)
-    head = {"class_name": IntentThenAlert}
+    head = {"class_name": IntentThenAlert, "alerts": vehicle_ai.actions}
     model = MLPModel(template, GROUPS, "actor", 2, (1,), distribution_cfg=head)
     model.mlp = TwoSeats(driver, vehicle_ai)
     return model
@@ -91,10 +91,7 @@ def make_critic(inputs: int, network: NetworkConfig) -> MLPModel:
 def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
     """The actor's weights, by the names of :meth:`NetworkConfig.shapes`."""
     weights = layers_of(actor.mlp)
-    if actor.is_recurrent:
-        for name, its in _MEMORY.items():
-            weights[f"memory.{name}"] = array_of(getattr(actor.rnn.rnn, its))
-    return weights
+    return weights | memory_of(actor.rnn.rnn) if actor.is_recurrent else weights
 
 
 def weights_of_both(actor: MLPModel) -> tuple[dict[str, NDArray[np.float32]], ...]:
@@ -123,6 +120,11 @@ def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
         weights[f"layer{place}.weight"] = array_of(layer.weight)
         weights[f"layer{place}.bias"] = array_of(layer.bias)
     return weights
+
+
+def memory_of(gru: torch.nn.GRU) -> dict[str, NDArray[np.float32]]:
+    """The weights of a recurrent layer, by the names of :meth:`NetworkConfig.shapes`."""
+    return {f"memory.{name}": array_of(getattr(gru, its)) for name, its in _MEMORY.items()}
 
 
 def array_of(tensor: torch.Tensor) -> NDArray[np.float32]:

@@ -7,8 +7,8 @@ from typing import Protocol
 import torch
 from tensordict import TensorDict
 
-from hmi_marl.agents.learned import ACTIONS, INTENT, PolicyCard
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.agents.learned import INTENT, INTENTS, PolicyCard
+from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.vector import TeamVecEnv
 
 
@@ -77,7 +77,7 @@ class IntentShown:
 
         The other groups are shared with ``observations``, which stay as they are.
         """
-        one_hot = torch.nn.functional.one_hot(intents.long().squeeze(-1), ACTIONS[DRIVER])
+        one_hot = torch.nn.functional.one_hot(intents.long().squeeze(-1), INTENTS)
         groups = {name: observations[name] for name in observations.keys()}  # noqa: SIM118
         for name, columns in self._columns.items():
             groups[name] = groups[name].clone()

@@ -76,7 +76,7 @@ def test_a_million_draws_keep_to_the_matrix(driver):
     alert, d, i, c = states[np.arange(count) % len(states)].T
     draws = uniform(np.arange(count, dtype=np.uint64), Stream.ATTENTION, 3)
     traits = Traits.from_array(np.tile(driver.traits, (count, 1)))
-    after = attention.step(Attention(d, i, c), alert, traits, window, draws)
+    after = attention.step(Attention(d, i, c, np.zeros_like(d)), alert, traits, window, draws)
     seen = np.zeros_like(matrix)
     np.add.at(seen, (alert, d, i, c, after.distracted, after.accepted, after.counter), 1)
     visits = seen.sum(axis=(-3, -2, -1), keepdims=True)

@@ -18,6 +18,8 @@ from hmi_marl.envs import merge_v0
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.render import (
     BLUE,
+    GREY,
+    LIGHT,
     PANEL_HEIGHT,
     TeamStatus,
     Viewer,
@@ -459,3 +461,59 @@ def test_a_driver_of_no_name_is_called_driver() -> None:
     made = Teaming(TeamConfig(driver=stranger, duration=2.0, scene=Scene(vehicles=1)), 1)
     made.reset(np.array([1], np.uint64))
     assert team_status(made, 0).driver == "driver"
+
+
+def test_the_status_tells_how_strong_an_alert_is() -> None:
+    made = Teaming(
+        TeamConfig(duration=2.0, scene=Scene(vehicles=1), alert_strengths=(0.25, 0.5, 1.0)), 1
+    )
+    made.reset(np.array([1], np.uint64))
+    told = []
+    for alert in (2, 0, 3):
+        made.intend([1])
+        made.step([alert])
+        status = team_status(made, 0)
+        told.append((status.alert, status.strength if status.alert else None, status.steps_left))
+    assert told == [(True, 0.5, 7), (False, None, 6), (True, 1.0, 7)]
+
+
+def bars(picture: Picture, colour: tuple[int, int, int]) -> list[int]:
+    """Lengths of the belief's bars of this colour [pixels], from above."""
+    place = (panel(picture)[:, 770:866] == colour).all(axis=2)
+    rows = place.any(axis=1).astype(int)
+    tops = np.flatnonzero(np.diff(rows, prepend=0) == 1)
+    return [int(place[top].sum()) for top in tops]
+
+
+def test_the_panel_shows_what_is_believed_and_the_road_does_not(
+    viewer: Viewer, plain: Picture
+) -> None:
+    belief = (("lisa", 0.25), ("marge", 0.0), ("bart", 0.5), ("homer", 0.25))
+    picture = viewer.draw(SNAPSHOT, replace(STATUS, belief=belief))
+    assert not differ(road(picture), road(plain))
+    assert not differ(panel(picture)[:, :690], panel(plain)[:, :690])
+    assert bars(picture, BLUE) == [48], "the likeliest"
+    assert bars(picture, GREY) == [24, 24]
+    assert bars(picture, LIGHT) == [72, 96, 48, 72]
+    again = viewer.draw(SNAPSHOT, STATUS)
+    np.testing.assert_array_equal(again, plain)
+
+
+def test_of_many_candidates_the_likeliest_are_shown_in_their_order(viewer: Viewer) -> None:
+    belief = tuple((f"d-{k}", p) for k, p in enumerate((0.0, 0.125, 0.25, 0.0, 0.5, 0.0, 0.125)))
+    picture = viewer.draw(SNAPSHOT, replace(STATUS, belief=belief))
+    assert bars(picture, BLUE) == [48]
+    assert bars(picture, GREY) == [12, 24, 12]
+    chosen = tuple(entry for entry in belief if entry[1] > 0)
+    np.testing.assert_array_equal(viewer.draw(SNAPSHOT, replace(STATUS, belief=chosen)), picture)
+
+
+def test_a_belief_and_perceived_sizes_have_room_beside_each_other() -> None:
+    perceived = Viewer(CONFIG, perceived=True)
+    believed = replace(STATUS, belief=(("bart", 0.5), ("lisa", 0.5)))
+    pictures = [
+        perceived.draw(SNAPSHOT, replace(believed, inflation=inflation)) for inflation in (3.0, 9.0)
+    ]
+    assert differ(panel(pictures[0])[:, :180], panel(pictures[1])[:, :180])
+    assert not differ(panel(pictures[0])[:, 690:], panel(pictures[1])[:, 690:])
+    assert bars(pictures[0], BLUE) == [48], "the first of equals"

@@ -331,3 +331,135 @@ def test_a_world_that_does_not_fit_is_refused():
 def test_there_is_at_least_one_team():
     with pytest.raises(ValueError, match="at least one team"):
         Teaming(standing_teams(1).config, 0)
+
+
+# Another driver takes the wheel.
+
+BOTH = {"driver": ["bart", "homer"], "duration": 4.0}
+NEW = Traits.of([ALWAYS, Driver("calm", 0.0, 1.0, 0.5, inflation=7.0), NEVER])
+
+
+def on_the_way(world=None):
+    """Three teams after four steps, every driver helped by an alert."""
+    config = TeamConfig(**BOTH)
+    teams = Teaming(config, 3, world or StandingWorld(config.scene, 3))
+    teams.reset(seeds(3))
+    for intended in ([3, 3, 3], [0, 1, 2], [3, 3, 4], [1, 3, 1]):
+        teams.intend(intended)
+        teams.step([1, 1, 1])
+    return teams
+
+
+def columns(teams, *names):
+    layout = teams.state_layout
+    return np.concatenate([layout.get(teams.state(), name) for name in names], axis=1)
+
+
+def test_another_driver_begins_attentive_in_the_same_car():
+    teams = on_the_way()
+    goes_on = "speed", "position", "intended_action", "applied_action", "alerted", "time"
+    before = columns(teams, *goes_on)
+    assert teams.attention.accepted.all()
+    teams.hand_over(NEW)
+    np.testing.assert_array_equal(columns(teams, *goes_on), before)
+    np.testing.assert_array_equal(teams.traits.as_array(), NEW.as_array())
+    assert not columns(teams, "distracted", "accepted", "counter").any()
+    applied = teams.applied.copy()
+    teams.intend([4, 4, 4])
+    result = teams.step([0, 0, 0])
+    # the one is always distracted and keeps v, the others never
+    assert teams.attention.distracted.tolist() == [1, 0, 0]
+    assert teams.applied.tolist() == [applied[0], 4, 4]
+    assert result.terms["alert"].tolist() == [10.0] * 3, "d was 0 before"
+
+
+def test_marked_teams_alone_change_drivers():
+    teams, undisturbed = on_the_way(), on_the_way()
+    teams.hand_over(NEW, SECOND)
+    np.testing.assert_array_equal(teams.state()[OTHERS], undisturbed.state()[OTHERS])
+    np.testing.assert_array_equal(teams.traits.as_array()[1], NEW.as_array()[1])
+    for _ in range(10):
+        for each in (teams, undisturbed):
+            each.intend([3, 0, 4])
+            each.step([0, 1, 0])
+        np.testing.assert_array_equal(teams.state()[OTHERS], undisturbed.state()[OTHERS])
+    assert (teams.state()[1] != undisturbed.state()[1]).any()
+
+
+def test_a_new_episode_is_driven_by_whom_the_population_draws():
+    teams, undisturbed = on_the_way(), on_the_way()
+    teams.hand_over(NEW)
+    for each in (teams, undisturbed):
+        each.reset(seeds(3, first=20))
+    np.testing.assert_array_equal(teams.state(), undisturbed.state())
+
+
+@pytest.mark.parametrize(
+    ("traits", "which", "error", "told"),
+    [
+        (Traits.of([ALWAYS, NEVER]), None, ValueError, r"beta is an array .* shape \(3,\)"),
+        (NEW.as_array(), None, TypeError, "a Population draws Traits, not"),
+        (
+            Traits.from_array(NEW.as_array() * [1, 1, 1, 9]),
+            None,
+            ValueError,
+            r"inflation lies in \[1, 20\], but got 63",
+        ),
+        (NEW, np.array([True]), ValueError, "which= marks teams by bools"),
+        (NEW, np.array([1, 0, 1]), ValueError, "which= marks teams by bools"),
+    ],
+)
+def test_a_hand_over_to_nobody_is_refused_and_changes_nothing(traits, which, error, told):
+    teams = on_the_way()
+    before = teams.state()
+    with pytest.raises(error, match=told):
+        teams.hand_over(traits, which)
+    np.testing.assert_array_equal(teams.state(), before)
+
+
+def test_nobody_takes_the_wheel_in_mid_turn():
+    teams = on_the_way()
+    teams.intend([1, 1, 1], SECOND)
+    before = teams.state()
+    for which in (None, SECOND):
+        with pytest.raises(ValueError, match=r"between turns; alert with step\(\) first"):
+            teams.hand_over(NEW, which)
+    np.testing.assert_array_equal(teams.state(), before)
+    teams.hand_over(NEW, OTHERS)  # in whose turn nobody has acted
+    np.testing.assert_array_equal(teams.state()[1], before[1])
+
+
+@pytest.mark.parametrize("world", ["highway", "batched"])
+def test_the_new_driver_sees_with_their_own_eyes(world):
+    settings = {"duration": 4.0, "scene": Scene(vehicles=20)}
+    small, large = (Driver("any", 0.0, 1.0, 0.0, inflation) for inflation in (1.0, 3.0))
+
+    def drive(before, after):
+        """Both lidars of the driver's and the AI's seat before and after, and after a step."""
+        config = TeamConfig(driver=before, **settings)
+        teams = Teaming(config, 2, world)
+        teams.reset(seeds(2, 5))
+        seen = []
+
+        def look():
+            for seat in ("driver", "vehicle_ai"):
+                seen.append(teams.layouts[seat].get(teams.observe(seat), "lidar"))
+
+        for _ in range(3):
+            teams.intend([1, 1])
+            teams.step([0, 0])
+        look()
+        teams.hand_over(Traits.of([after, after]), np.array([True, False]))
+        look()
+        teams.intend([1, 1])
+        teams.step([0, 0])
+        look()
+        return seen
+
+    changed = drive(small, large)
+    all_small, all_large = drive(small, small), drive(large, large)
+    for k in range(6):
+        np.testing.assert_array_equal(changed[k][1], all_small[k][1])  # nobody took over there
+        theirs = all_large if k in (2, 4) else all_small  # the driver's seat, from then on
+        np.testing.assert_array_equal(changed[k][0], theirs[k][0])
+    assert (all_small[2][0] != all_large[2][0]).any()

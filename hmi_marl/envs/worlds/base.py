@@ -86,6 +86,9 @@ class World(Protocol):
     def halt(self, which: NDArray[np.bool_]) -> None:
         """Bring the driven car of the marked worlds to a stand, after a crash."""
 
+    def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
+        """Other eyes look out of the marked worlds' cars; both arguments have shape (N,)."""
+
     def ego(self) -> Ego:
         """The driven cars."""
 

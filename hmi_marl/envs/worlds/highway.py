@@ -148,6 +148,10 @@ class HighwayWorld:
             self.merges[k].vehicle.speed = 0.0
             self._lidar[k].clear()
 
+    def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
+        """See :meth:`World.perceive`."""
+        self._inflation = np.where(which, inflation, self._inflation)
+
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
         merges = self.merges

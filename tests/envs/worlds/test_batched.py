@@ -225,3 +225,27 @@ def test_a_soak():
 @pytest.mark.slow
 def test_ten_million_team_steps():
     assert soak(10_000_000, 40, seed=2) >= 10_000_000
+
+
+def test_other_eyes_see_otherwise_whether_or_not_they_looked_before():
+    scene = Scene(vehicles=20).fitted(4.0)
+    inflation, which = np.array([4.0, 4.0, 4.0]), np.array([True, False, True])
+    grids = {}
+    for name in ("highway", "batched"):
+        world, fresh = make_world(name, scene, 3), make_world(name, scene, 3)
+        for each, factor in ((world, np.ones(3)), (fresh, np.where(which, inflation, 1.0))):
+            each.reset(seeds(3, 4), factor, np.ones(3, np.bool_))
+        before = [world.lidar(inflated) for inflated in (True, False)]
+        kept = [grid.copy() for grid in before]
+        world.perceive(inflation, which)
+        np.testing.assert_array_equal(world.lidar(True), fresh.lidar(True))
+        np.testing.assert_array_equal(world.lidar(False), kept[1])
+        np.testing.assert_array_equal(before, kept)  # what was handed out stays as it was
+        assert (world.lidar(True) != kept[0]).any(axis=(1, 2)).tolist() == which.tolist()
+        for each in (world, fresh):
+            each.step(np.array([3, 1, 0]), np.ones(3, np.bool_))
+        np.testing.assert_array_equal(world.lidar(True), fresh.lidar(True))
+        world.perceive(np.ones(3), np.ones(3, np.bool_))
+        np.testing.assert_array_equal(world.lidar(True), world.lidar(False))
+        grids[name] = fresh.lidar(True)
+    np.testing.assert_allclose(*grids.values(), atol=1e-6)

@@ -142,6 +142,11 @@ class BatchedWorld:
         self._told[0][which, EGO_SPEED] = 0.0
         self._moved(which)
 
+    def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
+        """See :meth:`World.perceive`."""
+        self._inflation = np.where(which, inflation, self._inflation)
+        self._stale[True] |= which
+
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
         numbers, flags = self._told[0].copy(), self._told[1].copy()

@@ -1,0 +1,184 @@
+r"""What alerts there are and how they help: one strength or several, with fatigue or without.
+
+The paper's HMI has one bit, alert or not, and says that the signal may be extended. Here a^A = 0 is
+no alert and a^A = j one of the j-th strength s_j in (0, 1], with s_0 = 0. While an alert of
+strength s is in effect, η becomes η s; while the driver is attentive, it costs the share s of what
+silence earns (see :func:`hmi_marl.envs.rewards.attention_terms`). The paper's alert has s = 1.
+
+A weaker alert does not undo a stronger one that is in effect. If it did, the optimum would give
+weak alerts so that an attentive driver is distracted again, since bringing them back is what
+R_accept-alert pays for.
+
+With :class:`Fatigue`, a level f in 0 .. F stands for how weary of alerts the driver is. A step with
+an alert of strength s raises it by the alert's rise, ⌈r s⌉; a step without one lowers it by 1; and
+what an alert does in step t is weakened by the alerts before that step:
+
+.. math::
+    \eta_t = \eta \, s_{i_t} \left(1 - \epsilon \frac{f_{t-1}}{F}\right), \qquad
+    f_t = \begin{cases} \min(F, f_{t-1} + \lceil r s_{a_t} \rceil) & a_t > 0 \\
+    \max(0, f_{t-1} - 1) & a_t = 0 \end{cases}
+
+So the order within a step is c, i, d, f, and the first alert to a rested driver helps in full.
+Given the alerts f moves for sure, so that (d, i, c, f) is a finite Markov state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FULL = (1.0,)
+"""The strengths of the paper's one bit."""
+MOST_STRENGTHS = 100
+
+
+@dataclass(frozen=True)
+class Fatigue:
+    """How alerts that pile up lose their effect.
+
+    Raises:
+        ValueError, TypeError: a number out of its range, by name.
+    """
+
+    levels: int = 10
+    """F: the level at which the driver is as weary of alerts as can be."""
+    per_alert: int = 2
+    """r: levels by which an alert of strength 1 wearies. Weaker ones do so in proportion, rounded
+    up to a whole level; every step without an alert rests by one."""
+    effect: float = 0.5
+    """ε: share of η that is lost at the highest level."""
+
+    def __post_init__(self) -> None:
+        for name in ("levels", "per_alert"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+                raise TypeError(f"fatigue: {name} is a whole number, not {value!r}")
+            if value < 1:
+                raise ValueError(f"fatigue: {name} is at least 1, but got {value}")
+            object.__setattr__(self, name, int(value))
+        effect = _number("fatigue: effect", self.effect)
+        if not 0.0 <= effect <= 1.0:  # also refuses NaN
+            raise ValueError(f"fatigue: effect lies in [0, 1], but got {effect}")
+        object.__setattr__(self, "effect", effect)
+
+    def __str__(self) -> str:
+        return f"{self.per_alert} of {self.levels} levels per alert, which take {self.effect:g} η"
+
+
+@dataclass(frozen=True)
+class Alerts:
+    """The alerts that an HMI can give.
+
+    Raises:
+        ValueError, TypeError: strengths that do not rise within (0, 1], or no Fatigue.
+    """
+
+    strengths: tuple[float, ...] = FULL
+    """s_1 < s_2 < ... < s_k, each in (0, 1]."""
+    fatigue: Fatigue | None = None
+    """How they weary, if they do."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "strengths", check_strengths(self.strengths))
+        if self.fatigue is not None and not isinstance(self.fatigue, Fatigue):
+            raise TypeError(f"fatigue= takes a Fatigue or None, not {self.fatigue!r}")
+
+    @property
+    def choices(self) -> int:
+        """How many actions the vehicle AI has, k + 1."""
+        return len(self.strengths) + 1
+
+    @property
+    def strongest(self) -> int:
+        """The a^A of the strongest alert, k."""
+        return len(self.strengths)
+
+    @property
+    def levels(self) -> int:
+        """F, 0 without fatigue."""
+        return self.fatigue.levels if self.fatigue else 0
+
+    @property
+    def plain(self) -> bool:
+        """Whether this is the paper's one bit."""
+        return self == PLAIN
+
+    def shape(self, window: int) -> tuple[int, ...]:
+        """Of the states (d, i, c), or (d, i, c, f) with fatigue: (2, k + 1, N) or (..., F + 1)."""
+        levels = (self.levels + 1,) if self.fatigue else ()
+        return (2, self.choices, window, *levels)
+
+    def strength(self, alert: ArrayLike) -> NDArray[np.float64]:
+        """The strength s of every a^A or i, integers 0 .. k of any shape."""
+        return self._strengths[np.asarray(alert)]
+
+    def nearest(self, strength: ArrayLike) -> NDArray[np.int64]:
+        """The a^A or i, 0 .. k, whose strength is nearest: the inverse of :meth:`strength`.
+
+        It takes what single precision has left of a strength, as observations show it.
+        """
+        middle = (self._strengths[1:] + self._strengths[:-1]) / 2
+        return np.searchsorted(middle, np.asarray(strength)).astype(np.int64)
+
+    def help(self, accepted: ArrayLike, fatigue: ArrayLike) -> NDArray[np.float64]:
+        """The share of η that helps in step t, in [0, 1], from i_t and f_{t-1}, broadcast."""
+        if self.fatigue is None:
+            return self.strength(accepted)
+        weariness = np.asarray(fatigue) / self.fatigue.levels
+        return self.strength(accepted) * (1.0 - self.fatigue.effect * weariness)
+
+    def next_fatigue(self, fatigue: ArrayLike, alert: ArrayLike) -> NDArray[np.int64]:
+        """f_t from f_{t-1} and a^A_t, broadcast; stays as it is without fatigue."""
+        before, alert = np.broadcast_arrays(np.asarray(fatigue, np.int64), alert)
+        return np.clip(before + self._changes[alert], 0, self.levels)
+
+    @cached_property
+    def _strengths(self) -> NDArray[np.float64]:
+        return np.array((0.0, *self.strengths))
+
+    @cached_property
+    def _changes(self) -> NDArray[np.int64]:
+        """Of the level, by a^A."""
+        if self.fatigue is None:
+            return np.zeros(self.choices, np.int64)
+        # Rounded first, so that 100 x 0.07 = 7.000000000000001 is 7 levels and not 8.
+        rises = [math.ceil(round(self.fatigue.per_alert * s, 9)) for s in self.strengths]
+        return np.array([-1, *(max(1, rise) for rise in rises)])
+
+
+def check_strengths(strengths: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:
+    """Return the strengths of alerts, or raise if they do not rise within (0, 1]."""
+    if not isinstance(strengths, (list, tuple, np.ndarray)) or np.ndim(strengths) != 1:
+        raise TypeError(f"alert_strengths is a tuple of numbers, not {strengths!r}")
+    checked = tuple(_number("an alert's strength", strength) for strength in strengths)
+    rising = all(low < high for low, high in zip((0.0, *checked), checked, strict=False))
+    if not checked or not rising or checked[-1] > 1.0:
+        raise ValueError(f"alert_strengths rise within (0, 1], such as (0.5, 1.0), not {checked}")
+    if len(checked) > MOST_STRENGTHS:
+        raise ValueError(f"there are at most {MOST_STRENGTHS} alert_strengths, not {len(checked)}")
+    return checked
+
+
+def need_plain(alerts: Alerts, who: str) -> None:
+    """Raise ``ValueError`` unless the alerts are the paper's: what ``who`` is derived for."""
+    if not alerts.plain:
+        raise ValueError(
+            f"{who} is for alerts of one strength, 1, without fatigue, but alert_strengths = "
+            f"{alerts.strengths} and fatigue = {alerts.fatigue}"
+        )
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
+        raise TypeError(f"{name} is a number, not {value!r}")
+    return float(value)
+
+
+PLAIN = Alerts()
+"""The paper's one bit: alert or not, without fatigue."""
