@@ -13,6 +13,7 @@ import tyro
 
 import hmi_marl
 from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES
+from hmi_marl.commands.adapt import Adapt
 from hmi_marl.commands.bench import Bench
 from hmi_marl.commands.collect import Collect
 from hmi_marl.commands.compare import Compare
@@ -32,7 +33,8 @@ ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, Type
 
 
 Command = (
-    Annotated[Bench, tyro.conf.subcommand("bench")]
+    Annotated[Adapt, tyro.conf.subcommand("adapt")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Export, tyro.conf.subcommand("export")]

@@ -357,4 +357,4 @@ def test_help_lists_the_known_names(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--help"])
     printed = capsys.readouterr().out
     for name in (*DRIVERS, *HMI_NAMES, "rule", "random", "oracle", "table", "watch"):
-        assert re.search(rf"(?m)^\W*{name} ", printed), name
+        assert re.search(rf"(?m)^\W*{re.escape(name)} ", printed), name

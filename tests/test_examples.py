@@ -10,6 +10,10 @@ TINY = {
     "turn_taking": (["--duration", "2"], "vehicle_ai  return"),
     "new_driver": ([], "with the optimal one"),
     "latent_traits": (["--windows", "10", "--updates", "1", "--steps", "1600"], "homer  z = ["),
+    "unknown_driver": (
+        ["--drives", "2", "--trips", "2", "--adaptive", "adapt:bayes"],
+        "believed in the end: lisa",
+    ),
     "supersuit_vector": (["--cars", "2", "--steps", "5"], "2 cars, 4 agents"),
     "policy_gradient_hmi": (["--episodes", "2", "--duration", "1"], "attention return"),
     "sb3_parameter_sharing": (

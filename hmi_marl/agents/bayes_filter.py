@@ -60,7 +60,8 @@ class BayesFilter:
         """p_k(d_t = 1 | v up to now): if k drives. Shape (N, K)."""
         self._attentive = np.ones((count, len(self.drivers)))  # 1 - distracted, to its last digits
         self._traits = Traits.of(self.drivers)
-        self._accepted, self._counter = np.zeros((2, count), np.int64)
+        self.accepted, self.counter = np.zeros((2, count), np.int64)
+        """i_t and c_t, which follow from the alerts; shape (N,) each."""
         self._applied = np.full(count, NO_ACTION)
 
     def begin(self, which: NDArray[np.bool_] | None = None) -> None:
@@ -73,8 +74,8 @@ class BayesFilter:
             ValueError: a mask of another shape or type.
         """
         fresh = self._mask(which)
-        self._accepted = np.where(fresh, 0, self._accepted)
-        self._counter = np.where(fresh, 0, self._counter)
+        self.accepted = np.where(fresh, 0, self.accepted)
+        self.counter = np.where(fresh, 0, self.counter)
         self._applied = np.where(fresh, NO_ACTION, self._applied)
         self.distracted = np.where(fresh[:, None], 0.0, self.distracted)
         self._attentive = np.where(fresh[:, None], 1.0, self._attentive)
@@ -85,8 +86,11 @@ class BayesFilter:
         applied: ArrayLike,
         alerts: ArrayLike,
         active: NDArray[np.bool_] | None = None,
-    ) -> None:
+    ) -> NDArray[np.float64]:
         """Take one step into account.
+
+        A candidate for whom the step is impossible is believed to be as distracted as the step
+        itself says, so that a filter of the wrong driver still sees what is plain.
 
         Args:
             intent_probabilities: π_k(a^H_t | o^k_t), shape (K, N, 5).
@@ -94,6 +98,10 @@ class BayesFilter:
             alerts: a^A_t, integers 0 or 1, shape (N,).
             active: the teams that took a step, bool, shape (N,); all by default. Of the others
                 nothing is read, and they stay as they are.
+
+        Returns:
+            log p_k(v_t | v_{<t}), what the step adds to ``log_evidence``; shape (N, K), 0 for teams
+            that took none.
 
         Raises:
             ValueError: arrays that do not fit, or numbers out of their range. Nothing has changed
@@ -110,23 +118,25 @@ class BayesFilter:
         chosen = intent_probabilities[:, np.arange(len(acts)), applied].T  # π_k(v_t), (N, K)
         if not ((chosen[acts] >= 0) & (chosen[acts] <= 1 + _ROUNDING)).all():
             raise ValueError("the probability of an intent lies in [0, 1]")
-        accepted, counter = next_acceptance(self._accepted, self._counter, alerts, self.window)
+        accepted, counter = next_acceptance(self.accepted, self.counter, alerts, self.window)
         predicted, attentive = self._predict(accepted)
         is_first = (self._applied == NO_ACTION)[:, None]
-        is_kept = (self._applied == applied)[:, None]
+        is_kept = (self._applied == applied)[:, None].astype(np.float64)
         with_distracted = predicted * np.where(is_first, chosen, is_kept)
         with_attentive = attentive * chosen
         evidence = with_distracted + with_attentive
         possible = evidence > 0
         gain = np.log(evidence, out=np.full(evidence.shape, -np.inf), where=possible)
-        belief = np.divide(with_distracted, evidence, out=predicted, where=possible)
-        doubt = np.divide(with_attentive, evidence, out=attentive, where=possible)
+        safe = np.where(possible, evidence, 1.0)
+        belief = np.where(possible, with_distracted / safe, is_kept)
+        doubt = np.where(possible, with_attentive / safe, 1.0 - is_kept)
         self.log_evidence = np.where(acts[:, None], self.log_evidence + gain, self.log_evidence)
         self.distracted = np.where(acts[:, None], belief, self.distracted)
         self._attentive = np.where(acts[:, None], doubt, self._attentive)
-        self._accepted = np.where(acts, accepted, self._accepted)
-        self._counter = np.where(acts, counter, self._counter)
+        self.accepted = np.where(acts, accepted, self.accepted)
+        self.counter = np.where(acts, counter, self.counter)
         self._applied = np.where(acts, applied, self._applied)
+        return np.where(acts[:, None], gain, 0.0)
 
     def posterior(self, prior: ArrayLike | None = None) -> NDArray[np.float64]:
         """p(k | all that was seen), shape (N, K); see :func:`posterior`."""

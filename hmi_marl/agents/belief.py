@@ -55,7 +55,7 @@ class BeliefSolution:
         counter: NDArray[np.int64],
     ) -> NDArray[np.int64]:
         """The rule for N teams, 1 to alert; every argument has shape (N,)."""
-        low, fraction = _locate(belief)
+        low, fraction = locate(belief)
         t = np.minimum(step, self.horizon - 1)
         m = reveals.astype(np.int64)
         below = self.advantage[t, m, low, accepted, counter]
@@ -63,7 +63,7 @@ class BeliefSolution:
         return ((1 - fraction) * below + fraction * above > 0).astype(np.int64)
 
 
-def _locate(belief: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def locate(belief: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The grid point at or below each belief, and how far it is to the next one."""
     position = belief * (GRID - 1)
     low = np.minimum(position.astype(np.int64), GRID - 2)
@@ -78,24 +78,6 @@ def predict(
     stays = distraction_probability(1, accepted, *traits)
     becomes = distraction_probability(0, accepted, *traits)
     return belief * stays + (1.0 - belief) * becomes
-
-
-def correct(
-    predicted: NDArray[np.float64],
-    intended: NDArray[np.int64],
-    applied_before: NDArray[np.int64],
-    applied: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """The belief after v_t is seen: certain where a^H_t differs from v_{t-1}, else as predicted.
-
-    Args:
-        predicted: p(d_t = 1) from :func:`predict`, shape (N,).
-        intended: a^H_t.
-        applied_before: v_{t-1}, or -1 before the first step, in which v_0 = a^H_0 tells nothing.
-        applied: v_t.
-    """
-    reveals = (applied_before >= 0) & (intended != applied_before)
-    return np.where(reveals, (applied == applied_before).astype(np.float64), predicted)
 
 
 @lru_cache(maxsize=64)
@@ -160,17 +142,11 @@ class _Choice:
         window: int,
         weights: RewardWeights,
     ) -> _Choice:
-        next_accepted, next_counter = next_acceptance(accepted, counter, alert, window)
-        distracted = predict(belief, next_accepted, driver)
-        recovers = belief * (
-            1.0 - distraction_probability(1, next_accepted, driver.beta, driver.alpha, driver.eta)
-        )
-        for_alert = weights.accept_alert * recovers if alert else weights.alert * (1.0 - belief)
-        reward = weights.distraction * distracted + for_alert
-        return cls(reward, distracted, next_accepted, next_counter)
+        given = np.full(belief.shape, alert)
+        return cls(*_consequence(given, belief, accepted, counter, driver, window, weights))
 
     def value_if_silent(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
-        low, fraction = _locate(self.distracted)
+        low, fraction = locate(self.distracted)
         below = value[low, self.accepted, self.counter]
         above = value[low + 1, self.accepted, self.counter]
         return self.reward + (1 - fraction) * below + fraction * above
@@ -179,3 +155,72 @@ class _Choice:
         attentive = value[0, self.accepted, self.counter]
         distracted = value[-1, self.accepted, self.counter]
         return self.reward + (1 - self.distracted) * attentive + self.distracted * distracted
+
+
+def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeights) -> float:
+    r"""What a rule earns with a driver who need not be the one that it assumes: exact.
+
+    Between two steps that reveal d nothing happens by chance that the rule could see, so that its
+    belief, its alerts, i and c run along one path from each (t, d, i, c), and so does p(d) of the
+    driver. With W_t(d, i, c) the return from step t on, when d_{t-1} has just shown itself,
+
+    .. math::
+        W_t = E \sum_{u = t}^{v} r_u + W_{v + 1}(d_v, i_v, c_v)
+
+    over the next step v that reveals, which is known when alerting in it. All steps reveal with the
+    share that the rule assumes, but for the first.
+
+    Args:
+        rule: of :func:`solve_belief`, taking turns.
+        driver: who drives.
+        weights: of the rewards.
+
+    Returns:
+        Expected attention return of an episode.
+    """
+    driver, window, horizon = get_driver(driver), rule.window, rule.horizon
+    d, i, c = (axis.ravel() for axis in np.indices((2, 2, window)))
+    # W[t, d, i, c], flat in the last three; what a step of a path leads to is looked up in it
+    later = np.zeros((horizon + 1, 4 * window))
+    for t in reversed(range(horizon)):
+        assumed = true = d.astype(np.float64)
+        accepted, counter, reach = i, c, np.ones(len(d))
+        for u in range(t, horizon):
+            share = rule.revealing if u > 0 else 0.0
+            for reveals, chance in ((1, share), (0, 1.0 - share)):
+                told = np.full(len(d), reveals == 1)
+                alert = rule.alert(np.full(len(d), u), told, assumed, accepted, counter)
+                reward, after, next_i, next_c = _consequence(
+                    alert, true, accepted, counter, driver, window, weights
+                )
+                if reveals:
+                    place = next_i * window + next_c
+                    seen = later[u + 1]
+                    reward = reward + (1 - after) * seen[place] + after * seen[2 * window + place]
+                later[t] += reach * chance * reward
+            assumed = predict(assumed, next_i, rule.driver)
+            true, accepted, counter, reach = after, next_i, next_c, reach * (1.0 - share)
+            if not reach.any():
+                break
+    return float(later[0, 0])
+
+
+def _consequence(
+    alert: NDArray[np.int64],
+    distracted: NDArray[np.float64],
+    accepted: NDArray[np.int64],
+    counter: NDArray[np.int64],
+    driver: Driver,
+    window: int,
+    weights: RewardWeights,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Expected reward, p(d_t = 1), i_t and c_t after a^A_t where p(d_{t-1} = 1) is given."""
+    next_i, next_c = next_acceptance(accepted, counter, alert, window)
+    after = predict(distracted, next_i, driver)
+    recovers = distracted * (
+        1.0 - distraction_probability(1, next_i, driver.beta, driver.alpha, driver.eta)
+    )
+    for_alert = np.where(
+        alert == 1, weights.accept_alert * recovers, weights.alert * (1.0 - distracted)
+    )
+    return weights.distraction * after + for_alert, after, next_i, next_c

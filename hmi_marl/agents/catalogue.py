@@ -6,13 +6,22 @@ import os
 from pathlib import Path
 from types import MappingProxyType
 
+from hmi_marl.agents.adaptive_catalogue import ADAPT, adaptive_by_name
 from hmi_marl.agents.belief import DEFAULT_REVEALING
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
-from hmi_marl.agents.policy_files import load_policy
+from hmi_marl.agents.policy_files import find_policy, load_policy
+from hmi_marl.agents.shipped import PREFIX, is_shipped, shipped_names
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.seats import Policy
+
+
+def _shipped(kind: str) -> dict[str, str]:
+    """The entry for what comes with the package, if anything does."""
+    names = ", ".join(shipped_names(kind))
+    return {f"{PREFIX}NAME": f"one that comes with the package: {names}"} if names else {}
+
 
 HMI_NAMES = MappingProxyType(
     {
@@ -26,8 +35,11 @@ HMI_NAMES = MappingProxyType(
         "belief": "keeps the Bayes belief over distraction from what the car does, never looking "
         "at the driver; belief:NAME for another driver model, belief:NAME:SHARE to assume that "
         f"such a share of steps shows d instead of {DEFAULT_REVEALING:g}",
+        "adapt[:KIND][:bayes]": "gets to know the driver; KIND is expected, choosing or "
+        "conditioned; with bayes by the exact posterior instead of the learned encoder",
         "runs/RUN": "the HMI that a training run has learnt, by its folder",
     }
+    | _shipped(VEHICLE_AI)
 )
 DRIVER_POLICY_NAMES = MappingProxyType(
     {
@@ -35,6 +47,7 @@ DRIVER_POLICY_NAMES = MappingProxyType(
         "random": "any action, evenly",
         "runs/RUN": "the driver that a training run has learnt, by its folder",
     }
+    | _shipped(DRIVER)
 )
 _ALIASES = {
     "none": "never",
@@ -53,7 +66,8 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
     """The HMI of this name for teams set up by ``config``.
 
     Args:
-        name: one of ``HMI_NAMES``, where case does not matter, or a trained run's folder.
+        name: one of ``HMI_NAMES``, where case does not matter, a trained run's folder, or
+            ``trained:NAME``.
         config: of the teams.
         taking_turns: False in a parallel environment, where the AI sees a^H one step late; an HMI
             that goes by a^H must know.
@@ -76,11 +90,15 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
     if kind in ("never", "always", "when-distracted") and argument:
         raise ValueError(f"HMI {kind!r} takes no argument, but got {name!r}")
     if kind in ("never", "always"):
-        return RandomAlert(rate=float(kind == "always"))
+        return RandomAlert(float(kind == "always"), config.alerts)
     if kind == "random":
-        return RandomAlert(_number(argument or "0.5", "random:RATE"))
+        return RandomAlert(_number(argument or "0.5", "random:RATE"), config.alerts)
     if kind == "when-distracted":
         return AlertWhenDistracted(config)
+    if kind == ADAPT:
+        if not taking_turns:
+            raise ValueError("an adaptive HMI goes by a^H_t; use an environment that takes turns")
+        return adaptive_by_name(argument, config)
     if kind in ("optimal", "belief"):
         model_name, share = argument, ""
         if kind == "belief":
@@ -111,12 +129,24 @@ def make_driver_policy(name: str, config: TeamConfig) -> Policy:
     raise ValueError(f"unknown driver policy {name!r}; known: {_known(DRIVER_POLICY_NAMES)}")
 
 
+def learned_file(name: str, seat: str) -> Path | None:
+    """The weights of what was learnt, where a name means that; None of a rule.
+
+    Raises:
+        FileNotFoundError, ValueError: there are none.
+    """
+    if not _is_path(name, HMI_NAMES if seat == VEHICLE_AI else DRIVER_POLICY_NAMES):
+        return None
+    return find_policy(Path(name), seat).with_suffix(".safetensors")
+
+
 def _is_path(name: str, known: MappingProxyType[str, str]) -> bool:
-    """Whether this means a trained run rather than one of the known names."""
-    if "/" in name or os.sep in name or name.endswith(".json"):
+    """Whether this means something learnt rather than one of the known names."""
+    if is_shipped(name) or "/" in name or os.sep in name or name.endswith(".json"):
         return True
     kind = name.lower().partition(":")[0]
-    return kind not in known and kind not in _ALIASES and Path(name).is_dir()
+    kinds = {each.partition("[")[0] for each in known}
+    return kind not in kinds and kind not in _ALIASES and Path(name).is_dir()
 
 
 def _split_share(argument: str) -> tuple[str, str]:

@@ -7,10 +7,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.belief import DEFAULT_REVEALING, correct, predict, solve_belief
+from hmi_marl.agents.belief import DEFAULT_REVEALING, solve_belief
+from hmi_marl.agents.evidence import ChainEvidence
 from hmi_marl.agents.memory import Draws, Memoryless
 from hmi_marl.agents.oracle import solve_alerts
-from hmi_marl.envs.attention import next_acceptance
+from hmi_marl.envs.alerts import PLAIN, Alerts, need_plain
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.observations import vehicle_ai_layout
@@ -20,10 +21,10 @@ from hmi_marl.envs.teaming import NO_ACTION
 
 @runtime_checkable
 class AttentionRule(Protocol):
-    """An HMI whose alert depends on (t, d, i, c) alone, so that its returns are known exactly."""
+    """An HMI whose alert depends on (t, d, i, c, f) alone, so that its returns are exact."""
 
     def alert_probability(self) -> NDArray[np.float64]:
-        """In every [t, d, i, c]; broadcasts to (horizon, 2, 2, window), as the oracle takes it."""
+        """Of each alert in every [t, d, i, c(, f)], as :func:`oracle.evaluate` takes it."""
         ...
 
 
@@ -35,13 +36,36 @@ def _need_attention(config: TeamConfig, who: str) -> None:
         )
 
 
-class RandomAlert:
-    """Alert at a rate, whatever happens. Rate 0 never alerts, rate 1 always."""
+def strongest_alert(alerts: Alerts, *probability: float) -> NDArray[np.float64]:
+    """A rule that gives the strongest alert alone, as the oracle takes it.
 
-    def __init__(self, rate: float) -> None:
+    Args:
+        alerts: that there are.
+        probability: of that alert, one number, or one for d = 0 and one for d = 1.
+
+    Returns:
+        Of each alert, shape (k, 1, 1 or 2, 1, 1), or (k, 1, 1 or 2, 1, 1, 1) with fatigue; with a
+        single strength without the first axis.
+    """
+    after_d = (1,) * (len(alerts.shape(1)) - 1)
+    rule = np.zeros((alerts.strongest, 1, len(probability), *after_d))
+    rule[-1, 0] = np.reshape(probability, (-1, *after_d))
+    return rule if len(rule) > 1 else rule[0]
+
+
+class RandomAlert:
+    """Alert at a rate, whatever happens. Rate 0 never alerts, rate 1 always.
+
+    Args:
+        rate: of alerts, in [0, 1].
+        alerts: that there are; of several strengths it gives the strongest.
+    """
+
+    def __init__(self, rate: float, alerts: Alerts = PLAIN) -> None:
         if not 0.0 <= rate <= 1.0:
             raise ValueError(f"an alert rate lies in [0, 1], but got {rate}")
         self.rate = float(rate)
+        self._alerts = alerts
         self._draws = Draws(Stream.HMI_POLICY)
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
@@ -50,53 +74,68 @@ class RandomAlert:
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
-        return (self._draws.next() < self.rate).astype(np.int64)
+        return self._alerts.strongest * (self._draws.next() < self.rate).astype(np.int64)
 
     def alert_probability(self) -> NDArray[np.float64]:
         """The rate, everywhere."""
-        return np.array(self.rate)
+        return strongest_alert(self._alerts, self.rate)
 
 
 class AlertWhenDistracted(Memoryless):
-    """Alert exactly when the driver was distracted in the last step."""
+    """Alert exactly when the driver was distracted in the last step, as strongly as possible."""
 
     def __init__(self, config: TeamConfig) -> None:
         _need_attention(config, "'when-distracted'")
         self._layout = vehicle_ai_layout(config)
+        self._alerts = config.alerts
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
-        return (self._layout.scalar(observations, "distracted") == 1).astype(np.int64)
+        distracted = self._layout.scalar(observations, "distracted") == 1
+        return self._alerts.strongest * distracted.astype(np.int64)
 
     def alert_probability(self) -> NDArray[np.float64]:
         """1 where d = 1."""
-        return np.arange(2.0).reshape(1, 2, 1, 1)
+        return strongest_alert(self._alerts, 0.0, 1.0)
 
 
 class OptimalAlert(Memoryless):
-    """The exact optimum of the alert problem for a given driver model, attention seen."""
+    """The exact optimum of the alert problem for a given driver model, attention seen.
+
+    With several strengths, and with fatigue, it is the optimum for these.
+    """
 
     def __init__(self, model: str | Driver, config: TeamConfig) -> None:
         self.model = get_driver(model)
         _need_attention(config, "the optimum over (t, d, i, c)")
         self._layout = vehicle_ai_layout(config)
+        self._alerts = config.alerts
         self._horizon, self._window = config.horizon, config.alert_window
-        self._policy = solve_alerts(
-            self.model, config.alert_window, config.horizon, config.weights
-        ).policy
+        self._solution = solve_alerts(
+            self.model,
+            config.alert_window,
+            config.horizon,
+            config.weights,
+            strengths=config.alert_strengths,
+            fatigue=config.fatigue,
+        )
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
         scalar = self._layout.scalar
         step = _step(scalar(observations, "time"), self._horizon)
         distracted = (scalar(observations, "distracted") == 1).astype(np.int64)
-        accepted = (scalar(observations, "accepted") == 1).astype(np.int64)
+        accepted = self._alerts.nearest(scalar(observations, "accepted"))
         counter = np.rint(scalar(observations, "counter") * self._window).astype(np.int64)
-        return self._policy[step, distracted, accepted, counter].astype(np.int64)
+        state = [step, distracted, accepted, counter]
+        if self._alerts.fatigue is not None:
+            level = scalar(observations, "fatigue") * self._alerts.levels
+            state.append(np.rint(level).astype(np.int64))
+        return self._solution.policy[tuple(state)].astype(np.int64)
 
     def alert_probability(self) -> NDArray[np.float64]:
         """The optimal policy itself."""
-        return self._policy.astype(np.float64)
+        return self._solution.alert_probability
 
 
 class BeliefAlert:
@@ -118,6 +157,7 @@ class BeliefAlert:
         revealing: float = DEFAULT_REVEALING,
         taking_turns: bool = True,
     ) -> None:
+        need_plain(config.alerts, "'belief', the Bayes belief over attention,")
         self.model = get_driver(model)
         self._layout = vehicle_ai_layout(config)
         self._horizon, self._window = config.horizon, config.alert_window
@@ -125,46 +165,37 @@ class BeliefAlert:
         self._rule = solve_belief(
             self.model, config.alert_window, config.horizon, config.weights, revealing, taking_turns
         )
-        self.reset(np.zeros(1, np.uint64))
+        self._attention = ChainEvidence([self.model], config)
+        self._seen = np.full(1, -1)
+
+    @property
+    def belief(self) -> NDArray[np.float64]:
+        """p(d = 1) after the last step that was seen, shape (N,)."""
+        return self._attention.filter.distracted[:, 0]
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Policy.reset`."""
         if which is None:
-            which = np.ones(len(seeds), np.bool_)
-            self.belief = np.zeros(len(seeds))
-            self._accepted, self._counter = np.zeros((2, len(seeds)), np.int64)
-            self._applied_before = np.full(len(seeds), NO_ACTION)
-        self.belief = np.where(which, 0.0, self.belief)
-        """p(d = 1) after the last step that was seen, shape (N,)."""
-        self._accepted = np.where(which, 0, self._accepted)
-        self._counter = np.where(which, 0, self._counter)
-        self._applied_before = np.where(which, NO_ACTION, self._applied_before)
+            self._attention.reset(len(seeds))
+            self._seen = np.full(len(seeds), -1)
+        else:
+            self._attention.begin(which)
+            self._seen = np.where(which, -1, self._seen)
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
         layout = self._layout
         step = _step(layout.scalar(observations, "time"), self._horizon)
-        applied = layout.chosen(observations, "applied_action")
-        self._see(step, layout.chosen(observations, "previous_intended_action"), applied)
+        self._attention.observe(observations, step > self._seen)
+        self._seen = step
         if self._taking_turns:
+            applied = layout.chosen(observations, "applied_action")
             intended = layout.chosen(observations, "intended_action")
             reveals = (applied != NO_ACTION) & (intended != applied)
         else:
             reveals = np.zeros(len(step), np.bool_)  # not known yet; the rule weighs both
-        alert = self._rule.alert(step, reveals, self.belief, self._accepted, self._counter)
-        self._accepted, self._counter = next_acceptance(
-            self._accepted, self._counter, alert, self._window
-        )
-        return alert
-
-    def _see(
-        self, step: NDArray[np.int64], intended: NDArray[np.int64], applied: NDArray[np.int64]
-    ) -> None:
-        """Take in the last step: a^H_{t-1} and v_{t-1}, after v_{t-2}."""
-        predicted = predict(self.belief, self._accepted, self.model)
-        seen = correct(predicted, intended, self._applied_before, applied)
-        self.belief = np.where(step > 0, seen, self.belief)
-        self._applied_before = applied
+        now = self._attention.filter
+        return self._rule.alert(step, reveals, self.belief, now.accepted, now.counter)
 
 
 def _step(time: NDArray[np.float32], horizon: int) -> NDArray[np.int64]:

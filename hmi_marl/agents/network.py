@@ -89,16 +89,25 @@ class Network:
         else:
             self._memory = np.where(which[:, None], 0.0, self._memory)
 
-    def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
+    def __call__(
+        self, inputs: NDArray[np.float32], which: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
         """Outputs of shape (N, outputs) for inputs of shape (N, inputs); remembers them.
+
+        Args:
+            inputs: of N teams.
+            which: the teams whose inputs are remembered, shape (N,); all by default.
 
         Raises:
             RuntimeError: a memory of another number of teams.
         """
         x = inputs.astype(np.float64)
         if self.config.memory:
-            self._memory = self._remember(x)
-            x = np.concatenate([self._memory, x], axis=1)
+            memory = self._remember(x)
+            x = np.concatenate([memory, x], axis=1)
+            self._memory = (
+                memory if which is None else np.where(which[:, None], memory, self._memory)
+            )
         last = len(self.config.hidden)
         for layer in range(last + 1):
             x = x @ self._weights[f"layer{layer}.weight"].T + self._weights[f"layer{layer}.bias"]

@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.learned import LearnedPolicy, PolicyCard, check_weights
 from hmi_marl.agents.network import NetworkConfig, Weights
+from hmi_marl.agents.shipped import find_shipped, is_shipped
 from hmi_marl.agents.weight_files import read_card, read_weights, write_card
 from hmi_marl.envs.config import AGENTS, TeamConfig
 
 FORMAT = "hmi-marl policy 1"
+_LATER = {"alert_strengths"}
+"""What older cards do not tell: they are of the default."""
 
 
 def save_policy(folder: Path, card: PolicyCard, weights: Weights) -> Path:
@@ -28,11 +31,14 @@ def save_policy(folder: Path, card: PolicyCard, weights: Weights) -> Path:
 
 
 def find_policy(place: Path, seat: str) -> Path:
-    """The card of the seat's policy: in a run's folder, or the file itself.
+    """The card of the seat's policy: in a run's folder, the file itself, or a shipped one.
 
     Raises:
         FileNotFoundError: there is none; the message says what is there.
+        ValueError: see :func:`hmi_marl.agents.shipped.find_shipped`.
     """
+    if is_shipped(place):
+        return find_shipped(place, seat)
     path = place / f"{seat}.json" if place.is_dir() else place
     if path.suffix == ".safetensors":
         path = path.with_suffix(".json")
@@ -53,7 +59,8 @@ def read_policy(path: Path) -> tuple[PolicyCard, dict[str, NDArray[np.float32]]]
     """
     content = read_card(path, FORMAT, "policy")
     try:
-        fields = {name: content[name] for name in PolicyCard.__dataclass_fields__}
+        names = [n for n in PolicyCard.__dataclass_fields__ if n in content or n not in _LATER]
+        fields = {name: content[name] for name in names}
         fields["network"] = NetworkConfig(**fields["network"])
         card, digest = PolicyCard(**fields), str(content["sha256"])
     except (KeyError, TypeError, ValueError) as error:
@@ -72,7 +79,7 @@ def load_policy(
     """The policy that a run learnt for a seat, ready to sit there.
 
     Args:
-        place: a run's folder, or a policy's ``.json``.
+        place: a run's folder, a policy's ``.json``, or ``trained:NAME``.
         seat: "driver" or "vehicle_ai".
         config: of the teams it will act in.
         greedy: take the likeliest action, else draw.

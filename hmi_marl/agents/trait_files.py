@@ -6,11 +6,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hmi_marl.agents.network import NetworkConfig, Weights
+from hmi_marl.agents.shipped import find_shipped, is_shipped
 from hmi_marl.agents.trait_model import PARTS, TraitCard, TraitModel
 from hmi_marl.agents.weight_files import check_shapes, read_card, read_weights, write_card
 
 FORMAT = "hmi-marl traits 1"
-NAME = "traits.json"
+KIND = "traits"
+NAME = f"{KIND}.json"
 
 
 def save_traits(folder: Path, card: TraitCard, weights: Weights) -> Path:
@@ -28,14 +30,14 @@ def load_traits(place: str | Path) -> TraitModel:
     """The trait model that a run learnt.
 
     Args:
-        place: the run's folder, or the ``.json`` itself.
+        place: the run's folder, the ``.json`` itself, or ``trained:NAME``.
 
     Raises:
         FileNotFoundError: there is none.
         ValueError: not a trait model of ours, of a later format, damaged, or altered since it was
             written; the message says which.
     """
-    path = Path(place)
+    path = find_shipped(place, KIND) if is_shipped(place) else Path(place)
     path = path / NAME if path.is_dir() else path
     if not path.is_file():
         raise FileNotFoundError(f"no trait model at {place}; learn one with hmi-marl traits train")

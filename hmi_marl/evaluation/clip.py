@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from hmi_marl.agents.adaptive import AdaptiveHMI
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.render import TeamStatus, Viewer, between, team_status
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
@@ -46,23 +49,40 @@ def episode(
     """
     driver, ai = make_driver_policy(driver_policy, config), make_hmi(hmi, config)
     teaming = begin(config, driver, ai, np.array([check_seed(seed)], np.uint64), world)
-    return _moments(teaming, driver, ai)
+    return moments(teaming, driver, ai)
 
 
-def _moments(teaming: Teaming, driver: Policy, ai: Policy) -> Iterator[tuple[Snapshot, TeamStatus]]:
-    yield teaming.world.snapshot(0), team_status(teaming, 0)
+def moments(
+    teaming: Teaming, driver: Policy, ai: Policy, hand_over: tuple[int, Traits] | None = None
+) -> Iterator[tuple[Snapshot, TeamStatus]]:
+    """Play an episode of one team that has begun; see :func:`episode`.
+
+    Args:
+        teaming: the team.
+        driver, ai: policies in its seats.
+        hand_over: before which step another driver takes the wheel, and their traits.
+    """
+    yield _moment(teaming, ai)
     while not teaming.over[0]:
+        if hand_over is not None and teaming.steps[0] == hand_over[0]:
+            teaming.hand_over(hand_over[1])
         turn(teaming, driver, ai)
-        yield teaming.world.snapshot(0), team_status(teaming, 0)
+        yield _moment(teaming, ai)
 
 
-def frames(
-    moments: Iterator[tuple[Snapshot, TeamStatus]], viewer: Viewer, per_step: int
-) -> Pictures:
+def _moment(teaming: Teaming, ai: Policy) -> tuple[Snapshot, TeamStatus]:
+    status = team_status(teaming, 0)
+    if isinstance(ai, AdaptiveHMI):
+        named = ai.estimator.belief.named()
+        status = replace(status, belief=tuple((name, float(p[0])) for name, p in named.items()))
+    return teaming.world.snapshot(0), status
+
+
+def frames(shown: Iterator[tuple[Snapshot, TeamStatus]], viewer: Viewer, per_step: int) -> Pictures:
     """Pictures of an episode, ``per_step`` for each policy step, with positions in between."""
-    before, status = next(moments)
+    before, status = next(shown)
     yield viewer.draw(before, status, per_step)
-    for after, status in moments:
+    for after, status in shown:
         for k in range(1, per_step + 1):
             yield viewer.draw(between(before, after, k / per_step), status, per_step)
         before = after

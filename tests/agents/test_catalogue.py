@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -87,8 +89,9 @@ def test_with_attention_hidden_the_optimum_is_on_the_belief():
 
 def test_every_listed_name_can_be_made():
     for make, names in ((make_hmi, HMI_NAMES), (make_driver_policy, DRIVER_POLICY_NAMES)):
-        for name in set(names) - {"runs/RUN"}:
-            make(name, SEEN)
+        for name in names:
+            if re.fullmatch("[a-z-]+", name):  # others stand for more than one
+                make(name, SEEN)
         with pytest.raises(FileNotFoundError, match="no policy for the seat"):
             make("runs/RUN", SEEN)  # stands for the folder of a run
 

@@ -159,3 +159,31 @@ def test_certainty_gives_no_nan(make):
     assert total.isfinite().all()
     assert torch.autograd.grad(total.sum(), logits)[0].isfinite().all()
     assert head.std.isfinite().all()
+
+
+def test_the_pair_with_three_strengths_equals_the_sum_over_all_twenty_pairs():
+    logits, others = drawn(6, 25), drawn(6, 25, seed=1)
+    head, other = IntentThenAlert(2, alerts=4), IntentThenAlert(2, alerts=4)
+    assert head.input_dim == 25
+    head.update(logits)
+    other.update(others)
+    old, new = (
+        (
+            torch.softmax(x[..., :5], -1).unsqueeze(-1)
+            * torch.softmax(x[..., 5:].unflatten(-1, (5, 4)), -1)
+        ).flatten(-2)
+        for x in (logits, others)
+    )
+    pairs = torch.tensor(list(itertools.product(range(5), range(4))), dtype=torch.float32)
+    log_probs = torch.stack([head.log_prob(pair.expand(6, 2)) for pair in pairs], dim=-1)
+    torch.testing.assert_close(log_probs, old.log())
+    torch.testing.assert_close(head.entropy, -(old * old.log()).sum(-1))
+    torch.testing.assert_close(
+        head.kl_divergence(head.params, other.params), (old * (old / new).log()).sum(-1)
+    )
+    certain = torch.full((5, 25), -50.0)
+    for row in range(5):
+        certain[row, row] = certain[row, 5 + 4 * row + row % 4] = 50.0
+    head.update(certain)
+    assert head.sample().tolist() == [[row, row % 4] for row in range(5)]
+    assert head.deterministic_output(certain).tolist() == head.sample().tolist()

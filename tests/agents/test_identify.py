@@ -185,6 +185,30 @@ def test_a_candidate_who_cannot_have_done_it_is_out_for_good() -> None:
         bayes.posterior([1, 0])
 
 
+def test_a_candidate_who_cannot_have_done_it_still_sees_what_is_plain() -> None:
+    # k never intends 1 nor is ever distracted, but v stays 1, and then is 2.
+    awake = Driver("awake", 0.0, 1.0, 0.0, 1.0)
+    bayes = BayesFilter([awake, "bart"], 7, 1)
+    told = even(2)
+    told[0, 0] = [0.5, 0, 0.5, 0, 0]
+    found = []
+    for v in (1, 1, 2):
+        bayes.update(told, [v], [0])
+        found.append(bayes.distracted[0, 0])
+    assert found == [0.0, 1.0, 0.0]
+    assert bayes.log_evidence[0, 0] == -np.inf
+
+
+def test_a_step_tells_what_it_adds_to_the_evidence() -> None:
+    bayes, before = BayesFilter(["bart", "homer"], 7, 2), np.zeros((2, 2))
+    for v, alert, active in ((1, 1, True), (1, 0, False), (3, 0, True)):
+        gain = bayes.update(even(2, 2), [v, 1], [alert, 0], np.array([active, True]))
+        np.testing.assert_array_equal(bayes.log_evidence, before + gain)
+        assert gain.all(axis=1).tolist() == [active, True]
+        before = bayes.log_evidence.copy()
+    assert (bayes.accepted.tolist(), bayes.counter.tolist()) == ([1, 0], [1, 0])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -6,6 +6,7 @@ from hmi_marl import Scene, merge_v0
 from hmi_marl.agents.learned import LearnedPolicy, PolicyCard, check_weights, make_card
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.vectors import make_vec
+from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout
 from hmi_marl.envs.streams import Stream, uniform
@@ -339,3 +340,35 @@ def test_both_seats_of_a_pettingzoo_environment():
         env.step(None if over else int(policies[agent].act(observation[None])[0]))
         steps += not over
     assert 2 <= steps <= 2 * config.horizon
+
+
+GRADED = TeamConfig(alert_strengths=(0.25, 0.5, 1.0))
+
+
+def test_a_vehicle_ai_has_as_many_actions_as_there_are_alerts_and_one_more():
+    policy = policy_for("vehicle_ai", GRADED)
+    assert (policy.card.actions, policy.card.outputs) == (4, 4)
+    seen = observations(vehicle_ai_layout(GRADED))
+    expected = softmax(linear(policy.weights, seen))
+    np.testing.assert_allclose(policy.probabilities(seen), expected, rtol=1e-4, atol=1e-7)
+    by_intent = policy_for("vehicle_ai", GRADED, by_intent=True)
+    assert by_intent.card.outputs == 20
+    assert by_intent.probabilities(seen).shape == (6, 4)
+    assert make_card("driver", GRADED, TINY, True) == make_card("driver", CONFIG, TINY, True)
+    assert make_card("vehicle_ai", CONFIG, TINY, True).actions == 2
+
+
+@pytest.mark.parametrize("here", [CONFIG, TeamConfig(alert_strengths=(0.3, 0.5, 1.0))], ids=str)
+def test_a_policy_of_other_alerts_is_refused(here):
+    policy = policy_for("vehicle_ai", GRADED)
+    with pytest.raises(ValueError, match=r"alerts of strengths \(0\.25, 0\.5, 1\.0\), but here"):
+        LearnedPolicy(policy.card, policy.weights, here)
+
+
+def test_a_policy_that_reads_fatigue_needs_it_to_be_shown():
+    weary = TeamConfig(fatigue=Fatigue())
+    policy = policy_for("vehicle_ai", weary)
+    with pytest.raises(ValueError, match=r"reads 'fatigue', .* \(only with fatigue=, and unless"):
+        LearnedPolicy(policy.card, policy.weights, CONFIG)
+    plain = policy_for("vehicle_ai", CONFIG)
+    LearnedPolicy(plain.card, plain.weights, weary)  # it need not look

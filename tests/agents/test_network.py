@@ -187,3 +187,19 @@ def test_impossible_networks_are_refused(settings, told):
 
 def test_sizes_may_come_as_a_list_as_json_has_them():
     assert NetworkConfig([8, 4]) == NetworkConfig((8, 4))
+
+
+def test_inputs_of_marked_teams_alone_are_remembered():
+    config = NetworkConfig((4,), memory=3)
+    weights = drawn_weights(config, 2, 5)
+    some, plain = (Network(config, weights) for _ in range(2))
+    x = np.random.default_rng(1).standard_normal((3, 2, 2)).astype(np.float32)
+    for network in (some, plain):
+        network.forget(2)
+        network(x[0])
+    first = plain(x[1])
+    # answers are the same whether or not they are to be remembered
+    np.testing.assert_array_equal(some(x[1], np.array([False, False])), first)
+    np.testing.assert_array_equal(some(x[1], np.array([True, False])), first)
+    np.testing.assert_array_equal(some(x[1], np.array([False, True]))[1], first[1])
+    np.testing.assert_array_equal(some(x[2]), plain(x[2]))

@@ -153,3 +153,18 @@ def test_without_onnx_one_is_told_what_to_install(monkeypatch):
         ModuleNotFoundError, match=r"ONNX needs onnx: pip install 'hmi-marl\[train\]'"
     ):
         importlib.import_module(name)
+
+
+@pytest.mark.parametrize("by_intent", [False, True])
+def test_a_model_of_graded_alerts_gives_the_policys_probabilities(tmp_path, by_intent):
+    config = TeamConfig(alert_strengths=(0.25, 0.5, 1.0))
+    card = make_card("vehicle_ai", config, NetworkConfig((6,)), True, by_intent=by_intent)
+    rng = np.random.default_rng(2)
+    weights = {n: rng.standard_normal(shape).astype("f4") for n, shape in card.shapes.items()}
+    policy = LearnedPolicy(card, weights, config)
+    seen = observations("vehicle_ai")  # laid out as without grades
+    told, action = ReferenceEvaluator(exported(policy, tmp_path)).run(None, fed(policy, seen))
+    expected = policy.probabilities(seen)
+    assert expected.shape == (7, 4)
+    np.testing.assert_allclose(told, expected, rtol=1e-4, atol=1e-6)
+    assert action.tolist() == expected.argmax(axis=1).tolist()

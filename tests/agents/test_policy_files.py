@@ -291,3 +291,22 @@ def test_a_kill_between_the_two_files_is_noticed_and_mended_by_the_next_write(
     saved(tmp_path, seed=1)
     _, weights = read_policy(path)
     np.testing.assert_array_equal(weights["layer0.bias"], weights_for(CARD, 1)["layer0.bias"])
+
+
+def test_a_card_from_before_there_were_strengths_is_of_the_papers_bit(tmp_path):
+    path = saved(tmp_path)
+    content = json.loads(path.read_text("utf-8"))
+    assert content.pop("alert_strengths") == [1.0]
+    path.write_text(json.dumps(content), "utf-8")
+    assert read_policy(path)[0] == CARD
+
+
+def test_a_card_tells_the_strengths_of_its_alerts(tmp_path):
+    config = TeamConfig(alert_strengths=(0.25, 0.5, 1.0))
+    card = make_card("vehicle_ai", config, NetworkConfig((4,)), True)
+    assert read_policy(saved(tmp_path, card))[0] == card
+    assert load_policy(tmp_path, "vehicle_ai", config).card.actions == 4
+    with pytest.raises(ValueError, match=r"vehicle_ai\.json: .*alerts of strengths \(0\.25, 0\.5,"):
+        load_policy(tmp_path, "vehicle_ai", CONFIG)
+    with pytest.raises(ValueError, match="damaged policy card: alert_strengths rise"):
+        read_policy(with_card(tmp_path / "vehicle_ai.json", alert_strengths=[1.0, 0.5]))

@@ -1,0 +1,37 @@
+"""Somebody gets in: who is it, and what does the right help gain?
+
+Trip after trip of one driver, with an HMI that gets to know them, beside AvgHMI and the HMI that
+knew them all along. Attention is hidden.
+
+Run: python examples/unknown_driver.py --driver bart --trips 3
+"""
+
+import argparse
+
+import numpy as np
+
+from hmi_marl.agents import make_driver_policy, make_hmi
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Traits, get_driver
+from hmi_marl.evaluation.trips import play_trips
+
+parser = argparse.ArgumentParser()
+parser.add_argument("--driver", default="bart")
+parser.add_argument("--trips", type=int, default=3)
+parser.add_argument("--drives", type=int, default=50, help="how often it is all repeated")
+parser.add_argument("--policy", default="trained:driver")
+parser.add_argument("--adaptive", default="adapt", help="or adapt:choosing, adapt:expected:bayes")
+options = parser.parse_args()
+
+driver = get_driver(options.driver)
+config = TeamConfig(driver=driver, ai_sees_attention=False)
+at_the_wheel = Traits.of([driver] * options.drives)
+seeds = np.arange(options.drives * options.trips, dtype=np.uint64).reshape(options.drives, -1)
+for name in ("belief:average", options.adaptive, f"belief:{options.driver}"):
+    hmi, policy = make_hmi(name, config), make_driver_policy(options.policy, config)
+    trips = play_trips(config, policy, hmi, at_the_wheel, seeds, keep_beliefs=True)
+    print(f"{name:<16} attention return of each trip: {trips.returns.mean(axis=0).round(1)}")
+    if trips.probabilities is not None:
+        named = hmi.estimator.belief.named()
+        told = ", ".join(f"{who} {p.mean():.2f}" for who, p in named.items())
+        print(f"{'':<16} believed in the end: {told}")

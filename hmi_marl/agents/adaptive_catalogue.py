@@ -1,0 +1,104 @@
+"""Adaptive HMIs by name: ``adapt``, ``adapt:choosing``, ``adapt:conditioned:bayes`` and so on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hmi_marl.agents.adaptive import (
+    CAUTION,
+    AdaptiveHMI,
+    ChoosingHMI,
+    ConditionedHMI,
+    ExpectedValueHMI,
+)
+from hmi_marl.agents.belief import DEFAULT_REVEALING
+from hmi_marl.agents.evidence import ChainEvidence, Evidence
+from hmi_marl.agents.evidence_files import load_evidence
+from hmi_marl.agents.evidence_model import LearnedEvidence
+from hmi_marl.agents.policy_files import load_policy
+from hmi_marl.agents.trait_estimator import TraitEstimator
+from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
+from hmi_marl.envs.seats import Policy
+
+ADAPT = "adapt"
+EXPECTED, CHOOSING, CONDITIONED = KINDS = ("expected", "choosing", "conditioned")
+BAYES = "bayes"
+TYPES = tuple(DRIVERS[name] for name in PAPER_DRIVERS)
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What was learnt for drivers who are not known: runs, or agents that come with the package."""
+
+    evidence: str = "trained:evidence"
+    """The evidence model, an encoder of driving."""
+    conditioned: str = "trained:conditioned"
+    """The HMI conditioned on z."""
+    hidden: str = "trained:hidden-{}"
+    """The HMIs that do not see attention, {} standing for the driver model."""
+
+    def hidden_hmi(self, model: str, config: TeamConfig) -> Policy:
+        """The one for a driver model."""
+        return load_policy(self.hidden.format(model), VEHICLE_AI, config)
+
+
+def make_adaptive(
+    kind: str,
+    config: TeamConfig,
+    exact: bool = False,
+    candidates: Sequence[Driver] = TYPES,
+    trained: Trained | None = None,
+    revealing: float = DEFAULT_REVEALING,
+    caution: float = CAUTION,
+    change_rate: float | None = None,
+) -> AdaptiveHMI:
+    """An HMI that gets to know its driver.
+
+    Args:
+        kind: "expected", "choosing" (among the four types alone) or "conditioned".
+        config: of the teams.
+        exact: go by the exact evidence of the chain, not by what was learnt.
+        candidates: who may be at the wheel.
+        trained: where what was learnt lies; what comes with the package by default.
+        revealing: assumed share of steps in which a^H differs from the last applied action.
+        caution: of "expected".
+        change_rate: of the estimator.
+
+    Raises:
+        FileNotFoundError, ValueError: an unknown kind, or nothing learnt to make it of.
+    """
+    trained = trained or Trained()
+    rate = {} if change_rate is None else {"change_rate": change_rate}
+
+    def estimator(drivers: Sequence[Driver]) -> TraitEstimator:
+        evidence: Evidence = ChainEvidence(drivers, config)
+        if not exact:
+            evidence = LearnedEvidence(load_evidence(trained.evidence), drivers, config)
+        return TraitEstimator(evidence, config, **rate)
+
+    if kind == EXPECTED:
+        return ExpectedValueHMI(estimator(candidates), config, revealing, caution)
+    if kind == CHOOSING:
+        hmis = [trained.hidden_hmi(driver.name, config) for driver in TYPES]
+        return ChoosingHMI(estimator(TYPES), hmis)
+    if kind == CONDITIONED:
+        policy = load_policy(trained.conditioned, VEHICLE_AI, config)
+        places = load_evidence(trained.evidence).places(Traits.of(candidates))
+        return ConditionedHMI(estimator(candidates), policy, places)
+    raise ValueError(f"an adaptive HMI is one of {', '.join(KINDS)}, not {kind!r}")
+
+
+def adaptive_by_name(argument: str, config: TeamConfig) -> AdaptiveHMI:
+    """The one that ``adapt:ARGUMENT`` means: KIND, KIND:bayes, or bayes.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`make_adaptive`.
+    """
+    words = [word for word in argument.split(":") if word]
+    exact = BAYES in words
+    kinds = [word for word in words if word != BAYES]
+    if len(kinds) > 1:
+        raise ValueError(f"adapt[:KIND][:bayes] names one kind, not {argument!r}")
+    return make_adaptive(kinds[0] if kinds else EXPECTED, config, exact)

@@ -1,0 +1,1 @@
+"""Learning what each turn tells about who drives, from drives with known traits."""

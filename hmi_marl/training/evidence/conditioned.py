@@ -1,0 +1,90 @@
+"""One HMI for a whole population, π(a^A | a^H, s, z): z is a driver's place in latent space."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hmi_marl.agents.evidence_files import load_evidence
+from hmi_marl.agents.evidence_model import EvidenceModel
+from hmi_marl.envs.drivers import PAPER_DRIVERS, TraitDistributions, Traits
+from hmi_marl.envs.streams import Stream, mix
+from hmi_marl.training.settings import PPOSettings
+from hmi_marl.training.two_stage import TwoStage
+
+if TYPE_CHECKING:
+    import torch
+
+HMI_READS = ("intended_action", "previous_intended_action", "applied_action", "alerted", "time")
+"""What there is to infer attention from. Lidar and lanes would only have to be ignored."""
+HIDDEN_PPO = PPOSettings(learning_rate=2e-3, mini_batches=8)
+"""For HMIs with a memory."""
+_DECIMALS = 3
+
+
+class Places:
+    """The :class:`Context` that gives every driver their place w(θ) in an evidence model."""
+
+    def __init__(self, model: EvidenceModel) -> None:
+        self._model = model
+        self.size = model.card.latent
+
+    def __call__(self, traits: torch.Tensor) -> torch.Tensor:
+        """See :class:`Context`."""
+        places = self._model.places(Traits.from_array(traits.cpu().numpy()))
+        return traits.new_tensor(places)
+
+
+def strangers(count: int, seed: int) -> tuple[str, ...]:
+    """Drivers with evenly drawn traits, as the command line takes them, named by their number."""
+    seeds = mix(seed, Stream.TRAITS, np.arange(count, dtype=np.uint64))
+    drawn = TraitDistributions().draw(seeds).as_array().round(_DECIMALS)
+    return tuple(
+        f"stranger-{number}:" + ",".join(f"{value:g}" for value in traits)
+        for number, traits in enumerate(drawn)
+    )
+
+
+def conditioned_hmi(
+    driver_policy: str, hmi_steps: int, memory: int, teams: int, seed: int, others: int = 128
+) -> TwoStage:
+    """Settings of an HMI for the four types and as many others, evenly drawn, attention hidden.
+
+    To be learnt with ``train(..., context=Places(model))``.
+
+    Args:
+        driver_policy: who steers.
+        hmi_steps: environment steps to learn from.
+        memory: units of its recurrent layer.
+        teams: side by side.
+        seed: of the training, and of the others' traits.
+        others: how many drivers without a name; the four types drive in a third of the episodes.
+    """
+    types = PAPER_DRIVERS * max(1, others // 2 // len(PAPER_DRIVERS))
+    return TwoStage(
+        drivers=types + strangers(others, seed),
+        driver_policy=driver_policy,
+        hmi_steps=hmi_steps,
+        ai_sees_attention=False,
+        memory=memory,
+        hmi_reads=HMI_READS,
+        hmi_reward="attention",
+        ppo=HIDDEN_PPO,
+        teams=teams,
+        seed=seed,
+    )
+
+
+def learn_conditioned(
+    settings: TwoStage, evidence: Path, folder: Path, typed: str = "", line: int = 0
+) -> None:
+    """Learn such an HMI in ``folder``, z being places in the evidence model of another run.
+
+    Raises:
+        FileNotFoundError, ValueError: no evidence model there, or what :func:`train` refuses.
+    """
+    from hmi_marl.training.run import train  # torch, with the threads that were set by then
+
+    train(settings, folder, Places(load_evidence(evidence)), typed=typed, line=line)
