@@ -32,6 +32,9 @@ class StandingWorld:
     def halt(self, which):
         self.speed = np.where(which, 0.0, self.speed)
 
+    def perceive(self, inflation, which):
+        pass  # there is nothing to see
+
     def ego(self):
         zeros = np.zeros(self.num_worlds)
         return Ego(

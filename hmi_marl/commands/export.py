@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from hmi_marl.agents.policy_files import find_policy, read_policy
+from hmi_marl.agents.shipped import is_shipped
 
 
 @dataclass(frozen=True)
@@ -19,17 +20,20 @@ class Export:
     """
 
     policy: Path
-    """The folder of a trained run, or a policy's .json."""
+    """The folder of a trained run, a policy's .json, or trained:NAME."""
     seat: Literal["driver", "vehicle_ai"] = "vehicle_ai"
     """Whose policy."""
     out: Path | None = None
-    """The file; by default beside the policy."""
+    """The file; by default beside the policy, of one that came with the package in this folder."""
 
     def run(self, typed: str) -> None:
         """Read, write and say where."""
         from hmi_marl.agents.onnx_export import export_onnx
 
         source = find_policy(self.policy, self.seat)
-        out = source.with_suffix(".onnx") if self.out is None else self.out
+        beside = source.with_suffix(".onnx")
+        if is_shipped(self.policy):
+            beside = Path(f"{source.parent.name}.onnx")
+        out = beside if self.out is None else self.out
         export_onnx(read_policy(source), out)
         print(f"written: {out}")

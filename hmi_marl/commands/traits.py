@@ -79,8 +79,8 @@ class EvaluateTraits:
         assessments, pool = assess_runs(
             self.runs, self.demonstrations, self.population, self.driver_policy, self.size
         )
-        text = write_report(self.out, assessments, pool, {}, typed, vars(self.size))
-        print(text)
+        told = write_report(self.out, assessments, pool, {}, typed, vars(self.size))
+        print(told.text)
         print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")
 
 

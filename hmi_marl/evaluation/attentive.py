@@ -17,8 +17,12 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.page import text_table
+from hmi_marl.evaluation.reproduction import spec
 from hmi_marl.evaluation.rollout import play
 from hmi_marl.evaluation.statistics import Estimate
+from hmi_marl.training.jobs import Job
+from hmi_marl.training.settings import check_count
+from hmi_marl.training.two_stage import TwoStage
 
 CONFIDENT = Driver("confident", beta=0.0, alpha=1.0, eta=0.0, inflation=3.0)
 CAUTIOUS = Driver("cautious", beta=0.0, alpha=1.0, eta=0.0, inflation=9.0)
@@ -27,6 +31,43 @@ MOST_CRASHES = 0.04
 """Of the confident driver, as a share of episodes."""
 LEAST_HEADWAY_RATIO = 1.2
 """Of the cautious driver's median time headway to the confident one's."""
+
+
+@dataclass(frozen=True)
+class AttentiveSettings:
+    """How large it is.
+
+    Raises:
+        ValueError: nothing of something.
+    """
+
+    steps: int = 18_000_000
+    """Environment steps to learn from."""
+    snapshots: int = 6
+    """At how many points on the way to look."""
+    episodes: int = 2000
+    """Episodes of each driver at each point."""
+    teams: int = 512
+    """Teams that train side by side."""
+    seed: int = 0
+    """Of the training."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "snapshots", "episodes"):
+            check_count(name, getattr(self, name))
+
+    def job(self, folder: Path) -> Job:
+        """One policy for both drivers."""
+        drivers = tuple(spec(driver) for driver in (CONFIDENT, CAUTIOUS))
+        settings = TwoStage(
+            drivers=drivers,
+            driver_steps=self.steps,
+            hmi_steps=0,
+            teams=self.teams,
+            seed=self.seed,
+            snapshots=self.snapshots,
+        )
+        return Job(settings, folder)
 
 
 @dataclass(frozen=True)
@@ -85,8 +126,17 @@ def verdicts(confident: Driving, cautious: Driving) -> dict[str, bool]:
     }
 
 
-def as_text(rows: list[Driving], verdicts: dict[str, bool]) -> str:
-    """For a terminal: a line for each driver at each point, and the verdicts at the last."""
+def snapshots(folder: Path) -> list[tuple[int, Path]]:
+    """The policies on the way, by the steps that they learnt from."""
+    kept = (path for path in (folder / "snapshots").iterdir() if path.name.isdigit())
+    return sorted((int(path.name), path) for path in kept)
+
+
+HEAD = ["million steps", "driver", "speed return", "crashes", "median time headway [s]"]
+
+
+def table_rows(rows: list[Driving]) -> list[list[str]]:
+    """A line for each driver at each point."""
     lines = []
     for row in rows:
         speed, crashes = row.speed_return, row.crash_rate
@@ -99,6 +149,10 @@ def as_text(rows: list[Driving], verdicts: dict[str, bool]) -> str:
                 f"{row.time_headway:.2f}",
             ]
         )
-    head = ["million steps", "driver", "speed return", "crashes", "median time headway [s]"]
+    return lines
+
+
+def as_text(rows: list[Driving], verdicts: dict[str, bool]) -> str:
+    """For a terminal: the table, and the verdicts at the last point."""
     told = [f"{'holds ' if holds else 'MISSED'}  {claim}" for claim, holds in verdicts.items()]
-    return "\n".join([text_table(head, lines, indent=""), "", *told])
+    return "\n".join([text_table(HEAD, table_rows(rows), indent=""), "", *told])

@@ -171,15 +171,26 @@ def compare_hidden(
     return rows
 
 
-def as_text(rows: list[HiddenRow]) -> str:
-    """For a terminal."""
-    hmis = list(rows[0].attention_return)
-    returns = [
+def table_head(rows: list[HiddenRow]) -> list[str]:
+    """Of the returns."""
+    return ["driver", "revealing", "exact, own", *rows[0].attention_return]
+
+
+def table_rows(rows: list[HiddenRow]) -> list[list[str]]:
+    """Attention returns by driver and HMI."""
+    return [
         [row.driver, f"{100 * row.revealing:.1f} %", f"{row.exact_own:.1f}"]
         + [f"{e.mean:.1f} [{e.low:.1f}, {e.high:.1f}]" for e in row.attention_return.values()]
         for row in rows
     ]
-    differences = [
+
+
+DIFFERENCES_HEAD = ["driver", "learned - Bayes, own", "own - AvgHMI, learned", "verdict"]
+
+
+def difference_rows(rows: list[HiddenRow]) -> list[list[str]]:
+    """Paired differences by driver."""
+    return [
         [
             row.driver,
             *(
@@ -190,16 +201,24 @@ def as_text(rows: list[HiddenRow]) -> str:
         ]
         for row in rows
     ]
+
+
+CAPTION = (
+    "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if steps reveal d "
+    "independently with the share that was measured)"
+)
+PAIRED = "Paired differences per episode"
+
+
+def as_text(rows: list[HiddenRow]) -> str:
+    """For a terminal."""
     return "\n".join(
         [
-            "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if steps",
-            "reveal d independently with the share that was measured)",
-            text_table(["driver", "revealing", "exact, own", *hmis], returns),
+            CAPTION,
+            text_table(table_head(rows), table_rows(rows)),
             "",
-            "Paired differences per episode",
-            text_table(
-                ["driver", "learned - Bayes, own", "own - AvgHMI, learned", "verdict"], differences
-            ),
+            PAIRED,
+            text_table(DIFFERENCES_HEAD, difference_rows(rows)),
         ]
     )
 

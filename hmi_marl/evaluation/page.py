@@ -10,13 +10,25 @@ from typing import Any
 import hmi_marl
 
 _STYLE = """
+ :root { color-scheme: light dark; --ink: #222; --paper: #fff; --line: #ddd; --quiet: #555;
+         --good: #1d7a3c; --bad: #b3261e; --half: #8a6100; }
+ @media (prefers-color-scheme: dark) {
+   :root { --ink: #ddd; --paper: #16181c; --line: #3a3d44; --quiet: #a5a9b1;
+           --good: #6cc58a; --bad: #ff8a80; --half: #e0b050; } }
  body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto;
-        padding: 0 1rem; color: #222; }
- table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
- th, td { padding: .35rem .6rem; border-bottom: 1px solid #ddd; text-align: left;
+        padding: 0 1rem; color: var(--ink); background: var(--paper); overflow-wrap: break-word; }
+ .wide { overflow-x: auto; }
+ table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums;
+         overflow-wrap: normal; }
+ th, td { padding: .35rem .6rem; border-bottom: 1px solid var(--line); text-align: left;
           vertical-align: top; }
- img { max-width: 100%; } h2 { font-size: 1.1rem; margin-top: 2rem; }
- code, .small { font-size: .85rem; color: #555; }
+ img { max-width: 100%; height: auto; background: #fff; border-radius: 4px; }
+ h2 { font-size: 1.25rem; margin-top: 2.5rem; } h3 { font-size: 1.05rem; margin-top: 1.75rem; }
+ a { color: inherit; } code, .small { font-size: .85rem; color: var(--quiet); }
+ .good { color: var(--good); } .bad { color: var(--bad); } .half { color: var(--half); }
+ .good, .bad, .half { font-weight: 600; }
+ @media (max-width: 40rem) { body { margin: 1rem auto; } th, td { padding: .3rem .4rem;
+   font-size: .85rem; } }
 """
 
 
@@ -31,7 +43,9 @@ def page(title: str, body: str, command: str, settings: Mapping[str, Any]) -> st
     """
     told = ", ".join(f"{name} = {value}" for name, value in settings.items())
     return f"""<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>hmi-marl: {escape(title)}</title>
+<html lang="en"><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>hmi-marl: {escape(title)}</title>
 <style>{_STYLE}</style>
 <h1>{escape(title)}</h1>
 {body}
@@ -50,7 +64,7 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         + "</tr>"
         for row in rows
     )
-    return f"<table><tr>{top}</tr>{body}</table>"
+    return f'<div class="wide"><table><tr>{top}</tr>{body}</table></div>'
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> str:

@@ -25,6 +25,28 @@ SPEED_RETURNS: Mapping[str, Row] = MappingProxyType(
         "NoHMI": {"lisa": 451.0, "marge": 423.0, "bart": 428.0, "homer": 404.0},
     }
 )
+DRIVER_TRAITS: Mapping[str, tuple[float, float, float, float]] = MappingProxyType(
+    {
+        "lisa": (0.2, 0.8, 0.01, 3.0),
+        "marge": (0.2, 0.8, 1.0, 9.0),
+        "bart": (0.8, 0.2, 0.01, 3.0),
+        "homer": (0.8, 0.2, 1.0, 9.0),
+    }
+)
+"""Its table of drivers: β, α, η and inflation."""
+REWARDS: Mapping[str, float] = MappingProxyType(
+    {
+        "collision": -5.0,
+        "speed_reward": 5.0,
+        "right_lane": 0.1,
+        "merging": -0.1,
+        "lane_change": -0.1,
+        "distraction": -10.0,
+        "alert": 10.0,
+        "accept_alert": 30.0,
+    }
+)
+"""Its table of rewards, by our names of the terms."""
 
 
 def mean_over_drivers(row: Row) -> float:

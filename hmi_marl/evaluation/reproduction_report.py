@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from io import BytesIO
 from itertools import pairwise
 from typing import Any
@@ -12,8 +11,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from hmi_marl.evaluation.exhibits import Exhibit, Picture, Table, Told
 from hmi_marl.evaluation.figures import COLOURS
-from hmi_marl.evaluation.page import html_table, image, page, text_table
+from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.paper import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.evaluation.reproduction import (
     AVERAGE,
@@ -220,7 +220,7 @@ def as_text(tables: list[ReproducedTable], seconds: Mapping[str, float]) -> str:
     return "\n\n".join(blocks)
 
 
-def as_json(tables: list[ReproducedTable], seconds: Mapping[str, float]) -> dict[str, Any]:
+def as_json(tables: list[ReproducedTable]) -> dict[str, Any]:
     """Everything for programs."""
     return {
         "tables": {
@@ -250,7 +250,9 @@ def as_json(tables: list[ReproducedTable], seconds: Mapping[str, float]) -> dict
         },
         "orders": {table.variant.name: order_verdicts(table) for table in tables},
         "average_driver_with_own_hmi": {
-            table.variant.name: table.average.as_json() for table in tables if table.average
+            table.variant.name: table.average.as_json() | {"hmi": AVERAGE}  # not where it lies
+            for table in tables
+            if table.average
         },
         "attention_shortfall_of_own_hmis": {
             table.variant.name: {
@@ -258,7 +260,6 @@ def as_json(tables: list[ReproducedTable], seconds: Mapping[str, float]) -> dict
             }
             for table in tables
         },
-        "seconds": dict(seconds),
     }
 
 
@@ -295,25 +296,17 @@ def figure(tables: list[ReproducedTable]) -> bytes:
     return content.getvalue()
 
 
-def as_html(
-    tables: list[ReproducedTable],
-    seconds: Mapping[str, float],
-    drawing: bytes,
-    command: str,
-    settings: Mapping[str, Any],
-) -> str:
-    """One page that needs nothing besides itself; ``drawing`` is what :func:`figure` gave."""
-    parts = [f"<p>{escape(CAPTION)}</p>", image("png", drawing, "bars of both tables")]
+def exhibits(tables: list[ReproducedTable]) -> tuple[Exhibit, ...]:
+    """What a page shows, without the time that it took."""
+    shown: list[Exhibit] = [Told(CAPTION), Picture("bars of both tables", figure(tables))]
     for table in tables:
+        variant = table.variant.title
         for metric, title, printed in METRICS:
-            parts.append(f"<h2>{escape(title)}, {escape(table.variant.title)}</h2>")
-            parts.append(html_table(["HMI for", *table.columns], rows_of(table, metric, printed)))
-        parts.append(f"<h2>Averages over the drivers, {escape(table.variant.title)}</h2>")
-        parts.append(html_table(AVERAGE_HEAD, average_rows(table)))
-        orders = order_verdicts(table).items()
-        parts.append("".join(f"<p>{escape(f'{title}: {told}')}</p>" for title, told in orders))
-        parts.append(f"<h2>Own HMI beside the optimum, {escape(table.variant.title)}</h2>")
-        parts.append(html_table(OPTIMUM_HEAD, optimum_rows(table)))
-    parts.append("<h2>Time of each part</h2>")
-    parts.append(html_table(["part", "time"], [[p, f"{s:.0f} s"] for p, s in seconds.items()]))
-    return page("The paper's table", "\n".join(parts), command, settings)
+            head = ["HMI for", *table.columns]
+            shown.append(Table(f"{title}, {variant}", head, rows_of(table, metric, printed)))
+        rows = average_rows(table)
+        shown.append(Table(f"Averages over the drivers, {variant}", AVERAGE_HEAD, rows))
+        shown += [Told(f"{title}: {told}") for title, told in order_verdicts(table).items()]
+        rows = optimum_rows(table)
+        shown.append(Table(f"Own HMI beside the optimum, {variant}", OPTIMUM_HEAD, rows))
+    return tuple(shown)

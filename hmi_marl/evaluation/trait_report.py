@@ -7,7 +7,6 @@ may have been learnt several times, from different seeds.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from io import BytesIO
 from typing import Any
 
@@ -16,7 +15,8 @@ from matplotlib.figure import Figure
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.compare_report import entry, number, percent
 from hmi_marl.evaluation.embedding_figure import EmbeddingPanel, draw_accuracy, draw_embeddings
-from hmi_marl.evaluation.page import html_table, image, page, text_table
+from hmi_marl.evaluation.exhibits import Exhibit, Picture, Table, Told, held
+from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.trait_assessment import Assessment
 from hmi_marl.evaluation.traits import WINDOWS
@@ -283,7 +283,7 @@ def as_text(assessments: Assessments, pool: int, seconds: Mapping[str, float]) -
     return "\n\n".join(part for part in parts if part)
 
 
-def as_json(assessments: Assessments, pool: int, seconds: Mapping[str, float]) -> dict[str, Any]:
+def as_json(assessments: Assessments, pool: int) -> dict[str, Any]:
     """JSON content."""
     return {
         "pool": pool,
@@ -297,7 +297,6 @@ def as_json(assessments: Assessments, pool: int, seconds: Mapping[str, float]) -
             for name, several in assessments.items()
         },
         "verdicts": verdicts(assessments, pool),
-        "seconds": dict(seconds),
     }
 
 
@@ -323,36 +322,21 @@ def accuracy_figure(assessments: Assessments) -> bytes:
     return _png(draw_accuracy(windows, curves, exact or None, first[0].types.chance))
 
 
-def as_html(
-    assessments: Assessments,
-    pool: int,
-    seconds: Mapping[str, float],
-    command: str,
-    settings: Mapping[str, Any],
-) -> str:
-    """One page that needs nothing besides itself."""
+def exhibits(assessments: Assessments, pool: int) -> tuple[Exhibit, ...]:
+    """What a page shows, without the time that it took."""
     seeds = max(len(several) for several in assessments.values())
     told = (
         f"On held-out windows; pools of {pool}; {seeds} seed(s). Bayes is the exact classifier of "
         "the same windows, which no encoder can beat. Accuracies and KL are means over seeds, the "
         "rest is of the first."
     )
-    sentences = " ".join([told, *left_out(assessments)])
-    parts = [
-        f"<p>{escape(sentences)}</p>",
-        image("png", embeddings_figure(assessments, pool), "embeddings by driver"),
-        image("png", accuracy_figure(assessments), "accuracy by windows seen"),
-        "".join(
-            f"<p>{'holds' if holds else '<b>missed</b>'}: {escape(claim)}</p>"
-            for claim, holds in verdicts(assessments, pool).items()
-        ),
-    ]
-    for title, head, rows in _sections(assessments, pool):
-        parts.append(f"<h2>{escape(title)}</h2>{html_table(head, rows)}")
-    if seconds:
-        times = [[part, f"{spent:.0f} s"] for part, spent in seconds.items()]
-        parts.append(f"<h2>Time of each part</h2>{html_table(['part', 'time'], times)}")
-    return page("Latent traits", "\n".join(parts), command, settings)
+    return (
+        Told(" ".join([told, *left_out(assessments)])),
+        Picture("embeddings by driver", embeddings_figure(assessments, pool)),
+        Picture("accuracy by windows seen", accuracy_figure(assessments)),
+        *held(verdicts(assessments, pool)),
+        *(Table(*section) for section in _sections(assessments, pool)),
+    )
 
 
 def _png(figure: Figure) -> bytes:

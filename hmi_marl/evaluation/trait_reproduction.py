@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,8 @@ from hmi_marl.agents.trait_model import TraitModel
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation.collect import collect
+from hmi_marl.evaluation.exhibits import page_of, pictures
+from hmi_marl.evaluation.stages import Outcome
 from hmi_marl.evaluation.trait_assessment import (
     PARTS,
     Assessment,
@@ -28,13 +28,7 @@ from hmi_marl.evaluation.trait_assessment import (
 )
 from hmi_marl.evaluation.trait_ceiling import NoCeilingError
 from hmi_marl.evaluation.trait_driving import check_fits
-from hmi_marl.evaluation.trait_report import (
-    accuracy_figure,
-    as_html,
-    as_json,
-    as_text,
-    embeddings_figure,
-)
+from hmi_marl.evaluation.trait_report import as_json, as_text, exhibits
 from hmi_marl.evaluation.trait_settings import (
     DEMONSTRATIONS,
     POPULATION,
@@ -218,27 +212,15 @@ def write_report(
     seconds: Mapping[str, float],
     typed: str,
     settings: Mapping[str, Any],
-) -> str:
-    """Write the page, the figures and the numbers into ``folder``; returns the text."""
-    text = as_text(assessments, pools, seconds)
+) -> Outcome:
+    """Write the page, the figures and the numbers into ``folder``."""
+    text, numbers = as_text(assessments, pools, seconds), as_json(assessments, pools)
+    shown = exhibits(assessments, pools)
     write_text(folder / "traits.txt", text + "\n")
-    told = as_json(assessments, pools, seconds) | {"command": typed, "judged_with": settings}
-    write_json(folder / "traits-report.json", told)
-    write_bytes(folder / "embeddings.png", embeddings_figure(assessments, pools))
-    write_bytes(folder / "accuracy.png", accuracy_figure(assessments))
-    write_text(folder / "index.html", as_html(assessments, pools, seconds, typed, settings))
-    return text
-
-
-class Stopwatch:
-    """How long parts took, by name."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def timing(self, part: str) -> Iterator[None]:
-        """Time what is done within."""
-        began = time.monotonic()
-        yield
-        self.seconds[part] = time.monotonic() - began
+    about = {"seconds": dict(seconds), "command": typed, "judged_with": settings}
+    write_json(folder / "traits-report.json", numbers | about)
+    for name, drawing in zip(("embeddings.png", "accuracy.png"), pictures(shown), strict=True):
+        write_bytes(folder / name, drawing)
+    html = page_of("Latent traits", shown, seconds, typed, settings)
+    write_text(folder / "index.html", html)
+    return Outcome(numbers, shown, seconds, text)

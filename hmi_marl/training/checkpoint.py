@@ -17,9 +17,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 
 from hmi_marl.files import write_bytes
+from hmi_marl.training.jobs import CHECKPOINT as CHECKPOINT
 
-CHECKPOINT = "checkpoint.safetensors"
-"""In a run's folder."""
 OPTIMIZER = "optimizer"
 FORMAT = "hmi-marl checkpoint 1"
 

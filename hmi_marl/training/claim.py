@@ -2,13 +2,38 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
+from hmi_marl.agents.catalogue import learned_file
+from hmi_marl.agents.shipped import is_shipped
+from hmi_marl.envs.config import DRIVER
+from hmi_marl.envs.plain import plain
+
 SETTINGS = "run.json"
+POLICY = "driver_policy"
+LATER: dict[str, Any] = {"alert_strengths": [1.0]}
+"""Settings that are younger than some runs, with what those had. (One that was None needs none.)"""
 FREE = ("device", "threads", "checkpoint_every")
 """Settings of the machine rather than the run: they may differ when it goes on elsewhere."""
+
+
+def told(settings: object) -> dict[str, Any]:
+    """A run's settings, a dataclass, as JSON; whose driver it takes is told by checksum, not place.
+
+    Raises:
+        FileNotFoundError, ValueError: there is no such driver.
+    """
+    content: dict[str, Any] = plain(settings)
+    name = content.get(POLICY)
+    weights = learned_file(name, DRIVER) if isinstance(name, str) else None
+    if isinstance(name, str) and weights is not None:
+        short = name.lower() if is_shipped(name) else Path(name).name
+        digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+        content[POLICY] = {"name": short, "sha256": digest}
+    return content
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -39,7 +64,11 @@ def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> Non
 
     def binding(about: dict[str, Any]) -> dict[str, Any]:
         settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
-        return {k: v for k, v in about.items() if k not in ("settings", "command")} | settings
+        policy = settings.get(POLICY)
+        if isinstance(policy, dict):  # wherever it lies and whatever its folder is called
+            settings[POLICY] = policy.get("sha256")
+        own = {k: v for k, v in about.items() if k not in ("settings", "command")}
+        return LATER | own | settings
 
     old, new = binding(before), binding(now)
     differing = [name for name in new if old.get(name) != new[name]]

@@ -21,6 +21,8 @@ from hmi_marl.workers import pool
 
 CURVE = "curve.json"
 """In a run's folder: a row for each batch."""
+CHECKPOINT = "checkpoint.safetensors"
+"""In a run's folder: all that it takes to go on."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.files import make_folder, write_json
 from hmi_marl.training.batch import play_batch
 from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
-from hmi_marl.training.claim import SETTINGS, check_same, read_settings
+from hmi_marl.training.claim import SETTINGS, check_same, read_settings, told
 from hmi_marl.training.jobs import CURVE
 from hmi_marl.training.learner import Learner, PPOLearner, TwoLearners
 from hmi_marl.training.models import (
@@ -102,7 +102,7 @@ class _Run:
             "environment": "merge_v0",
             "version": hmi_marl.__version__,
             "protocol": type(settings).__name__,
-            "settings": plain(settings),
+            "settings": told(settings),
             "processes": processes.count,
             "context": 0 if context is None else context.size,
         }

@@ -36,6 +36,13 @@ def test_a_policy_is_written_as_onnx_beside_itself(run, capsys):
     np.testing.assert_array_equal(action, policy.act(observation))
 
 
+def test_one_that_came_with_the_package_is_written_here(tmp_path, monkeypatch):
+    pytest.importorskip("onnx")
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "--policy", "trained:Homer"]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["homer.onnx"]
+
+
 def test_a_seat_without_a_policy_is_told(run, capsys):
     assert main(["export", "--policy", str(run), "--seat", "driver"]) == 2
     assert "it holds one for vehicle_ai" in capsys.readouterr().err

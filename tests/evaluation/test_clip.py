@@ -10,11 +10,14 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
+from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.envs.render import TeamStatus, Viewer, between
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds import Snapshot
 from hmi_marl.evaluation import clip
+from hmi_marl.evaluation.rollout import begin
 
 Moment = tuple[Snapshot, TeamStatus]
 CONFIG = TeamConfig(driver="homer", duration=2.0, scene=Scene(vehicles=2))
@@ -48,6 +51,28 @@ def test_an_episode_has_a_moment_before_and_after_every_step(moments: list[Momen
     assert moments[0][1].intended == "-"
     ahead = [snapshot.position[0, 0] for snapshot, _ in moments]
     assert all(b > a for a, b in itertools.pairwise(ahead))
+
+
+def test_an_hmi_that_gets_to_know_its_driver_shows_what_it_believes(
+    moments: list[Moment],
+) -> None:
+    config = TeamConfig(driver="bart", duration=2.0, ai_sees_attention=False)
+    played = list(clip.episode(config, "adapt:bayes", "random", seed=3))
+    beliefs = [dict(status.belief) for _, status in played]
+    assert all(list(belief) == ["lisa", "marge", "bart", "homer"] for belief in beliefs)
+    assert set(beliefs[0].values()) == {0.25}
+    assert [sum(belief.values()) for belief in beliefs] == pytest.approx([1.0] * len(beliefs))
+    assert beliefs[-1] != beliefs[0]
+    assert {status.belief for _, status in moments} == {()}, "others believe nothing"
+
+
+def test_another_driver_may_take_the_wheel_on_the_way() -> None:
+    driver, ai = make_driver_policy("rule", CONFIG), make_hmi("never", CONFIG)
+    teaming = begin(CONFIG, driver, ai, np.array([3], np.uint64), "highway")
+    change = 4, Traits.of([DRIVERS["lisa"]])
+    names = [status.driver for _, status in clip.moments(teaming, driver, ai, change)]
+    # the moments after each of the first four steps are homer's, as is that before them
+    assert names == ["homer"] * 5 + ["lisa"] * 6
 
 
 def test_an_episode_ends_with_the_crash() -> None:

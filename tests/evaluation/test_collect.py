@@ -372,3 +372,9 @@ def test_progress_and_summary_count_all_steps() -> None:
     lines = summary.as_text().splitlines()
     assert len(lines) == 4
     assert lines[1].split()[:3] == ["homer", "2", str(steps)]
+
+
+@pytest.mark.parametrize("alerts", [{"alert_strengths": (0.5, 1.0)}, {"fatigue": (10, 2, 0.5)}])
+def test_demonstrations_are_of_one_bit(alerts):
+    with pytest.raises(ValueError, match="a dataset of demonstrations is for alerts of one streng"):
+        CollectSettings(**alerts)

@@ -134,6 +134,9 @@ def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys):
     }
     bart = [c for c in content["tables"]["eta-1"] if c["hmi"] == c["driver"] == "bart"]
     assert bart[0]["paper"] == {"distraction_return": -123.0, "speed_return": 444.0}
+    assert content["average_driver_with_own_hmi"]["printed"]["hmi"] == "AvgHMI"
+    numbers = {name: content[name] for name in content if name not in ("command", "seconds")}
+    assert str(tmp_path) not in json.dumps(numbers)
     assert "training hmi-bart-eta-1" in content["seconds"]
     shortfalls = content["attention_shortfall_of_own_hmis"]
     assert list(shortfalls["printed"]) == ["lisa", "marge", "bart", "homer", "average"]

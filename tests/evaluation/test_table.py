@@ -10,6 +10,7 @@ from hmi_marl.agents import oracle
 from hmi_marl.agents.learned import LearnedPolicy, make_card
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.oracle import solve_alerts
+from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.plain import plain
 from hmi_marl.envs.rewards import TERMS
@@ -293,3 +294,35 @@ def test_the_optimal_attention_return_is_over_as_many_steps_as_the_episodes() ->
     assert best.return_after(1) == pytest.approx(first_step)
     expected = (first_step + best.total_return) / 2
     assert cell.optimal_attention_return_same_steps == pytest.approx(expected)
+
+
+def test_exact_values_are_those_of_the_alerts_that_there_are() -> None:
+    config = TableConfig(
+        drivers=("homer",),
+        hmis=("own", "always"),
+        episodes=2,
+        alert_strengths=(0.5, 1.0),
+        fatigue=(20, 5, 1.0),
+    )
+    given = {"strengths": (0.5, 1.0), "fatigue": Fatigue(20, 5, 1.0)}
+    best = solve_alerts("homer", **given)
+    cell = make_cell(config, "homer", "own", some_episodes([100, 100]))
+    assert cell.optimal_attention_return_same_steps == pytest.approx(best.total_return)
+    assert cell.exact_distraction_return == pytest.approx(best.distraction_return)
+    always = make_cell(config, "homer", "always", some_episodes([100, 100]))
+    assert always.exact_distraction_return is not None
+    assert always.exact_distraction_return < best.distraction_return
+
+
+def test_a_learned_hmi_of_other_alerts_has_no_known_rule() -> None:
+    team = TeamConfig(driver="homer")
+    old = plain(team)
+    for name in ("alert_strengths", "fatigue"):  # cards that are older than these
+        del old[name]
+    np.testing.assert_array_equal(
+        known_rule(learned_hmi(team, team=old), team), solve_alerts("homer").policy
+    )
+    weary = TeamConfig(driver="homer", fatigue=Fatigue())
+    assert known_rule(learned_hmi(weary, team=old), weary) is None
+    rule = known_rule(learned_hmi(weary, team=plain(weary)), weary)
+    np.testing.assert_array_equal(rule, solve_alerts("homer", fatigue=Fatigue()).policy)

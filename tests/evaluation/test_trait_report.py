@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hmi_marl.evaluation import statistics, trait_report
+from hmi_marl.evaluation.exhibits import page_of, show
 from hmi_marl.evaluation.separability import Separability
 from hmi_marl.evaluation.statistics import Estimate, share
 from hmi_marl.evaluation.trait_assessment import Assessment
@@ -18,12 +19,12 @@ from hmi_marl.evaluation.trait_regression import TraitR2
 from hmi_marl.evaluation.trait_report import (
     accuracy,
     accuracy_figure,
-    as_html,
     as_json,
     as_text,
     average_kl,
     driving_rows,
     embeddings_figure,
+    exhibits,
     identity_rows,
     left_out,
     likelihood_rows,
@@ -317,7 +318,7 @@ def test_what_was_left_out_is_told_and_nothing_else() -> None:
 
 def test_json_holds_every_seed_and_no_nan() -> None:
     several = THREE | {"none": [one(hits=60), one(hits=70)]}
-    content = json.loads(json.dumps(as_json(several, POOL, {"judging": 1.5}), allow_nan=False))
+    content = json.loads(json.dumps(as_json(several, POOL), allow_nan=False))
     assert content["pool"] == POOL
     assert list(content["settings"]) == ["none", "id", "preference"]
     unsupervised = content["settings"]["none"]
@@ -332,7 +333,6 @@ def test_json_holds_every_seed_and_no_nan() -> None:
     assert first["traits"]["eta"]["linear"] == {"mean": None, "low": None, "high": None}
     assert first["driving"][0]["imitated"]["alert_effect"]["mean"] is None
     assert content["verdicts"] == verdicts(several, POOL)
-    assert content["seconds"] == {"judging": 1.5}
 
 
 # Figures and the page.
@@ -372,7 +372,9 @@ def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_page_needs_nothing_besides_itself_and_is_escaped() -> None:
     command = "hmi-marl traits evaluate 'a <folder>' --out \"b & c\""
-    html = as_html(THREE, POOL, {"judging <1>": 2.0}, command, {"windows": "<5>"})
+    html = page_of(
+        "Traits", exhibits(THREE, POOL), {"judging <1>": 2.0}, command, {"windows": "<5>"}
+    )
     assert html.startswith("<!doctype html>")
     sources = re.findall(r'src="([^"]{0,40})', html)
     assert len(sources) == 2
@@ -386,5 +388,5 @@ def test_the_page_needs_nothing_besides_itself_and_is_escaped() -> None:
     assert "pools of 8; 1 seed(s)" in html
     assert "holds: unsupervised: 20 points above chance (35.0)" in html
     assert "by pools of 2, 4, 16." in html
-    assert "<b>missed</b>" not in html
-    assert "<b>missed</b>: unsupervised" in as_html({"none": [one(hits=30)]}, POOL, {}, "", {})
+    assert "MISSED" not in html
+    assert "MISSED: unsupervised" in show(exhibits({"none": [one(hits=30)]}, POOL))

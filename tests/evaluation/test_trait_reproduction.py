@@ -11,12 +11,8 @@ from hmi_marl.agents.trait_files import save_traits
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.evaluation import trait_reproduction
 from hmi_marl.evaluation.collect import CollectSettings, collect
-from hmi_marl.evaluation.trait_reproduction import (
-    Stopwatch,
-    assess_runs,
-    collect_datasets,
-    write_report,
-)
+from hmi_marl.evaluation.stopwatch import Stopwatch
+from hmi_marl.evaluation.trait_reproduction import assess_runs, collect_datasets, write_report
 from hmi_marl.evaluation.trait_settings import (
     DEMONSTRATIONS,
     POPULATION,
@@ -182,9 +178,8 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
     assert first.traits is not None
     assert second.traits is None  # only what is told over seeds
     assert not second.ranking
-    text = write_report(
-        tmp_path / "out", found, pools, {"judging": 1.0}, "hmi-marl", {"windows": 10}
-    )
+    seconds = {"judging": 1.0}
+    told = write_report(tmp_path / "out", found, pools, seconds, "hmi-marl", {"windows": 10})
     out = tmp_path / "out"
     assert {path.name for path in out.iterdir()} == {
         "traits.txt",
@@ -193,8 +188,10 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
         "accuracy.png",
         "index.html",
     }
-    assert (out / "traits.txt").read_text("utf-8") == text + "\n"
-    assert "pools of 4, 8, 16." in text
+    assert (out / "traits.txt").read_text("utf-8") == told.text + "\n"
+    assert "pools of 4, 8, 16." in told.text
+    assert told.seconds == seconds
+    assert "seconds" not in told.numbers  # which are the same however long it took
     content = json.loads((out / "traits-report.json").read_text("utf-8"))
     assert len(content["settings"]["id"]["seeds"]) == 2
     for name in ("embeddings.png", "accuracy.png"):
@@ -219,8 +216,8 @@ def test_a_rule_has_no_ceiling_and_is_judged_all_the_same(
     data = record(tmp_path / "data", "rule")
     found, pools = assess_runs([a_run(tmp_path / "run", data)], data, None, None, SMALL)
     assert "ceiling cannot be had: it takes a driver that tells" in capsys.readouterr().err
-    text = write_report(tmp_path / "out", found, pools, {}, "", {})
-    assert "There is no exact ceiling." in text
+    told = write_report(tmp_path / "out", found, pools, {}, "", {})
+    assert "There is no exact ceiling." in told.text
 
 
 def test_what_cannot_be_judged_together_is_told(tmp_path: Path, data: Path) -> None:

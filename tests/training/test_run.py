@@ -15,7 +15,7 @@ from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.policy_files import load_policy, read_policy
 from hmi_marl.agents.vectors import make_vec
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.scene import Scene
 from hmi_marl.training import run
 from hmi_marl.training.alternating import Alternating
@@ -45,6 +45,8 @@ PROTOCOLS = {
     "at once": Simultaneous(steps=80, parallel=True, critic="own", **TINY),
     "alternating": ALTERNATING,
     "hidden attention": replace(TWO_STAGE, ai_sees_attention=False, memory=4, condition="hidden"),
+    "graded alerts": replace(TWO_STAGE, alert_strengths=(0.3, 0.6, 1.0), fatigue=(8, 3, 0.5)),
+    "graded alerts, joint": Joint(steps=80, alert_strengths=(0.3, 0.6, 1.0), **TINY),
     "two memories at once": Simultaneous(steps=80, memory=4, ai_sees_attention=False, **TINY),
 }
 SEATS = ("driver", "vehicle_ai")
@@ -96,7 +98,12 @@ def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
     about = json.loads((tmp_path / "run.json").read_text())
     assert about["protocol"] == type(settings).__name__
     assert about["settings"]["teams"] == 8
-    config = replace(TEAM, ai_sees_attention=settings.ai_sees_attention)
+    config = replace(
+        TEAM,
+        ai_sees_attention=settings.ai_sees_attention,
+        alert_strengths=settings.alert_strengths,
+        fatigue=as_fatigue(settings.fatigue),
+    )
     env = make_vec(8, "team", threads=1, **vars(config))
     for seat in SEATS:
         policy = load_policy(tmp_path, seat, config)
@@ -105,7 +112,9 @@ def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
         assert policy.card.training["team"]["duration"] == 1.0
         policy.reset(np.arange(8, dtype=np.uint64))
         actions = policy.act(env.get_observations()[seat].numpy())
-        assert ((actions >= 0) & (actions < (5 if seat == "driver" else 2))).all()
+        choices = 5 if seat == "driver" else config.alerts.choices
+        assert ((actions >= 0) & (actions < choices)).all()
+        assert policy.probabilities(env.get_observations()[seat].numpy()).shape == (8, choices)
     assert {path.name for path in tmp_path.iterdir()} == {
         "run.json",
         "curve.json",
@@ -265,6 +274,17 @@ def test_a_folder_with_another_run_is_left_alone(settings, told, tmp_path):
     with pytest.raises(ValueError, match=told):
         train(settings, tmp_path, quiet=True)
     assert files(tmp_path) == before
+
+
+def test_a_run_from_before_there_were_strengths_goes_on(tmp_path):
+    before = learnt(tmp_path, TWO_STAGE)
+    about = json.loads((tmp_path / "run.json").read_text())
+    for name in ("alert_strengths", "fatigue"):
+        del about["settings"][name]
+    (tmp_path / "run.json").write_text(json.dumps(about))
+    assert learnt(tmp_path, TWO_STAGE) == before
+    with pytest.raises(ValueError, match=r"alert_strengths = \[1.0\], now \[0.5, 1.0\]"):
+        train(replace(TWO_STAGE, alert_strengths=(0.5, 1.0)), tmp_path, quiet=True)
 
 
 def test_a_run_of_another_version_is_told(tmp_path, monkeypatch):

@@ -1,0 +1,41 @@
+"""``hmi-marl reproduce adapt``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from hmi_marl.agents.adaptive_catalogue import Trained
+from hmi_marl.commands.fields import only
+from hmi_marl.commands.train import use_quiet_threads
+from hmi_marl.evaluation.adapt_settings import AdaptReproduction
+from hmi_marl.evaluation.adapt_stage import AdaptStage
+from hmi_marl.evaluation.stages import Place
+from hmi_marl.workers import check_workers
+
+
+@dataclass(frozen=True)
+class ReproduceAdapt(AdaptReproduction):
+    """Drivers who are not known: learn the encoder and the HMI conditioned on z, and judge them.
+
+    Goes on by itself where it was cut off.
+
+    Example: hmi-marl reproduce adapt
+    """
+
+    driver_run: Path = Path("trained:driver")
+    """Whose driver to take: a trained run, or one that comes with the package."""
+    hidden: str = Trained().hidden
+    """The HMIs that do not see attention, {} standing for the driver model."""
+    workers: int | None = None
+    """Processes at a time; all cores by default. Does not change results."""
+    out: Path = Path("runs/reproduce/adapt")
+    """Folder."""
+
+    def run(self, typed: str) -> None:
+        """Learn what is not learnt yet, play, write and print."""
+        use_quiet_threads()
+        place = Place(self.out, self.driver_run, check_workers(self.workers), typed)
+        size = only(AdaptReproduction, self)
+        print(AdaptStage(size, self.hidden).run(place).text)
+        print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")

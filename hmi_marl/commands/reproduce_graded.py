@@ -1,0 +1,48 @@
+"""``hmi-marl reproduce graded``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import tyro
+
+from hmi_marl.commands.train import use_quiet_threads
+from hmi_marl.evaluation.graded import GradedSettings
+from hmi_marl.evaluation.graded_stage import GradedStage
+from hmi_marl.evaluation.stages import Place
+from hmi_marl.workers import check_workers
+
+QUICK = {"hmi_steps": 200_000, "episodes": 200}
+
+
+@dataclass(frozen=True)
+class ReproduceGraded:
+    """Graded alerts and alert fatigue: learned HMIs beside the exact optimum.
+
+    Goes on by itself where it was cut off.
+
+    Example: hmi-marl reproduce graded
+    """
+
+    size: tyro.conf.OmitArgPrefixes[GradedSettings] = field(default_factory=GradedSettings)
+    """How large."""
+    quick: bool = False
+    """A coarse one in a minute instead, too short to reach the optimum everywhere."""
+    workers: int | None = None
+    """Trainings at a time; all cores by default. Does not change results."""
+    out: Path | None = None
+    """Folder; by default runs/reproduce/graded, with --quick runs/reproduce/graded-quick."""
+
+    def run(self, typed: str) -> None:
+        """Learn what is not learnt yet, play, write and print."""
+        use_quiet_threads()
+        size = self.size
+        if self.quick:
+            if replace(size, seed=0) != GradedSettings():
+                raise ValueError("--quick sets the sizes itself; leave it out to choose them")
+            size = replace(size, **QUICK)
+        out = self.out or Path("runs/reproduce") / ("graded-quick" if self.quick else "graded")
+        nobody = out / "driver"  # the rule-based driver drives, so that none is to be learnt
+        place = Place(out, nobody, check_workers(self.workers), typed)
+        print(GradedStage(size).run(place).text)

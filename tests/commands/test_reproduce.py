@@ -1,0 +1,76 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hmi_marl.cli import main
+from hmi_marl.commands import reproduce
+from hmi_marl.evaluation.full import QUICK, FullSettings
+from hmi_marl.evaluation.full_report import NUMBERS, PAGE
+from hmi_marl.evaluation.stages import Agent
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What would be done."""
+    calls: list[tuple[Any, ...]] = []
+
+    def instead(settings: FullSettings, folder: Path, *others: Any) -> Path:
+        calls.append((settings, folder, *others))
+        return folder / "index.html"
+
+    monkeypatch.setattr(reproduce, "reproduce_all", instead)
+    return calls
+
+
+@pytest.mark.parametrize("words", [["reproduce"], ["reproduce", "all"]])
+def test_everything_is_reproduced_by_default(words, asked, capsys) -> None:
+    assert main([*words, "--workers", "2"]) == 0
+    typed = " ".join(["hmi-marl", *words, "--workers", "2"])
+    out = Path("runs/reproduce/all")
+    assert asked == [(FullSettings(), out, 2, typed, "hmi-marl reproduce")]
+    assert f"the page: {out.resolve().as_uri()}/index.html" in capsys.readouterr().out
+
+
+def test_the_report_tells_nothing_that_does_not_change_results(asked, tmp_path: Path) -> None:
+    words = ["reproduce", "--quick", "--seed", "3", "--workers", "1"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    assert main(words) == 0
+    (settings, out, _, _, told), (_, default, *_) = asked
+    assert settings == QUICK.with_seed(3)
+    assert (out, default) == (tmp_path, Path("runs/reproduce/all-quick"))
+    assert told == "hmi-marl reproduce --quick --seed 3"
+
+
+def test_bad_settings_are_told_before_anything_is_done(asked, capsys) -> None:
+    assert main(["reproduce", "--workers", "0"]) == 2
+    assert main(["reproduce", "--seed", "-1"]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert "there is at least one worker, but got 0" in told[0]
+    assert "seed" in told[1]
+    assert not asked
+
+
+def test_only_a_finished_reproduction_is_shipped(tmp_path: Path, capsys) -> None:
+    command = ["reproduce", "ship", "--run", str(tmp_path / "run"), "--out", str(tmp_path / "out")]
+    assert main(command) == 2
+    assert "stage table of" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_report_is_shipped_beside_the_agents(tmp_path: Path, monkeypatch, capsys) -> None:
+    run, report = tmp_path / "run", tmp_path / "docs"
+    run.mkdir()
+    for name in (PAGE, NUMBERS):
+        (run / name).write_text(name)
+    copied = [Agent("homer", run / "vehicle_ai.json", "alerts homer")]
+    monkeypatch.setattr(reproduce, "ship", lambda *given: copied)
+    command = ["reproduce", "ship", "--run", str(run), "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    assert capsys.readouterr().out.split() == ["homer", "alerts", "homer"]
+    assert not report.exists()
+    assert main([*command, "--report", str(report)]) == 0
+    assert {path.name: path.read_text() for path in report.iterdir()} == {
+        PAGE: PAGE,
+        NUMBERS: NUMBERS,
+    }

@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+import torch
+from evidence_models import HIDDEN, SMALL, any_alerts, any_intents, seeds, turns
+from standing_world import standing_teams
+
+from hmi_marl.agents.evidence_model import (
+    DERIVED,
+    EvidenceCard,
+    EvidenceModel,
+    LearnedEvidence,
+    Turns,
+)
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.envs.drivers import DRIVERS, Traits
+from hmi_marl.envs.observations import traits_part
+from hmi_marl.training.evidence.model import LOOKED_AT, Evidence
+
+FIVE = list(DRIVERS.values())
+
+
+def random_module(card, seed=0):
+    """Weights as torch draws them, units that are none of 0 and 1."""
+    torch.manual_seed(seed)
+    module = Evidence(card)
+    module.centre.normal_()
+    module.scale.uniform_(0.5, 2.0)
+    return module
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        SMALL,
+        SMALL | {"segment": 20, "encoder": NetworkConfig((7, 5), "elu", memory=6)},
+        SMALL | {"segment": 1, "place": NetworkConfig((6, 6), "relu"), "latent": 8},
+    ],
+    ids=["small", "one segment", "no memory to speak of"],
+)
+def test_it_is_the_function_that_acts(sizes):
+    module = random_module(EvidenceCard.for_team(HIDDEN, **sizes))
+    model = EvidenceModel(module.card, module.weights())
+    teams = standing_teams(5, driver="bart", ai_sees_attention=False, duration=4.0)
+    teams.reset(seeds(5))
+    evidence = LearnedEvidence(model, FIVE, HIDDEN)
+    reader = Turns([n for n, _ in module.card.reads], teams.layouts["vehicle_ai"])
+    evidence.reset(5)
+    reader.reset(5)
+    every, read, gains = np.ones(5, np.bool_), [], []
+    for seen in turns(teams, any_intents(20, 5), any_alerts(20, 5)):
+        read.append(reader.read(seen, every))
+        gains.append(evidence.observe(seen, every))
+    shown = torch.from_numpy(traits_part(Traits.of(FIVE)).astype(np.float32))
+    with torch.no_grad():
+        told = module(torch.from_numpy(np.stack(read, axis=1)), shown).numpy()
+    assert told.shape == (5, 20, 5)
+    np.testing.assert_allclose(told, np.cumsum(gains, axis=0).transpose(1, 0, 2), atol=1e-4)
+    np.testing.assert_allclose(
+        np.diff(told, axis=1), np.array(gains).transpose(1, 0, 2)[:, 1:], atol=1e-5
+    )
+    assert np.abs(told).max() > 0.1
+
+
+def test_evidence_may_be_asked_for_in_some_turns_alone():
+    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
+    read, shown = torch.randn(2, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    with torch.no_grad():
+        every, fourth = module(read, shown), module(read, shown, 4)
+    assert every.shape == (2, 20, 3)
+    np.testing.assert_array_equal(fourth, every[:, [3, 7, 11, 15, 19]])
+
+
+def test_the_loss_by_hand():
+    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
+    read, shown = torch.randn(3, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    lengths = (20, 14, 6)
+    driving = torch.arange(20) < torch.tensor(lengths)[:, None]
+    with torch.no_grad():
+        told = module(read, shown).numpy().astype(np.float64)
+        loss = module.loss(read, driving, shown).item()
+    each = [
+        np.log(np.exp(told[b, t]).sum()) - told[b, t, b]
+        for b, length in enumerate(lengths)
+        for t in range(LOOKED_AT - 1, length, LOOKED_AT)
+    ]
+    assert len(each) > 3
+    assert loss == pytest.approx(np.mean(each), rel=1e-5)
+
+
+def test_evidence_is_toned_down_by_a_factor():
+    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
+    read, shown = torch.randn(2, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    with torch.no_grad():
+        before = module(read, shown)
+        module.temper(0.3)
+        after = module(read, shown)
+    np.testing.assert_allclose(after, 0.3 * before, rtol=1e-4, atol=1e-5)
+
+
+def test_the_loss_of_whole_drives_by_hand():
+    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
+    read, shown = torch.randn(3, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    lengths = (20, 14, 1)
+    driving = torch.arange(20) < torch.tensor(lengths)[:, None]
+    with torch.no_grad():
+        told = module(read, shown).numpy().astype(np.float64)
+        losses = module.loss_at_end(read, driving, shown, torch.tensor([0.5, 1.0]))
+    for temperature, loss in zip((0.5, 1.0), losses, strict=True):
+        each = []
+        for b, length in enumerate(lengths):
+            last = temperature * told[b, length - 1]
+            each.append(np.log(np.exp(last).sum()) - last[b])
+        assert loss.item() == pytest.approx(np.mean(each), rel=1e-4)
+
+
+def test_turns_that_there_were_not_are_not_learnt_from():
+    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
+    read = torch.randn(3, 20, module.card.read_size + DERIVED)
+    driving = torch.arange(20) < torch.tensor([[20], [9], [13]])
+    shown = torch.rand(3, 4)
+    other = torch.where(driving[..., None], read, torch.randn_like(read))
+    losses = [module.loss(each, driving, shown) for each in (read, other)]
+    assert losses[0].item() == pytest.approx(losses[1].item(), rel=1e-6)
+    assert module.loss(other, torch.ones_like(driving), shown).item() != losses[0].item()
+
+
+def test_weights_are_those_of_the_card():
+    card = EvidenceCard.for_team(HIDDEN, **SMALL)
+    weights = random_module(card).weights()
+    assert {name: values.shape for name, values in weights.items()} == card.shapes

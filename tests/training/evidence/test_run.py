@@ -1,0 +1,237 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from hmi_marl.agents.evidence_files import load_evidence
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.envs.drivers import DRIVERS, Traits
+from hmi_marl.training.checkpoint import Checkpoint
+from hmi_marl.training.evidence import run
+from hmi_marl.training.evidence.drives import Drives, drive_all
+from hmi_marl.training.evidence.run import learn_evidence
+from hmi_marl.training.evidence.settings import EvidenceSettings
+
+TINY = EvidenceSettings(
+    driver_policy="rule",
+    hmis=("never", "random:0.3"),
+    drives=20,
+    updates=3,
+    batch=6,
+    held_out=0.2,
+    latent=3,
+    encoder=NetworkConfig((6,), memory=4),
+    place=NetworkConfig((5,)),
+    checkpoint_every=0.0,
+)
+FILES = ("evidence.safetensors", "evidence.json")
+REAL = drive_all
+
+
+@pytest.fixture(scope="module")
+def driven():
+    return REAL(TINY)
+
+
+@pytest.fixture(autouse=True)
+def driven_once(driven, monkeypatch):
+    """The drives of ``TINY`` in every run, whatever its sizes of networks."""
+    monkeypatch.setattr(run, "drive_all", lambda settings, progress: driven)
+
+
+def learnt(folder, settings=TINY, **choices):
+    learn_evidence(settings, folder, quiet=True, **choices)
+    return {name: (folder / name).read_bytes() for name in FILES}
+
+
+def rows(folder):
+    curve = json.loads((folder / "curve.json").read_text())
+    return [{name: value for name, value in row.items() if name != "seconds"} for row in curve]
+
+
+def test_a_run_leaves_a_model_its_settings_and_a_curve(tmp_path):
+    learn_evidence(TINY, tmp_path, quiet=True, typed="hmi-marl train evidence")
+    about = json.loads((tmp_path / "run.json").read_text())
+    assert about["command"] == "hmi-marl train evidence"
+    assert about["settings"]["updates"] == 3
+    model = load_evidence(tmp_path)
+    assert model.card == replace(TINY.card(TINY.team), training=model.card.training)
+    assert model.card.training["settings"] == about["settings"]
+    assert model.card.training["command"] == "hmi-marl train evidence"
+    (row,) = rows(tmp_path)
+    assert row["updates"] == 3
+    assert np.isfinite([row["loss"], row["held_out_loss"]]).all()
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *FILES,
+        "run.json",
+        "curve.json",
+        "checkpoint.safetensors",
+    }
+
+
+def test_the_drives_are_those_of_the_settings(tmp_path, driven, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "drive_all", REAL)
+        one = learnt(tmp_path / "one")
+    assert learnt(tmp_path / "two") == one
+
+
+def test_units_are_those_of_the_turns_that_there_were(tmp_path, driven):
+    learnt(tmp_path)
+    model = load_evidence(tmp_path)
+    read = driven.turns[driven.driving][:, : model.card.read_size].astype(np.float64)
+    np.testing.assert_allclose(model.weights["read.centre"], read.mean(axis=0), atol=1e-4)
+    spread = read.std(axis=0)
+    varied = spread > 1e-2
+    assert varied.any()
+    np.testing.assert_allclose(model.weights["read.scale"][varied], spread[varied], rtol=1e-3)
+    assert (model.weights["read.scale"] > 1e-3).all()
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_does_not(tmp_path):
+    one = learnt(tmp_path / "one")
+    assert learnt(tmp_path / "two") == one
+    assert learnt(tmp_path / "other", replace(TINY, seed=1))[FILES[0]] != one[FILES[0]]
+
+
+def test_weights_are_learnt(tmp_path):
+    few, more = (replace(TINY, updates=n) for n in (1, 3))
+    assert learnt(tmp_path / "few", few)[FILES[0]] != learnt(tmp_path / "more", more)[FILES[0]]
+
+
+def with_traits(driven, k):
+    """The same drives, of which drive k is said to be another driver's."""
+    traits = driven.traits.as_array().copy()
+    traits[k] = traits[k] * 0.5 + [0.3, 0.1, 0.2, 1]
+    return Drives(driven.turns, driven.driving, Traits.from_array(traits))
+
+
+def test_held_out_drives_are_not_learnt_from(tmp_path, driven, monkeypatch):
+    settings = replace(TINY, batch=16, updates=1)  # all that there are to learn from
+    assert settings.learnt == 16
+    monkeypatch.setattr(run.Evidence, "temper", lambda *_: None)  # which they do decide
+    whole, same = learnt(tmp_path / "whole", settings)[FILES[0]], []
+    for k in range(TINY.drives):
+        other = with_traits(driven, k)
+        monkeypatch.setattr(run, "drive_all", lambda *_, other=other: other)
+        same.append(learnt(tmp_path / str(k), settings)[FILES[0]] == whole)
+    assert sum(same) == TINY.drives - settings.learnt
+
+
+def test_evidence_is_toned_down_as_suits_drives_that_were_not_learnt_from(tmp_path, monkeypatch):
+    tempered = learnt(tmp_path / "tempered")
+    asked, loss_at_end = [], run.Evidence.loss_at_end
+
+    def told(self, turns, driving, shown, temperatures):
+        losses = loss_at_end(self, turns, driving, shown, temperatures)
+        asked.append((len(turns), temperatures.numpy(), losses.numpy()))
+        return losses
+
+    monkeypatch.setattr(run.Evidence, "loss_at_end", told)
+    monkeypatch.setattr(run.Evidence, "temper", lambda *_: None)
+    assert learnt(tmp_path / "plain")[FILES[0]] != tempered[FILES[0]]
+    ((count, tried, losses),) = asked
+    assert count == TINY.drives - TINY.learnt
+    as_it_was, model = load_evidence(tmp_path / "plain"), load_evidence(tmp_path / "tempered")
+    temperature = model.card.training["temperature"]
+    assert temperature == pytest.approx(tried[losses.argmin()])
+    assert temperature != 1.0
+    for name, values in model.weights.items():
+        factor = temperature if name.startswith("encoder.layer1.") else 1.0
+        np.testing.assert_allclose(values, factor * as_it_was.weights[name], rtol=1e-6)
+
+
+@pytest.mark.parametrize("cut", [1, 2, 3])
+def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(cut, tmp_path, monkeypatch):
+    whole = learnt(tmp_path / "whole")
+    saves, save = [], Checkpoint.save
+
+    def fail_after(self, path):
+        save(self, path)
+        saves.append(path)
+        if len(saves) == cut:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "save", fail_after)
+        with pytest.raises(KeyboardInterrupt):
+            learnt(tmp_path / "cut")
+    assert not (tmp_path / "cut" / FILES[0]).exists()
+    assert Checkpoint.load(tmp_path / "cut" / "checkpoint.safetensors").iteration == cut
+    assert learnt(tmp_path / "cut") == whole
+    held_out = [row["held_out_loss"] for row in rows(tmp_path / "cut")]
+    assert held_out == [row["held_out_loss"] for row in rows(tmp_path / "whole")]
+
+
+def test_how_often_it_saves_and_on_how_many_threads_changes_nothing(tmp_path):
+    one = learnt(tmp_path / "one")
+    seldom = replace(TINY, checkpoint_every=1e9)
+    assert learnt(tmp_path / "two", seldom)[FILES[0]] == one[FILES[0]]
+    assert learnt(tmp_path / "one", replace(TINY, threads=2)) == one
+
+
+def test_a_finished_run_is_left_alone(tmp_path, monkeypatch):
+    one = learnt(tmp_path)
+    monkeypatch.setattr(run, "drive_all", None)
+    assert learnt(tmp_path) == one
+
+
+def test_another_run_in_the_folder_is_refused(tmp_path):
+    learnt(tmp_path)
+    with pytest.raises(ValueError, match=r"holds another run \(latent = 3, now 4\)"):
+        learnt(tmp_path, replace(TINY, latent=4))
+
+
+def test_a_driver_that_is_not_there_is_told_at_once(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no policy for the seat of driver"):
+        learnt(tmp_path / "run", replace(TINY, driver_policy=str(tmp_path / "nowhere")))
+
+
+def test_torch_is_left_as_it_was(tmp_path):
+    torch.manual_seed(5)
+    expected = torch.rand(1).item()
+    torch.manual_seed(5)
+    threads = torch.get_num_threads()
+    learnt(tmp_path, replace(TINY, threads=2))
+    assert torch.get_num_threads() == threads
+    assert torch.rand(1).item() == expected
+
+
+def test_progress_is_shown_unless_quiet(tmp_path, capsys):
+    learn_evidence(TINY, tmp_path / "shown")
+    assert "3/3" in capsys.readouterr().err
+    learnt(tmp_path / "quiet")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.slow
+def test_bart_is_told_from_marge(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "drive_all", REAL)
+    settings = EvidenceSettings(
+        driver_policy="rule",
+        hmis=("never", "random:0.2", "random:0.5"),
+        drives=1500,
+        updates=300,
+        batch=128,
+    )
+    learn_evidence(settings, tmp_path, quiet=True)
+    curve = json.loads((tmp_path / "curve.json").read_text())
+    assert curve[-1]["held_out_loss"] < 0.9 * np.log(75), "75 drives are held out"
+    others = REAL(replace(settings, seed=1, drives=200, known=1.0))
+    model = load_evidence(tmp_path)
+    drivers = [DRIVERS["bart"], DRIVERS["marge"]]
+    places = model.places(Traits.of(drivers))
+    odds = np.zeros(len(others.turns))
+    encoder = model.encoder()
+    for t in range(others.turns.shape[1]):
+        if t % settings.segment == 0:
+            encoder.forget(len(odds))
+        told = encoder(model.standardise(others.turns[:, t])) @ (places[0] - places[1])
+        odds += np.where(others.driving[:, t], told, 0.0)
+    for driver, sign in zip(drivers, (1, -1), strict=True):
+        theirs = (others.traits.as_array() == driver.traits).all(axis=1)
+        long = theirs & (others.driving.sum(axis=1) > 40)
+        assert long.sum() > 10
+        assert (sign * odds[long] > 2).mean() > 0.9

@@ -1,0 +1,51 @@
+import pytest
+
+from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.training.evidence.settings import EvidenceSettings
+
+
+def test_the_card_is_as_the_settings_say():
+    settings = EvidenceSettings(
+        latent=5, segment=10, reads=("speed", "lane"), encoder=NetworkConfig((8,), memory=3)
+    )
+    card = settings.card(settings.team)
+    assert (card.latent, card.segment, card.read_size) == (5, 10, 5)
+    assert card.encoder == NetworkConfig((8,), memory=3)
+    assert card.place == settings.place
+    assert not settings.team.ai_sees_attention
+
+
+@pytest.mark.parametrize(
+    ("drives", "held_out", "learnt"), [(100, 0.05, 95), (100, 0.5, 50), (20, 0.001, 18)]
+)
+def test_at_least_two_drives_are_held_out(drives, held_out, learnt):
+    assert EvidenceSettings(drives=drives, held_out=held_out, batch=4).learnt == learnt
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"drives": 0}, "drives is at least 1, but got 0"),
+        ({"updates": 0}, "updates is at least 1"),
+        ({"threads": 0}, "threads is at least 1"),
+        ({"segment": 0}, "segment is at least 1"),
+        ({"hmis": ()}, "somebody has to sit in the vehicle AI's seat: name hmis"),
+        ({"known": 1.1}, r"known lies in \[0, 1\], but got 1\.1"),
+        ({"known": float("nan")}, "known lies in"),
+        ({"learning_rate": 0.0}, "learning_rate is a positive number"),
+        ({"learning_rate": float("inf")}, "learning_rate is a positive number"),
+        ({"weight_decay": -1.0}, "weight_decay is at least 0"),
+        ({"held_out": 0.0}, "held_out lies between 0 and 1"),
+        ({"held_out": 1.0}, "held_out lies between 0 and 1"),
+        ({"batch": 1}, r"batch lies in 2 to \d+, .* but got 1"),
+        ({"drives": 40, "batch": 39}, r"batch lies in 2 to 38, .* but got 39"),
+        ({"encoder": NetworkConfig((8,))}, r"a memory of at least one unit: set encoder\.memory"),
+        ({"place": NetworkConfig((8,), memory=2)}, "place has no memory"),
+        ({"reads": ("speed", "distracted")}, "no part 'distracted' to read"),
+        ({"seed": -1}, "a seed lies in"),
+    ],
+    ids=str,
+)
+def test_settings_that_make_no_sense_are_refused(changes, told):
+    with pytest.raises(ValueError, match=told):
+        EvidenceSettings(**changes)
