@@ -41,7 +41,7 @@ def load_evidence(place: str | Path) -> EvidenceModel:
     path = path / NAME if path.is_dir() else path
     if not path.is_file():
         raise FileNotFoundError(
-            f"no evidence model at {place}; learn one with hmi-marl train evidence"
+            f"no evidence model at {place}; learn one with hmi-marl reproduce adapt"
         )
     content = read_card(path, FORMAT, "evidence model")
     try:

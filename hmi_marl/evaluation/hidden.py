@@ -23,16 +23,14 @@ from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.reproduction import EVALUATION_SEED, driver_job
 from hmi_marl.evaluation.rollout import begin, play, turn
 from hmi_marl.evaluation.statistics import Estimate
+from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
 from hmi_marl.training.jobs import Job
-from hmi_marl.training.settings import PPOSettings, check_count
+from hmi_marl.training.settings import check_count
 from hmi_marl.training.two_stage import TwoStage
 
 MARGIN = 0.01
 """A learned HMI is as good as the Bayes filter if it is within this share of its return."""
 MODELS = (*PAPER_DRIVERS, "average")
-READS = ("intended_action", "previous_intended_action", "applied_action", "alerted", "time")
-"""What there is to infer attention from. Lidar and lanes would only have to
-be ignored."""
 LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
     "learned, own",
     "learned, AvgHMI",
@@ -81,9 +79,9 @@ class HiddenSettings:
                     hmi_steps=self.hmi_steps,
                     ai_sees_attention=False,
                     memory=self.memory,
-                    hmi_reads=READS,
+                    hmi_reads=HMI_READS,
                     hmi_reward="attention",
-                    ppo=PPOSettings(learning_rate=2e-3, mini_batches=8),
+                    ppo=HIDDEN_PPO,
                     teams=self.teams,
                     seed=self.seed,
                 ),

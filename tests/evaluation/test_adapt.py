@@ -192,10 +192,10 @@ def test_repeats_of_one_stranger_are_one_driver():
 
 @pytest.mark.slow
 def test_what_knowing_is_worth_is_exact():
-    for name, worth, within in (("lisa", 24, 4), ("bart", 189, 8), ("marge", 1, 3)):
+    # With 70 % uninformative steps: bart about -224 against -413, lisa 751 against 727.
+    for name, least, most in (("lisa", 20, 28), ("bart", 181, 197), ("marge", 0, 10)):
         group = Group(name, (DRIVERS[name],), 2, TYPES)
-        found = adapt._exact_worth(group, replace(TINY, revealing=0.3))
-        assert found == pytest.approx(worth, abs=within)
+        assert least < adapt._exact_worth(group, replace(TINY, revealing=0.3)) < most
 
 
 # All of it.

@@ -87,14 +87,18 @@ def test_the_loss_by_hand():
     assert loss == pytest.approx(np.mean(each), rel=1e-5)
 
 
-def test_evidence_is_toned_down_by_a_factor():
+def test_settling_scales_evidence_for_one_driver_over_another_and_nothing_else():
     module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
-    read, shown = torch.randn(2, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    read, shown = torch.randn(2, 20, module.card.read_size + DERIVED), torch.rand(5, 4)
     with torch.no_grad():
         before = module(read, shown)
-        module.temper(0.3)
-        after = module(read, shown)
-    np.testing.assert_allclose(after, 0.3 * before, rtol=1e-4, atol=1e-5)
+        module.settle(0.3, shown)
+        after, places = module(read, shown), module.place(shown)
+    over_another = [told[..., 1:] - told[..., :1] for told in (before, after)]
+    assert over_another[0].abs().max() > 0.1
+    np.testing.assert_allclose(over_another[1], 0.3 * over_another[0], rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(places.mean(dim=0), 0.0, atol=1e-5)
+    np.testing.assert_allclose(places.std(dim=0), 1.0, atol=1e-4)
 
 
 def test_the_loss_of_whole_drives_by_hand():

@@ -111,7 +111,7 @@ def with_traits(driven, k):
 def test_held_out_drives_are_not_learnt_from(tmp_path, driven, monkeypatch):
     settings = replace(TINY, batch=16, updates=1)  # all that there are to learn from
     assert settings.learnt == 16
-    monkeypatch.setattr(run.Evidence, "temper", lambda *_: None)  # which they do decide
+    monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)  # about which they are asked
     whole, same = learnt(tmp_path / "whole", settings)[FILES[0]], []
     for k in range(TINY.drives):
         other = with_traits(driven, k)
@@ -120,8 +120,20 @@ def test_held_out_drives_are_not_learnt_from(tmp_path, driven, monkeypatch):
     assert sum(same) == TINY.drives - settings.learnt
 
 
-def test_evidence_is_toned_down_as_suits_drives_that_were_not_learnt_from(tmp_path, monkeypatch):
-    tempered = learnt(tmp_path / "tempered")
+def test_each_update_learns_from_drives_of_its_own(tmp_path, driven, monkeypatch):
+    monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)
+    whole, changed = learnt(tmp_path / "whole")[FILES[0]], []
+    for k in range(TINY.drives):
+        other = with_traits(driven, k)
+        monkeypatch.setattr(run, "drive_all", lambda *_, other=other: other)
+        changed.append(learnt(tmp_path / str(k))[FILES[0]] != whole)
+    assert TINY.batch < sum(changed) <= TINY.learnt
+
+
+def test_evidence_is_toned_down_as_suits_drives_that_were_not_learnt_from(
+    tmp_path, driven, monkeypatch
+):
+    settled = learnt(tmp_path / "settled")
     asked, loss_at_end = [], run.Evidence.loss_at_end
 
     def told(self, turns, driving, shown, temperatures):
@@ -130,17 +142,24 @@ def test_evidence_is_toned_down_as_suits_drives_that_were_not_learnt_from(tmp_pa
         return losses
 
     monkeypatch.setattr(run.Evidence, "loss_at_end", told)
-    monkeypatch.setattr(run.Evidence, "temper", lambda *_: None)
-    assert learnt(tmp_path / "plain")[FILES[0]] != tempered[FILES[0]]
+    monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)
+    assert learnt(tmp_path / "plain")[FILES[0]] != settled[FILES[0]]
     ((count, tried, losses),) = asked
     assert count == TINY.drives - TINY.learnt
-    as_it_was, model = load_evidence(tmp_path / "plain"), load_evidence(tmp_path / "tempered")
+    as_it_was, model = load_evidence(tmp_path / "plain"), load_evidence(tmp_path / "settled")
     temperature = model.card.training["temperature"]
     assert temperature == pytest.approx(tried[losses.argmin()])
     assert temperature != 1.0
-    for name, values in model.weights.items():
-        factor = temperature if name.startswith("encoder.layer1.") else 1.0
-        np.testing.assert_allclose(values, factor * as_it_was.weights[name], rtol=1e-6)
+    gains, drivers = [], Traits.of(DRIVERS.values())
+    for each in (as_it_was, model):
+        encoder = each.encoder()
+        encoder.forget(TINY.drives)
+        told = encoder(each.standardise(driven.turns[:, 0])) @ each.places(drivers).T
+        gains.append(told[:, 1:] - told[:, :1])
+    np.testing.assert_allclose(gains[1], temperature * gains[0], rtol=1e-3, atol=1e-6)
+    places = model.places(driven.traits)
+    np.testing.assert_allclose(places.mean(axis=0), 0.0, atol=1e-4)
+    np.testing.assert_allclose(places.std(axis=0, ddof=1), 1.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3])
