@@ -28,7 +28,7 @@ from hmi_marl.agents.trait_estimator import TraitEstimator
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.observations import vehicle_ai_layout
-from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.seats import Policy, takes_turns
 from hmi_marl.envs.teaming import NO_ACTION
 
 CAUTION = 0.5
@@ -75,7 +75,8 @@ class ChoosingHMI(AdaptiveHMI):
         hmis: one for each of its candidates, each an object of its own.
 
     Raises:
-        ValueError: not as many HMIs as candidates.
+        ValueError: not as many HMIs as candidates, one of them twice, or one that has learnt to
+            act at once with the driver.
     """
 
     def __init__(self, estimator: TraitEstimator, hmis: Sequence[Policy]) -> None:
@@ -83,6 +84,12 @@ class ChoosingHMI(AdaptiveHMI):
         drivers = estimator.evidence.drivers
         if len(hmis) != len(drivers):
             raise ValueError(f"{len(drivers)} candidates need an HMI each, but got {len(hmis)}")
+        if len({id(hmi) for hmi in hmis}) < len(hmis):
+            raise ValueError("every candidate's HMI is an object of its own: it remembers")
+        if not all(takes_turns(hmi) for hmi in hmis):
+            raise ValueError(
+                "the HMIs to choose among are to see a^H_t: all take turns, or none can"
+            )
         self.hmis = tuple(hmis)
 
     def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:

@@ -16,6 +16,7 @@ from hmi_marl.agents.belief import DEFAULT_REVEALING
 from hmi_marl.agents.evidence import ChainEvidence, Evidence
 from hmi_marl.agents.evidence_files import load_evidence
 from hmi_marl.agents.evidence_model import LearnedEvidence
+from hmi_marl.agents.learned import CONTEXT_OF
 from hmi_marl.agents.policy_files import load_policy
 from hmi_marl.agents.trait_estimator import TraitEstimator
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
@@ -73,8 +74,10 @@ def make_adaptive(
     rate = {} if change_rate is None else {"change_rate": change_rate}
 
     def estimator(drivers: Sequence[Driver]) -> TraitEstimator:
-        evidence: Evidence = ChainEvidence(drivers, config)
-        if not exact:
+        evidence: Evidence
+        if exact:
+            evidence = ChainEvidence(drivers, config)
+        else:
             evidence = LearnedEvidence(load_evidence(trained.evidence), drivers, config)
         return TraitEstimator(evidence, config, **rate)
 
@@ -85,7 +88,14 @@ def make_adaptive(
         return ChoosingHMI(estimator(TYPES), hmis)
     if kind == CONDITIONED:
         policy = load_policy(trained.conditioned, VEHICLE_AI, config)
-        places = load_evidence(trained.evidence).places(Traits.of(candidates))
+        model = load_evidence(trained.evidence)
+        learnt_from = policy.card.training.get(CONTEXT_OF, model.digest)
+        if learnt_from != model.digest:
+            raise ValueError(
+                f"{trained.conditioned} has learnt what z means from another evidence model than "
+                f"{trained.evidence}; name the one that it was learnt with"
+            )
+        places = model.places(Traits.of(candidates))
         return ConditionedHMI(estimator(candidates), policy, places)
     raise ValueError(f"an adaptive HMI is one of {', '.join(KINDS)}, not {kind!r}")
 

@@ -81,7 +81,6 @@ class ChainEvidence:
     """
 
     def __init__(self, drivers: Sequence[str | Driver], config: TeamConfig) -> None:
-        need_plain(config.alerts, "the Bayes filter over attention")
         self.drivers = check_candidates(drivers)
         need_plain(config.alerts, "the exact evidence of the chain")
         self._chains, self._alike = chains(self.drivers)

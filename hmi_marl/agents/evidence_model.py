@@ -18,6 +18,7 @@ evidence of the chain does not.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,6 +39,8 @@ from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 READS = ("intended_action", "previous_intended_action", "applied_action")
 """Parts of the vehicle AI's observation that an encoder reads by default: what the driver wants and
 what the car does. With lidar and speed it tells inflation better, and all the rest worse."""
+HIDDEN = ("traits", "distracted", "accepted", "counter", "fatigue")
+"""What nobody who has to find out who drives is shown."""
 PARTS = ("encoder", "place")
 _ACTIONS = len(VEHICLE_ACTIONS)
 _SINCE = LONG_AGO + 1
@@ -71,6 +74,9 @@ class EvidenceCard:
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
         if not self.reads or min(size for _, size in self.reads) < 1:
             raise ValueError("an evidence model reads parts of at least one column")
+        for name, _ in self.reads:
+            if name in HIDDEN:
+                raise ValueError(f"an evidence model may not read {name!r}: it is to be inferred")
         for name in ("latent", "segment"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
@@ -181,6 +187,14 @@ class EvidenceModel:
         self.card = card
         self.weights = weights
         self._place = Network(card.place, self._of("place"))
+
+    @property
+    def digest(self) -> str:
+        """Tells this model from others, whose latent spaces have other units: a SHA-256."""
+        digest = hashlib.sha256()
+        for name in self.card.shapes:
+            digest.update(np.asarray(self.weights[name], np.float32, order="C").tobytes())
+        return digest.hexdigest()
 
     def _of(self, part: str) -> Weights:
         return {

@@ -28,6 +28,8 @@ from hmi_marl.envs.streams import Stream
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 INTENT = "intended_action"
+CONTEXT_OF = "context_of"
+"""In a card's training: the digest of what gave z, where the policy is conditioned on one."""
 INTENTS = len(VEHICLE_ACTIONS)
 """How many actions the driver has."""
 _LAYOUTS = {DRIVER: driver_layout, VEHICLE_AI: vehicle_ai_layout}

@@ -6,7 +6,9 @@ With p the belief before a step and g_k the step's evidence for candidate k,
     p'_k \propto \big( (1 - h) p_k + h\, p^0_k \big) \exp g_k
 
 where p^0 is the prior, and h the probability that somebody else has taken the wheel since the last
-step. So a belief never becomes so certain that a change of driver could not be seen.
+step. So a belief never becomes so certain that a change of driver could not be seen. With exact
+evidence and h = 0 it is the exact posterior. With h > 0 it is close to it: what is told about a new
+driver's d, i and c is what it would be if they had driven all along, for a window or so.
 """
 
 from __future__ import annotations
@@ -93,11 +95,17 @@ class TraitEstimator:
 
         Raises:
             RuntimeError: observations of another number of teams than was told to :meth:`reset`.
+            ValueError: observations of another width, or numbers that are not finite.
         """
         if len(observations) != len(self._seen):
             raise RuntimeError(
                 f"this estimator follows {len(self._seen)} teams, but got observations of "
                 f"{len(observations)}: call reset(count) when other teams begin"
+            )
+        if observations.shape[1:] != (self._layout.size,) or not np.isfinite(observations).all():
+            raise ValueError(
+                f"the vehicle AI's observations are finite numbers of shape (N, "
+                f"{self._layout.size}), but got shape {observations.shape}"
             )
         step = np.rint(self._layout.scalar(observations, "time") * self._horizon).astype(np.int64)
         new = step > self._seen

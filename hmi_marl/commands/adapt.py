@@ -13,11 +13,9 @@ from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation import adapt, adapt_report
 from hmi_marl.evaluation.adapt_clip import record_change
-from hmi_marl.evaluation.adapt_settings import AdaptSettings
+from hmi_marl.evaluation.adapt_settings import QUICK, AdaptSettings
 from hmi_marl.files import make_folder
 from hmi_marl.workers import check_workers
-
-QUICK = {"drivers": 40, "strangers": 24, "repeats": 2, "candidates": 48, "changes": 40}
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class Adapt:
         if self.quick:
             if replace(size, seed=0) != AdaptSettings(seed=0):
                 raise ValueError("--quick sets the sizes itself; leave it out to choose them")
-            size = replace(size, **QUICK)
+            size = replace(QUICK, seed=size.seed)
         workers = check_workers(self.workers)
         out = self.out or Path("runs") / ("adapt-quick" if self.quick else "adapt")
         make_folder(out)

@@ -252,13 +252,13 @@ def summarise(group: Group, played: Mapping[str, Trips], settings: AdaptSettings
         group=group.name,
         exact_worth=_exact_worth(group, settings),
         returns={
-            hmi: [statistics.mean(column) for column in trips.returns.T]
+            hmi: [statistics.mean(_per_driver(column, same)) for column in trips.returns.T]
             for hmi, trips in played.items()
         },
         shares=shares,
         learned_shares=learned,
         first_seconds={
-            hmi: statistics.mean(earned_between(trips, 0, FIRST_TURNS) - early)
+            hmi: statistics.mean(_per_driver(earned_between(trips, 0, FIRST_TURNS) - early, same))
             for hmi, trips in played.items()
         },
         regret={hmi: _regret(knowing, trips) for hmi, trips in played.items()},
@@ -269,6 +269,13 @@ def summarise(group: Group, played: Mapping[str, Trips], settings: AdaptSettings
         },
         after_change=after_change,
     )
+
+
+def _per_driver(values: NDArray[np.float64], same_driver: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Means of values (E,) over the teams that each different driver has: these are independent."""
+    _, driver = np.unique(same_driver, return_inverse=True)
+    means: NDArray[np.float64] = np.bincount(driver, values) / np.bincount(driver)
+    return means
 
 
 def _regret(knowing: Trips, trips: Trips) -> list[float]:

@@ -57,6 +57,10 @@ class AdaptSettings:
             raise ValueError(f"caution is at least 0, but got {self.caution}")
 
 
+QUICK = AdaptSettings(drivers=40, strangers=24, repeats=2, candidates=48, changes=40)
+"""A coarse one, in a minute or two."""
+
+
 @dataclass(frozen=True)
 class AdaptReproduction:
     """How large the learning for unknown drivers is, and its evaluation.

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.evaluation.adapt_settings import AdaptReproduction, AdaptSettings
+from hmi_marl.evaluation.adapt_settings import QUICK as QUICK_JUDGING
+from hmi_marl.evaluation.adapt_settings import AdaptReproduction
 from hmi_marl.evaluation.adapt_stage import AdaptStage
 from hmi_marl.evaluation.attentive import AttentiveSettings
 from hmi_marl.evaluation.full_report import write_full_report
@@ -63,7 +64,7 @@ QUICK = FullSettings(
         drives=2000,
         updates=300,
         hmi_steps=400_000,
-        judge=AdaptSettings(drivers=40, strangers=24, repeats=2, candidates=48, changes=40),
+        judge=QUICK_JUDGING,
     ),
     traits=TraitReproduction(
         demonstrated=100_000,

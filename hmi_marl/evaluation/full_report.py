@@ -119,8 +119,9 @@ def claims_html(judged: Sequence[Judged]) -> str:
     )
     return (
         f"<p>{len(judged)} claims, in short or quoted: {escape(summary)}. Every verdict is "
-        "computed from the numbers of this run. Two numbers differ where their 95 % intervals do "
-        "not overlap; a claim of several parts is partly supported if some of them hold.</p>"
+        "computed from the numbers of this run. Returns differ where their 95 % intervals do "
+        "not overlap, other numbers are held against each other as they are; a claim of several "
+        "parts is partly supported if some of them hold.</p>"
         "<div class='wide'><table><tr><th>claim</th><th>what our data say</th><th>verdict</th></tr>"
         f"{rows}</table></div>"
     )

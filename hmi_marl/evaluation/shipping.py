@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.agents.shipped import FORMAT, INDEX
+from hmi_marl.agents.shipped import FORMAT, INDEX, shipped_agents
 from hmi_marl.evaluation.stages import Agent, Place, Stage, is_done
 from hmi_marl.files import write_bytes, write_json
 
@@ -35,8 +35,13 @@ def ship(stages: Sequence[Stage], run: Path, driver_run: Path, out: Path) -> lis
     Raises:
         ValueError: a stage is not finished, or ``out`` holds something else.
     """
-    if out.exists() and not (out / INDEX).is_file() and any(out.iterdir()):
-        raise ValueError(f"{out} holds other things than shipped agents; choose another --out")
+    if out.exists() and any(out.iterdir()):
+        try:
+            shipped_agents(out)
+        except (OSError, ValueError) as error:
+            raise ValueError(
+                f"{out} holds other things than shipped agents; choose another --out ({error})"
+            ) from None
     agents = []
     for stage in stages:
         place = Place(run / stage.name, driver_run)
@@ -51,9 +56,11 @@ def ship(stages: Sequence[Stage], run: Path, driver_run: Path, out: Path) -> lis
         index = {agent.name: _copy(agent, folder) for agent in agents}
         about = {"format": FORMAT, "version": hmi_marl.__version__, "agents": index}
         write_json(folder / INDEX, about)
+        before = out.with_name(f".{out.name}-before")
         if out.exists():
-            shutil.rmtree(out)
+            out.replace(before)  # still there if what comes next is interrupted
         folder.replace(out)
+        shutil.rmtree(before, ignore_errors=True)
     return agents
 
 

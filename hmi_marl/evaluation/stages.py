@@ -180,9 +180,16 @@ def run_stages(
 
 
 def is_done(stage: Stage, place: Place, folder: Path) -> bool:
-    """Whether ``folder`` has a stage's record, and all that it depends on is as it was then."""
+    """Whether ``folder`` has a stage's record, and all that it depends on is as it was then.
+
+    Raises:
+        ValueError: it was done with other settings or by another version.
+    """
     content = _read(folder / STAGES / f"{stage.name}.json")
-    return content is not None and _changed(content, stage.inputs(place), folder) is None
+    if content is None:
+        return False
+    check_same(content, _about(stage), folder / stage.name)
+    return _changed(content, stage.inputs(place), folder) is None
 
 
 def _about(stage: Stage) -> dict[str, Any]:

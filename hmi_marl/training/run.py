@@ -17,7 +17,7 @@ import torch
 
 import hmi_marl
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned import LearnedPolicy, PolicyCard
+from hmi_marl.agents.learned import CONTEXT_OF, LearnedPolicy, PolicyCard
 from hmi_marl.agents.network import NetworkConfig, Weights
 from hmi_marl.agents.policy_files import load_policy, save_policy
 from hmi_marl.agents.vectors import make_vec
@@ -106,6 +106,8 @@ class _Run:
             "processes": processes.count,
             "context": 0 if context is None else context.size,
         }
+        if context is not None:
+            self._about[CONTEXT_OF] = context.digest
         self._typed = typed
         self._device = processes.device(settings.device)
         self._phases = [_in_context(phase, context) for phase in settings.phases()]
@@ -269,8 +271,8 @@ class _Run:
             return
         for name, learner in self._learners.items():
             self._state.tensors[name] = learner.tensors()
+        write_json(self._folder / CURVE, self._state.curve)  # first: a kill in between loses none
         self._state.save(self._folder / CHECKPOINT)
-        write_json(self._folder / CURVE, self._state.curve)
 
 
 def _in_context(phase: Phase, context: Context | None) -> Phase:

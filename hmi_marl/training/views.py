@@ -17,6 +17,8 @@ class Context(Protocol):
 
     size: int
     """Z."""
+    digest: str
+    """Tells it from others, whose z mean something else."""
 
     def __call__(self, traits: torch.Tensor) -> torch.Tensor:
         """From traits of shape (N, 4), unscaled, to z of shape (N, Z)."""

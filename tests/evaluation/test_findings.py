@@ -236,7 +236,10 @@ def test_more_windows_are_clearer() -> None:
 def test_the_scenario_hides_who_drives_only_if_nobody_can_tell() -> None:
     check = findings.scenario_hides
     assert verdict(check, traits()) == Verdict.NOT_SUPPORTED
-    assert verdict(check, traits(exact=0.9)) == Verdict.SUPPORTED
+    assert verdict(check, traits(exact=0.9)) == Verdict.NOT_SUPPORTED  # they are told apart
+    alike = {"lisa": (0, 0), "marge": (0, 0), "bart": (20, 0), "homer": (30, 0)}
+    assert verdict(check, traits(alike, exact=0.9)) == Verdict.SUPPORTED
+    assert verdict(check, traits(alike)) == Verdict.NOT_SUPPORTED  # they could be
     blind = traits()
     for setting in blind["traits"]["settings"].values():
         for row in setting["seeds"][0]["identified"]:

@@ -58,6 +58,7 @@ class TwoTraits:
     """z is β and the inflation as they are."""
 
     size = 2
+    digest = "β and the inflation"
 
     def __call__(self, traits):
         return traits[:, [0, 3]]
@@ -427,3 +428,14 @@ def test_a_run_does_not_go_on_with_another_context(tmp_path):
     train(TWO_STAGE, tmp_path, quiet=True)
     with pytest.raises(ValueError, match="context = 0, now 2"):
         train(TWO_STAGE, tmp_path, context=TwoTraits(), quiet=True)
+
+
+def test_a_run_does_not_go_on_with_a_context_of_the_same_size_that_means_something_else(tmp_path):
+    beside = replace(TWO_STAGE, driver_policy="rule")
+    train(beside, tmp_path, context=TwoTraits(), quiet=True)
+    other = TwoTraits()
+    other.digest = "something else"
+    with pytest.raises(
+        ValueError, match="context_of = 'β and the inflation', now 'something else'"
+    ):
+        train(beside, tmp_path, context=other, quiet=True)

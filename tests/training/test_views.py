@@ -18,6 +18,7 @@ class TwoTraits:
     """z is β and the inflation as they are."""
 
     size = 2
+    digest = "β and the inflation"
 
     def __call__(self, traits):
         return traits[:, [0, 3]]

@@ -30,6 +30,7 @@ class Places:
     def __init__(self, model: EvidenceModel) -> None:
         self._model = model
         self.size = model.card.latent
+        self.digest = model.digest
 
     def __call__(self, traits: torch.Tensor) -> torch.Tensor:
         """See :class:`Context`."""
@@ -48,7 +49,7 @@ def strangers(count: int, seed: int) -> tuple[str, ...]:
 
 
 def conditioned_hmi(
-    driver_policy: str, hmi_steps: int, memory: int, teams: int, seed: int, others: int = 128
+    driver_policy: str, hmi_steps: int, memory: int, teams: int, seed: int, others: int = 512
 ) -> TwoStage:
     """Settings of an HMI for the four types and as many others, evenly drawn, attention hidden.
 

@@ -205,8 +205,8 @@ class _Run:
             "model": dict(self._model.state_dict()),
             "learner": flat_moments(self._optimizer.state_dict()),
         }
+        write_json(self._folder / CURVE, self._state.curve)  # first: a kill in between loses none
         self._state.save(self._folder / CHECKPOINT)
-        write_json(self._folder / CURVE, self._state.curve)
 
 
 def _padded(

@@ -255,5 +255,5 @@ class _Run:
             ADVERSARY: self._adversary.tensors(),
             GENERATOR: self._generator.learner.tensors(),
         }
+        write_json(self._folder / CURVE, self._state.curve)  # first: a kill in between loses none
         self._state.save(self._folder / CHECKPOINT)
-        write_json(self._folder / CURVE, self._state.curve)
