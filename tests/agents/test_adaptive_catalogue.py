@@ -1,3 +1,6 @@
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from evidence_models import HIDDEN, any_intents, save_trained, seeds, turns
@@ -9,6 +12,7 @@ from hmi_marl.agents.adaptive_catalogue import KINDS, TYPES, Trained, make_adapt
 from hmi_marl.agents.evidence import ChainEvidence
 from hmi_marl.agents.evidence_files import load_evidence
 from hmi_marl.agents.evidence_model import LearnedEvidence
+from hmi_marl.agents.policy_files import read_policy, save_policy
 from hmi_marl.agents.trait_estimator import CHANGE_RATE
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, Traits
 
@@ -109,3 +113,23 @@ def test_a_folder_of_that_name_is_not_taken_for_a_run(tmp_path, monkeypatch):
     (tmp_path / "adapt").mkdir()
     (tmp_path / "adapt:bayes").mkdir()
     assert type(make_hmi("adapt:bayes", HIDDEN)) is ExpectedValueHMI
+
+
+def test_an_hmi_whose_z_means_something_else_is_refused(trained):
+    card, weights = read_policy(Path(trained.conditioned) / "vehicle_ai.json")
+    own = load_evidence(trained.evidence).digest
+    for digest in (own, "of another model"):
+        about = replace(card, training={"context_of": digest})
+        save_policy(Path(trained.conditioned), about, weights)
+        if digest == own:
+            assert isinstance(make_adaptive("conditioned", HIDDEN, trained=trained), ConditionedHMI)
+        else:
+            with pytest.raises(ValueError, match="what z means from another evidence model"):
+                make_adaptive("conditioned", HIDDEN, trained=trained)
+
+
+def test_hmis_to_choose_among_are_objects_of_their_own(trained):
+    watching = make_adaptive("choosing", HIDDEN, True, trained=trained).estimator
+    same = [make_hmi("belief:bart", HIDDEN)] * 4
+    with pytest.raises(ValueError, match="an object of its own"):
+        ChoosingHMI(watching, same)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES, make_driver_policy, make_hmi
 from hmi_marl.agents.shipped import (
@@ -180,3 +181,20 @@ def test_an_index_that_is_none_is_refused(content: str, told: str, tmp_path: Pat
     (tmp_path / INDEX).write_text(content)
     with pytest.raises(ValueError, match=told):
         shipped_agents(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["expected", "choosing", "conditioned"])
+def test_adaptive_hmis_work_at_once_and_never_look_at_traits(kind: str) -> None:
+    played = []
+    for shown in (True, False):
+        team = {"driver": "bart", "ai_sees_attention": False, "observe_traits": shown}
+        hmi = make_hmi(f"adapt:{kind}", TeamConfig(**team))
+        teams = make_vec(4, "vehicle_ai", "rule", seed=3, **team)
+        hmi.reset(np.arange(4, dtype=np.uint64))
+        alerts = []
+        for _ in range(10):
+            seen = teams.get_observations()["vehicle_ai"].numpy()
+            alerts.append(hmi.act(seen))
+            teams.step(torch.from_numpy(alerts[-1])[:, None])
+        played.append(np.array(alerts))
+    assert (played[0] == played[1]).all()
