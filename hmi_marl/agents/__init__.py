@@ -1,5 +1,12 @@
 """Who sits in the seats: HMIs and drivers, learned or not, and the exact optimum."""
 
+from hmi_marl.agents.adaptive import (
+    AdaptiveHMI,
+    ChoosingHMI,
+    ConditionedHMI,
+    ExpectedValueHMI,
+)
+from hmi_marl.agents.adaptive_catalogue import make_adaptive
 from hmi_marl.agents.catalogue import (
     DRIVER_POLICY_NAMES,
     HMI_NAMES,
@@ -7,16 +14,27 @@ from hmi_marl.agents.catalogue import (
     make_hmi,
 )
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
+from hmi_marl.agents.evidence import ChainEvidence
+from hmi_marl.agents.evidence_files import load_evidence
+from hmi_marl.agents.evidence_model import LearnedEvidence
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
 from hmi_marl.agents.learned import LearnedPolicy, PolicyCard
 from hmi_marl.agents.policy_files import load_policy, save_policy
+from hmi_marl.agents.trait_belief import TraitBelief
+from hmi_marl.agents.trait_estimator import TraitEstimator
 from hmi_marl.envs.seats import Policy
 
 __all__ = [
     "DRIVER_POLICY_NAMES",
     "HMI_NAMES",
+    "AdaptiveHMI",
     "AlertWhenDistracted",
     "BeliefAlert",
+    "ChainEvidence",
+    "ChoosingHMI",
+    "ConditionedHMI",
+    "ExpectedValueHMI",
+    "LearnedEvidence",
     "LearnedPolicy",
     "OptimalAlert",
     "Policy",
@@ -24,7 +42,11 @@ __all__ = [
     "RandomAlert",
     "RandomDriver",
     "RuleBasedDriver",
+    "TraitBelief",
+    "TraitEstimator",
+    "load_evidence",
     "load_policy",
+    "make_adaptive",
     "make_driver_policy",
     "make_hmi",
     "save_policy",

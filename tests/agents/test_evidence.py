@@ -198,5 +198,5 @@ def test_candidates_and_alerts_that_it_cannot_do_are_refused():
         ChainEvidence([], TeamConfig())
     with pytest.raises(TypeError, match="candidates are a list of drivers, not 'bart'"):
         ChainEvidence("bart", TeamConfig())
-    with pytest.raises(ValueError, match="the Bayes filter over attention"):
+    with pytest.raises(ValueError, match="the exact evidence of the chain"):
         ChainEvidence(["bart"], TeamConfig(alert_strengths=(0.5, 1.0)))

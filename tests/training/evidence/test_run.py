@@ -52,14 +52,14 @@ def rows(folder):
 
 
 def test_a_run_leaves_a_model_its_settings_and_a_curve(tmp_path):
-    learn_evidence(TINY, tmp_path, quiet=True, typed="hmi-marl train evidence")
+    learn_evidence(TINY, tmp_path, quiet=True, typed="hmi-marl reproduce adapt")
     about = json.loads((tmp_path / "run.json").read_text())
-    assert about["command"] == "hmi-marl train evidence"
+    assert about["command"] == "hmi-marl reproduce adapt"
     assert about["settings"]["updates"] == 3
     model = load_evidence(tmp_path)
     assert model.card == replace(TINY.card(TINY.team), training=model.card.training)
     assert model.card.training["settings"] == about["settings"]
-    assert model.card.training["command"] == "hmi-marl train evidence"
+    assert model.card.training["command"] == "hmi-marl reproduce adapt"
     (row,) = rows(tmp_path)
     assert row["updates"] == 3
     assert np.isfinite([row["loss"], row["held_out_loss"]]).all()
