@@ -61,7 +61,9 @@ def test_weights_that_do_not_fit_are_not_written(tmp_path):
 
 def test_what_is_not_there_is_told(tmp_path):
     for place in (tmp_path, tmp_path / "nowhere", tmp_path / "evidence.json"):
-        with pytest.raises(FileNotFoundError, match=r"no evidence model at .*hmi-marl reproduce ad"):
+        with pytest.raises(
+            FileNotFoundError, match=r"no evidence model at .*hmi-marl reproduce ad"
+        ):
             load_evidence(place)
     with pytest.raises(ValueError, match=r"unknown trained agent 'trained:nobody'"):
         load_evidence("trained:nobody")
