@@ -7,8 +7,13 @@ from pathlib import Path
 
 from hmi_marl.agents.evidence_model import PARTS, EvidenceCard, EvidenceModel
 from hmi_marl.agents.network import NetworkConfig, Weights
-from hmi_marl.agents.shipped import find_shipped, is_shipped
-from hmi_marl.agents.weight_files import check_shapes, read_card, read_weights, write_card
+from hmi_marl.agents.weight_files import (
+    check_shapes,
+    find_card,
+    read_card,
+    read_weights,
+    write_card,
+)
 
 FORMAT = "hmi-marl evidence 1"
 KIND = "evidence"
@@ -37,12 +42,7 @@ def load_evidence(place: str | Path) -> EvidenceModel:
         ValueError: not an evidence model of ours, of a later format, damaged, or altered since it
             was written; the message says which.
     """
-    path = find_shipped(place, KIND) if is_shipped(place) else Path(place)
-    path = path / NAME if path.is_dir() else path
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no evidence model at {place}; learn one with hmi-marl reproduce adapt"
-        )
+    path = find_card(place, KIND, "evidence model", "hmi-marl reproduce adapt")
     content = read_card(path, FORMAT, "evidence model")
     try:
         fields = {name: content[name] for name in EvidenceCard.__dataclass_fields__}

@@ -6,9 +6,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hmi_marl.agents.network import NetworkConfig, Weights
-from hmi_marl.agents.shipped import find_shipped, is_shipped
 from hmi_marl.agents.trait_model import PARTS, TraitCard, TraitModel
-from hmi_marl.agents.weight_files import check_shapes, read_card, read_weights, write_card
+from hmi_marl.agents.weight_files import (
+    check_shapes,
+    find_card,
+    read_card,
+    read_weights,
+    write_card,
+)
 
 FORMAT = "hmi-marl traits 1"
 KIND = "traits"
@@ -37,10 +42,7 @@ def load_traits(place: str | Path) -> TraitModel:
         ValueError: not a trait model of ours, of a later format, damaged, or altered since it was
             written; the message says which.
     """
-    path = find_shipped(place, KIND) if is_shipped(place) else Path(place)
-    path = path / NAME if path.is_dir() else path
-    if not path.is_file():
-        raise FileNotFoundError(f"no trait model at {place}; learn one with hmi-marl traits train")
+    path = find_card(place, KIND, "trait model", "hmi-marl traits train")
     content = read_card(path, FORMAT, "trait model")
     try:
         fields = {name: content[name] for name in TraitCard.__dataclass_fields__}

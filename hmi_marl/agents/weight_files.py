@@ -15,6 +15,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.network import Weights
+from hmi_marl.agents.shipped import find_shipped, is_shipped
 from hmi_marl.files import write_bytes, write_json
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -65,6 +66,26 @@ def read_card(path: Path, form: str, what: str) -> dict[str, Any]:
     if found != form:
         raise ValueError(f"{path} is not a {what} that can be read here: format {found!r}")
     return dict(content)
+
+
+def find_card(place: str | Path, kind: str, what: str, remedy: str) -> Path:
+    """The card of a model: in a run's folder, the file itself, or one that comes with the package.
+
+    Args:
+        place: the run's folder, the ``.json`` itself, or ``trained:NAME``.
+        kind: the card's name without its suffix.
+        what: the model is.
+        remedy: the command that learns one.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: see :func:`hmi_marl.agents.shipped.find_shipped`.
+    """
+    path = find_shipped(place, kind) if is_shipped(place) else Path(place)
+    path = path / f"{kind}.json" if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(f"no {what} at {place}; learn one with {remedy}")
+    return path
 
 
 def read_weights(path: Path, digest: str) -> dict[str, NDArray[np.float32]]:
