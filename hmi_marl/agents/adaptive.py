@@ -19,17 +19,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.belief import DEFAULT_REVEALING, locate, solve_belief
-from hmi_marl.agents.evidence import ChainEvidence, chains
+from hmi_marl.agents.attention_watch import AttentionWatch
+from hmi_marl.agents.belief import DEFAULT_REVEALING, look_up, solve_belief
+from hmi_marl.agents.evidence import chains
 from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.learned import LearnedPolicy
 from hmi_marl.agents.trait_belief import TraitBelief
 from hmi_marl.agents.trait_estimator import TraitEstimator
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
-from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.seats import Policy, takes_turns
-from hmi_marl.envs.teaming import NO_ACTION
 
 CAUTION = 0.5
 """κ of :class:`ExpectedValueHMI`: in full doubt it follows AvgHMI unless deviating is expected to
@@ -174,9 +173,7 @@ class ExpectedValueHMI(AdaptiveHMI):
         drivers, alike = chains(estimator.evidence.drivers)
         self.caution = float(caution)
         self._default = BeliefAlert(default, config, revealing)
-        self._attention = ChainEvidence(drivers, config)
-        self._layout = vehicle_ai_layout(config)
-        self._horizon = config.horizon
+        self._attention = AttentionWatch(drivers, config)
         self._advantage = np.stack(
             [
                 solve_belief(
@@ -186,16 +183,10 @@ class ExpectedValueHMI(AdaptiveHMI):
             ]
         )
         self._which = (alike[:, None] == np.arange(len(drivers))).astype(np.float64)
-        self._seen = np.full(1, -1)
 
     def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
         self._default.reset(seeds, which)
-        if which is None:
-            self._attention.reset(len(seeds))
-            self._seen = np.full(len(seeds), -1)
-        else:
-            self._attention.begin(which)
-            self._seen = np.where(which, -1, self._seen)
+        self._attention.reset(len(seeds), which)
 
     def _act(self, observations: NDArray[np.float32], belief: TraitBelief) -> NDArray[np.int64]:
         usual = self._default.act(observations)
@@ -207,21 +198,12 @@ class ExpectedValueHMI(AdaptiveHMI):
 
     def _advantages(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
         """A_k of every different chain, shape (N, K)."""
-        layout = self._layout
-        time = layout.scalar(observations, "time")
-        step = np.minimum(np.rint(time * self._horizon).astype(np.int64), self._horizon - 1)
-        self._attention.observe(observations, step > self._seen)
-        self._seen = step
-        applied = layout.chosen(observations, "applied_action")
-        intended = layout.chosen(observations, "intended_action")
-        reveals = ((applied != NO_ACTION) & (intended != applied)).astype(np.int64)
+        step = self._attention.observe(observations)
+        reveals = self._attention.reveals(observations).astype(np.int64)
         now = self._attention.filter
-        low, fraction = locate(now.distracted)
         who = np.arange(len(self._advantage))
         t, m, i, c = (x[:, None] for x in (step, reveals, now.accepted, now.counter))
-        below = self._advantage[who, t, m, low, i, c]
-        above = self._advantage[who, t, m, low + 1, i, c]
-        return (1 - fraction) * below + fraction * above
+        return look_up(self._advantage, (who, t, m), now.distracted, (i, c))
 
 
 def _doubt(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:

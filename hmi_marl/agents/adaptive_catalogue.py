@@ -18,7 +18,7 @@ from hmi_marl.agents.evidence_files import load_evidence
 from hmi_marl.agents.evidence_model import LearnedEvidence
 from hmi_marl.agents.learned import CONTEXT_OF
 from hmi_marl.agents.policy_files import load_policy
-from hmi_marl.agents.trait_estimator import TraitEstimator
+from hmi_marl.agents.trait_estimator import CHANGE_RATE, TraitEstimator
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.seats import Policy
@@ -53,7 +53,7 @@ def make_adaptive(
     trained: Trained | None = None,
     revealing: float = DEFAULT_REVEALING,
     caution: float = CAUTION,
-    change_rate: float | None = None,
+    change_rate: float = CHANGE_RATE,
 ) -> AdaptiveHMI:
     """An HMI that gets to know its driver.
 
@@ -71,7 +71,6 @@ def make_adaptive(
         FileNotFoundError, ValueError: an unknown kind, or nothing learnt to make it of.
     """
     trained = trained or Trained()
-    rate = {} if change_rate is None else {"change_rate": change_rate}
 
     def estimator(drivers: Sequence[Driver]) -> TraitEstimator:
         evidence: Evidence
@@ -79,7 +78,7 @@ def make_adaptive(
             evidence = ChainEvidence(drivers, config)
         else:
             evidence = LearnedEvidence(load_evidence(trained.evidence), drivers, config)
-        return TraitEstimator(evidence, config, **rate)
+        return TraitEstimator(evidence, config, change_rate=change_rate)
 
     if kind == EXPECTED:
         return ExpectedValueHMI(estimator(candidates), config, revealing, caution)

@@ -55,12 +55,8 @@ class BeliefSolution:
         counter: NDArray[np.int64],
     ) -> NDArray[np.int64]:
         """The rule for N teams, 1 to alert; every argument has shape (N,)."""
-        low, fraction = locate(belief)
-        t = np.minimum(step, self.horizon - 1)
-        m = reveals.astype(np.int64)
-        below = self.advantage[t, m, low, accepted, counter]
-        above = self.advantage[t, m, low + 1, accepted, counter]
-        return ((1 - fraction) * below + fraction * above > 0).astype(np.int64)
+        t, m = np.minimum(step, self.horizon - 1), reveals.astype(np.int64)
+        return (look_up(self.advantage, (t, m), belief, (accepted, counter)) > 0).astype(np.int64)
 
 
 def locate(belief: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -68,6 +64,24 @@ def locate(belief: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.f
     position = belief * (GRID - 1)
     low = np.minimum(position.astype(np.int64), GRID - 2)
     return low, position - low
+
+
+def look_up(
+    table: NDArray[np.floating],
+    before: tuple[NDArray[np.int64], ...],
+    belief: NDArray[np.float64],
+    after: tuple[NDArray[np.int64], ...],
+) -> NDArray[np.float64]:
+    """Entries of a table with an axis of beliefs, between its grid points along a line.
+
+    Args:
+        table: its axes are those of ``before``, then beliefs, then those of ``after``.
+        before, after: places on the other axes; they and ``belief`` are broadcast to one shape.
+        belief: p(d = 1).
+    """
+    low, fraction = locate(belief)
+    below, above = table[*before, low, *after], table[*before, low + 1, *after]
+    return (1 - fraction) * below + fraction * above
 
 
 def predict(

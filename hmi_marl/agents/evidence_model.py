@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.bayes_filter import check_candidates
-from hmi_marl.agents.network import Network, NetworkConfig, Weights
+from hmi_marl.agents.network import Network, NetworkConfig, Weights, part_of
 from hmi_marl.agents.situations import LONG_AGO
 from hmi_marl.agents.weight_files import check_shapes
 from hmi_marl.envs.config import TeamConfig
@@ -186,7 +186,7 @@ class EvidenceModel:
         check_shapes(card.shapes, weights, "evidence model")
         self.card = card
         self.weights = weights
-        self._place = Network(card.place, self._of("place"))
+        self._place = Network(card.place, part_of(weights, "place"))
 
     @property
     def digest(self) -> str:
@@ -196,16 +196,9 @@ class EvidenceModel:
             digest.update(np.asarray(self.weights[name], np.float32, order="C").tobytes())
         return digest.hexdigest()
 
-    def _of(self, part: str) -> Weights:
-        return {
-            name.removeprefix(f"{part}."): values
-            for name, values in self.weights.items()
-            if name.startswith(f"{part}.")
-        }
-
     def encoder(self) -> Network:
         """An encoder with a memory of its own."""
-        return Network(self.card.encoder, self._of("encoder"))
+        return Network(self.card.encoder, part_of(self.weights, "encoder"))
 
     def standardise(self, turns: NDArray[np.float32]) -> NDArray[np.float32]:
         """Turns (N, columns) with what is read as it is in units of the drives learnt from."""

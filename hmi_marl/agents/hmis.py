@@ -7,8 +7,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.attention_watch import AttentionWatch, step_of
 from hmi_marl.agents.belief import DEFAULT_REVEALING, solve_belief
-from hmi_marl.agents.evidence import ChainEvidence
 from hmi_marl.agents.memory import Draws, Memoryless
 from hmi_marl.agents.oracle import solve_alerts
 from hmi_marl.envs.alerts import PLAIN, Alerts, need_plain
@@ -16,7 +16,6 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.streams import Stream
-from hmi_marl.envs.teaming import NO_ACTION
 
 
 @runtime_checkable
@@ -123,7 +122,7 @@ class OptimalAlert(Memoryless):
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
         scalar = self._layout.scalar
-        step = _step(scalar(observations, "time"), self._horizon)
+        step = step_of(scalar(observations, "time"), self._horizon)
         distracted = (scalar(observations, "distracted") == 1).astype(np.int64)
         accepted = self._alerts.nearest(scalar(observations, "accepted"))
         counter = np.rint(scalar(observations, "counter") * self._window).astype(np.int64)
@@ -159,14 +158,11 @@ class BeliefAlert:
     ) -> None:
         need_plain(config.alerts, "'belief', the Bayes belief over attention,")
         self.model = get_driver(model)
-        self._layout = vehicle_ai_layout(config)
-        self._horizon, self._window = config.horizon, config.alert_window
         self._taking_turns = taking_turns
         self._rule = solve_belief(
             self.model, config.alert_window, config.horizon, config.weights, revealing, taking_turns
         )
-        self._attention = ChainEvidence([self.model], config)
-        self._seen = np.full(1, -1)
+        self._attention = AttentionWatch([self.model], config)
 
     @property
     def belief(self) -> NDArray[np.float64]:
@@ -175,29 +171,14 @@ class BeliefAlert:
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Policy.reset`."""
-        if which is None:
-            self._attention.reset(len(seeds))
-            self._seen = np.full(len(seeds), -1)
-        else:
-            self._attention.begin(which)
-            self._seen = np.where(which, -1, self._seen)
+        self._attention.reset(len(seeds), which)
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
-        layout = self._layout
-        step = _step(layout.scalar(observations, "time"), self._horizon)
-        self._attention.observe(observations, step > self._seen)
-        self._seen = step
+        step = self._attention.observe(observations)
         if self._taking_turns:
-            applied = layout.chosen(observations, "applied_action")
-            intended = layout.chosen(observations, "intended_action")
-            reveals = (applied != NO_ACTION) & (intended != applied)
+            reveals = self._attention.reveals(observations)
         else:
             reveals = np.zeros(len(step), np.bool_)  # not known yet; the rule weighs both
         now = self._attention.filter
         return self._rule.alert(step, reveals, self.belief, now.accepted, now.counter)
-
-
-def _step(time: NDArray[np.float32], horizon: int) -> NDArray[np.int64]:
-    """Steps taken, from the share of the episode that is over; the last step's at its end."""
-    return np.minimum(np.rint(time * horizon).astype(np.int64), horizon - 1)

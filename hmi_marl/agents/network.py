@@ -131,6 +131,12 @@ class Network:
         return (1.0 - update) * new + update * old
 
 
+def part_of(weights: Weights, part: str) -> Weights:
+    """The weights of one network among several, whose names begin with its own and a dot."""
+    start = f"{part}."
+    return {n.removeprefix(start): values for n, values in weights.items() if n.startswith(start)}
+
+
 def sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """1 / (1 + e^-x), which does not overflow."""
     return 0.5 + 0.5 * np.tanh(0.5 * x)

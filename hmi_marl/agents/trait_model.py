@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.network import Network, NetworkConfig, Weights, sigmoid
+from hmi_marl.agents.network import Network, NetworkConfig, Weights, part_of, sigmoid
 from hmi_marl.agents.situations import ACTIONS, EXTRA, LONG_AGO, situations
 from hmi_marl.agents.weight_files import check_shapes
 
@@ -149,15 +149,7 @@ class TraitModel:
         self.weights = weights
         self._weights = {name: values.astype(np.float64) for name, values in weights.items()}
         self._networks = {
-            part: Network(
-                getattr(card, part),
-                {
-                    name.removeprefix(f"{part}."): values
-                    for name, values in weights.items()
-                    if name.startswith(f"{part}.")
-                },
-            )
-            for part in PARTS
+            part: Network(getattr(card, part), part_of(weights, part)) for part in PARTS
         }
 
     def begin(self, count: int) -> EncoderState:

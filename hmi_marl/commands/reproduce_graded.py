@@ -8,12 +8,10 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.evaluation.graded import GradedSettings
+from hmi_marl.evaluation.graded import QUICK, GradedSettings
 from hmi_marl.evaluation.graded_stage import GradedStage
 from hmi_marl.evaluation.stages import Place
 from hmi_marl.workers import check_workers
-
-QUICK = {"hmi_steps": 200_000, "episodes": 200}
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class ReproduceGraded:
         if self.quick:
             if replace(size, seed=0) != GradedSettings():
                 raise ValueError("--quick sets the sizes itself; leave it out to choose them")
-            size = replace(size, **QUICK)
+            size = replace(QUICK, seed=size.seed)
         out = self.out or Path("runs/reproduce") / ("graded-quick" if self.quick else "graded")
         nobody = out / "driver"  # the rule-based driver drives, so that none is to be learnt
         place = Place(out, nobody, check_workers(self.workers), typed)

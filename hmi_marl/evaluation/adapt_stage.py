@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from hmi_marl.evaluation.stopwatch import Stopwatch
 from hmi_marl.files import make_folder
 from hmi_marl.training.evidence.conditioned import learn_conditioned
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.jobs import CURVE, need_training, own_line, side_by_side
+from hmi_marl.training.jobs import need_training, own_line, seconds_of, side_by_side
 
 EVIDENCE, CONDITIONED = "evidence", "conditioned"
 """Runs in the stage's folder."""
@@ -80,10 +79,8 @@ class AdaptStage:
             results = adapt.evaluate(
                 size.judge, str(place.driver_run), trained, place.workers, bar.update
             )
-        seconds = {
-            f"training {run.name}": json.loads((run / CURVE).read_text("utf-8"))[-1]["seconds"]
-            for run in (evidence, conditioned)
-        } | watch.seconds
+        learnt = seconds_of((evidence, conditioned))
+        seconds = {f"training {run}": spent for run, spent in learnt.items()} | watch.seconds
         text, shown = adapt_report.write_report(out, results, seconds, place.typed, self.settings())
         return Outcome(adapt_report.as_json(results), shown, seconds, text)
 

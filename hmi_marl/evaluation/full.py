@@ -11,6 +11,7 @@ from hmi_marl.evaluation.adapt_settings import AdaptReproduction
 from hmi_marl.evaluation.adapt_stage import AdaptStage
 from hmi_marl.evaluation.attentive import AttentiveSettings
 from hmi_marl.evaluation.full_report import write_full_report
+from hmi_marl.evaluation.graded import QUICK as QUICK_GRADED
 from hmi_marl.evaluation.graded import GradedSettings
 from hmi_marl.evaluation.graded_stage import GradedStage
 from hmi_marl.evaluation.hidden import HiddenSettings
@@ -72,7 +73,7 @@ QUICK = FullSettings(
         learn=TraitSettings(steps=150_000, imitation_updates=200),
         judge=AssessSettings(windows=200, episodes=60, ranked=40),
     ),
-    graded=GradedSettings(hmi_steps=200_000, episodes=200),
+    graded=QUICK_GRADED,
 )
 """A coarse one, in minutes."""
 

@@ -124,6 +124,10 @@ class GradedSettings:
         return [Job(self.training(case), folder / case.name) for case in CASES]
 
 
+QUICK = GradedSettings(hmi_steps=200_000, episodes=200)
+"""A coarse one, in a minute, too short to reach the optimum everywhere."""
+
+
 @dataclass(frozen=True)
 class GradedRow:
     """What came of one case: attention returns, over the same episodes."""

@@ -14,11 +14,10 @@ from hmi_marl.envs.plain import plain
 from hmi_marl.evaluation import graded
 from hmi_marl.evaluation.exhibits import Table, Told
 from hmi_marl.evaluation.graded import CASES, GradedSettings
-from hmi_marl.evaluation.reproduction import seconds_of
 from hmi_marl.evaluation.stages import Agent, Outcome, Place, learnt_in
 from hmi_marl.evaluation.stopwatch import Stopwatch
 from hmi_marl.files import make_folder, write_json, write_text
-from hmi_marl.training.jobs import train_all
+from hmi_marl.training.jobs import seconds_of, train_all
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class GradedStage:
             tqdm(total=len(CASES), unit=" cases", desc="playing") as bar,
         ):
             rows = graded.compare_graded(self.size, out, lambda name: bar.update())
-        seconds = seconds_of(jobs) | watch.seconds
+        seconds = seconds_of(job.folder for job in jobs) | watch.seconds
         text, numbers = graded.as_text(rows), {"rows": [plain(row.as_json()) for row in rows]}
         about = {"seconds": seconds, "settings": self.settings(), "command": place.typed}
         write_text(out / "graded.txt", text + "\n")

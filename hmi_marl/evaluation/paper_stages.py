@@ -28,7 +28,7 @@ from hmi_marl.evaluation.trait_settings import (
     TraitReproduction,
 )
 from hmi_marl.files import make_folder, write_bytes, write_json, write_text
-from hmi_marl.training.jobs import Job, need_training, train_all
+from hmi_marl.training.jobs import Job, need_training, seconds_of, train_all
 
 
 def learn_driver(job: Job, typed: str) -> Path:
@@ -91,7 +91,7 @@ class TableStage:
                 reproduction.play_table(variant, size, out, place.workers, bar.update)
                 for variant in VARIANTS
             ]
-        trained = reproduction.seconds_of([first, *others])
+        trained = seconds_of(job.folder for job in (first, *others))
         seconds = {f"training {name}": spent for name, spent in trained.items()} | watch.seconds
         text = reproduction_report.as_text(tables, seconds)
         numbers = reproduction_report.as_json(tables)
@@ -147,7 +147,7 @@ class DriverStage:
         verdicts = attentive.verdicts(*rows[-2:])
         numbers = {"rows": [row.as_json() for row in rows], "verdicts": verdicts}
         write_json(out / "driver.table.json", numbers | {"command": place.typed})
-        seconds = reproduction.seconds_of([job]) | watch.seconds
+        seconds = seconds_of([job.folder]) | watch.seconds
         exhibits = (
             Table("As they learn", attentive.HEAD, attentive.table_rows(rows)),
             *held(verdicts),
@@ -208,7 +208,7 @@ class HiddenStage:
             Table(hidden.CAPTION, hidden.table_head(rows), hidden.table_rows(rows)),
             Table(hidden.PAIRED, hidden.DIFFERENCES_HEAD, hidden.difference_rows(rows)),
         )
-        trained = reproduction.seconds_of(jobs)
+        trained = seconds_of(job.folder for job in jobs)
         return Outcome(numbers, exhibits, trained | watch.seconds, hidden.as_text(rows))
 
 
@@ -264,5 +264,6 @@ class TraitsStage:
             assessments, pools = parts.assess_runs(
                 runs, out / DEMONSTRATIONS, out / POPULATION, str(place.driver_run), size.judge
             )
-        seconds = parts.seconds_of(runs) | watch.seconds
+        trained = seconds_of(runs)
+        seconds = {f"training {run}": spent for run, spent in trained.items()} | watch.seconds
         return parts.write_report(out, assessments, pools, seconds, place.typed, self.settings())

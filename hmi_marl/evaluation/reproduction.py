@@ -192,8 +192,3 @@ def shortfall(cell: Cell) -> float:
     """How much of the exact optimum's attention return is missing, as a share of its size."""
     best = cell.optimal_attention_return_same_steps
     return (best - cell.attention_return.mean) / abs(best)
-
-
-def seconds_of(jobs: list[Job]) -> dict[str, float]:
-    """What each training took in all, by the name of its folder."""
-    return {job.folder.name: job.curve()[-1]["seconds"] for job in jobs}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,7 +47,7 @@ from hmi_marl.training.demonstration_files import (
     sha256_of,
     write_demonstrations,
 )
-from hmi_marl.training.jobs import CURVE, own_line, side_by_side
+from hmi_marl.training.jobs import own_line, side_by_side
 from hmi_marl.training.traits.settings import TraitSettings
 
 FREE = ("driver_policy", "teams")
@@ -107,14 +106,6 @@ def _learn(settings: TraitSettings, demonstrations: Path, folder: Path, typed: s
 
     settings = replace(settings, threads=1)
     learn_traits(settings, demonstrations, folder, typed=typed, line=own_line())
-
-
-def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
-    """What each training took in all, however often it was cut off, by its folder's name."""
-    return {
-        f"training {run.name}": json.loads((run / CURVE).read_text("utf-8"))[-1]["seconds"]
-        for run in runs
-    }
 
 
 def assess_runs(

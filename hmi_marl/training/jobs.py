@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import current_process, get_context
 from pathlib import Path
@@ -36,6 +36,11 @@ class Job:
         """The rows of its learning curve, once it has been trained."""
         rows: list[dict[str, Any]] = json.loads((self.folder / CURVE).read_text("utf-8"))
         return rows
+
+
+def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
+    """What each training took in all, however often it was cut off, by its folder's name."""
+    return {run.name: json.loads((run / CURVE).read_text("utf-8"))[-1]["seconds"] for run in runs}
 
 
 def train_all(jobs: Sequence[Job], workers: int, typed: str = "", quiet: bool = False) -> None:

@@ -22,7 +22,7 @@ from hmi_marl.agents.evidence_model import (
     LearnedEvidence,
     Turns,
 )
-from hmi_marl.agents.network import Network, NetworkConfig
+from hmi_marl.agents.network import NetworkConfig
 from hmi_marl.agents.situations import LONG_AGO
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
@@ -237,7 +237,7 @@ def test_memory_is_emptied_every_segment(segment):
     expected = []
     for t, turn in enumerate(read):
         if t % segment == 0:
-            encoder = Network(model.card.encoder, model._of("encoder"))
+            encoder = model.encoder()
             encoder.forget(3)
         expected.append(encoder(model.standardise(turn)) @ places.T)
     np.testing.assert_allclose(gains, expected, rtol=1e-9)
