@@ -1,7 +1,3 @@
-import subprocess
-import sys
-from functools import partial
-
 import numpy as np
 import pytest
 from parity import assert_parity, random_scene
@@ -21,7 +17,7 @@ def seeds(count, first=0):
 @pytest.mark.parametrize("driver", ["random", "rule"])
 @pytest.mark.parametrize("inflation", [1.0, 3.0, 9.0])
 def test_it_follows_highway_env(inflation, driver):
-    steps = assert_parity(Scene(), seeds(4, int(inflation)), inflation=inflation, driver=driver)
+    steps, _ = assert_parity(Scene(), seeds(4, int(inflation)), inflation=inflation, driver=driver)
     assert steps > 40
 
 
@@ -161,20 +157,6 @@ def test_the_memory_of_a_team_is_small_and_constant():
 def test_more_threads_than_there_are_are_refused(threads):
     with pytest.raises(ValueError, match="threads lies in 1 to"):
         make_world("batched", Scene().fitted(2.0), 1, threads)
-
-
-def test_a_second_process_takes_what_the_first_has_compiled():
-    code = (
-        "import time; from hmi_marl import merge_v0\n"
-        "env = merge_v0.parallel_env(world='batched', duration=0.4)\n"
-        "env.reset(seed=0); env.step({'driver': 1, 'vehicle_ai': 0})\n"
-        "from hmi_marl.envs.worlds.batched.kernels import KERNELS\n"
-        "print(sum(sum(k.stats.cache_misses.values()) for k in KERNELS))"
-    )
-    run = partial(subprocess.run, [sys.executable, "-c", code], capture_output=True, text=True)
-    first, second = run(check=True), run(check=True)
-    assert first.stdout
-    assert second.stdout.strip() == "0"
 
 
 def soak(team_steps, configurations, seed):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-from pathlib import Path
+import sys
+import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numba
 from numba import njit
+
+from hmi_marl.envs.worlds.batched.kept_code import KeptCode, one_process_at_a_time
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
@@ -18,19 +22,30 @@ inlined: Any = njit(forceinline=True, **_OPTIONS)
 """The same, always merged into its caller."""
 
 
-def source_stamp() -> str:
-    """A fingerprint of everything that the kernels are compiled from.
+def kernel(loop: Callable[..., None]) -> Any:
+    """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it."""
+    function: Any = njit(nogil=True, error_model="numpy")(loop)
+    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        function._cache = KeptCode(loop)
+    return function
 
-    numba looks for changes only in the file of the outermost function. The kernels carry this
-    stamp, so that a change in any of the files makes numba compile them anew.
+
+def prepare(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
+    """Compile kernels for the types of the arguments that they will be called with.
+
+    All of them at once, so that a user waits for the compiler, and is told so, only once.
+
+    Args:
+        calls: pairs of a kernel and an example of its arguments.
     """
-    here = Path(__file__).parent
-    sources = [
-        *sorted(here.glob("*.py")),
-        here.parents[1] / "scene.py",
-        here.parents[1] / "streams.py",
-    ]
-    digest = hashlib.sha256()
-    for source in sources:
-        digest.update(source.read_bytes())
-    return digest.hexdigest()
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return
+    wanted = [(each, tuple(numba.typeof(one) for one in given)) for each, given in calls]
+    if all(types in each.overloads for each, types in wanted):
+        return
+    start = time.perf_counter()
+    with one_process_at_a_time():
+        for each, types in wanted:
+            each.compile(types)
+    if any(each.stats.cache_misses.get(types) for each, types in wanted):
+        print(f"hmi-marl: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr)

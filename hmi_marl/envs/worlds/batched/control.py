@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
-from hmi_marl.envs.worlds.batched import numpy_math as nm
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.elementary import arcsin, arctan, tan
 from hmi_marl.envs.worlds.batched.idm import ACC_MAX, acceleration, every_bit_counts
 from hmi_marl.envs.worlds.batched.lanes import (
     clip,
     follow_road,
     heading_at,
     is_reachable,
-    lateral_to_the_bit,
+    lateral,
     not_zero,
     wrap_to_pi,
 )
@@ -45,9 +45,8 @@ KP_HEADING = 1 / 0.2
 KP_LATERAL = 1 / 0.6
 TAU_PURSUIT = 0.1
 MAX_STEERING = math.pi / 3
-_TAN_MAX_SLIP = 0.5 * math.tan(MAX_STEERING)
-MAX_SLIP = _TAN_MAX_SLIP / math.sqrt(1 + _TAN_MAX_SLIP**2)
-"""Sine of the slip angle at the largest steering angle."""
+MAX_SLIP = math.sqrt(3 / 7)
+"""Sine of the slip angle at the largest steering angle: of the arctangent of tan(π/3) / 2."""
 
 MOVE_LEFT, KEEP_SPEED, MOVE_RIGHT, SPEED_UP, SLOW_DOWN = range(5)
 
@@ -68,7 +67,7 @@ def steer(f, i, lanes, table, v, lane):
     if r == 0.0 and heading == 0.0:
         return
     speed = not_zero(f[SPEED, v])
-    correction = math.asin(clip(-KP_LATERAL * r / speed, -1.0, 1.0))
+    correction = arcsin(clip(-KP_LATERAL * r / speed, -1.0, 1.0))
     rate = KP_HEADING * wrap_to_pi(clip(correction, -math.pi / 4, math.pi / 4) - heading)
     f[SLIP, v] = clip(CAR_LENGTH / 2 / speed * rate, -MAX_SLIP, MAX_SLIP)
 
@@ -77,14 +76,14 @@ def steer(f, i, lanes, table, v, lane):
 def _steer_to_the_bit(f, lanes, v, lane):
     """The same in highway-env's own steps."""
     s = f[X, v] - lanes[lane, X0]
-    r = lateral_to_the_bit(lanes, lane, s, f[Y, v])
+    r = lateral(lanes, lane, s, f[Y, v])
     speed = not_zero(f[SPEED, v])
-    correction = nm.arcsin(clip(-KP_LATERAL * r / speed, -1.0, 1.0))
+    correction = arcsin(clip(-KP_LATERAL * r / speed, -1.0, 1.0))
     wanted = heading_at(lanes, lane, s + f[SPEED, v] * TAU_PURSUIT)
     wanted += clip(correction, -math.pi / 4, math.pi / 4)
     rate = KP_HEADING * wrap_to_pi(wanted - f[HEADING, v])
-    slip = nm.arcsin(clip(CAR_LENGTH / 2 / speed * rate, -1.0, 1.0))
-    f[STEERING, v] = clip(nm.arctan(2 * nm.tan(slip)), -MAX_STEERING, MAX_STEERING)
+    slip = arcsin(clip(CAR_LENGTH / 2 / speed * rate, -1.0, 1.0))
+    f[STEERING, v] = clip(arctan(2 * tan(slip)), -MAX_STEERING, MAX_STEERING)
 
 
 @inlined

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from hmi_marl.envs.worlds.batched import numpy_math as nm
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.elementary import fma, fourth_power
 from hmi_marl.envs.worlds.batched.lanes import clip, not_zero
 from hmi_marl.envs.worlds.batched.memory import (
     COS,
@@ -32,14 +32,9 @@ def desired_gap(f, v, front):
     """How far to stay behind ``front`` [m]."""
     dvx = f[SPEED, v] * f[COS, v] - f[SPEED, front] * f[COS, front]
     dvy = f[SPEED, v] * f[SIN, v] - f[SPEED, front] * f[SIN, front]
-    dv = nm.fused(dvy, f[SIN, v], dvx * f[COS, v])
+    dv = fma(dvy, f[SIN, v], dvx * f[COS, v])
     speed = f[SPEED, v]
     return DISTANCE_WANTED + speed * TIME_WANTED + speed * dv / _TWICE_ROOT_AB
-
-
-@compiled
-def _fourth_power(ratio):
-    return nm.power(ratio, 4.0)
 
 
 @inlined
@@ -53,11 +48,7 @@ def acceleration(f, i, lanes, table, v, front):
     """What vehicle v would do behind ``front`` (or NOBODY) [m/s²]."""
     wanted = clip(f[TARGET_SPEED, v], 0.0, lanes[i[LANE, v], SPEED_LIMIT])
     ratio = max(f[SPEED, v], 0.0) / abs(not_zero(wanted))
-    if every_bit_counts(f, i, table, v):
-        share = _fourth_power(ratio)
-    else:
-        share = (ratio * ratio) * (ratio * ratio)
-    result = COMFORT_ACC_MAX * (1 - share)
+    result = COMFORT_ACC_MAX * (1 - fourth_power(ratio))
     if front != NOBODY:
         closeness = desired_gap(f, v, front) / not_zero(f[X, front] - f[X, v])
         result -= COMFORT_ACC_MAX * (closeness * closeness)

@@ -1,15 +1,16 @@
-"""The loops over worlds, each world by one thread: begin, step, look around."""
+"""The loops over worlds: begin, step, look around.
+
+Each loop runs over the worlds ``first`` to ``last - 1`` in one thread and releases Python's lock, so
+that :mod:`threads` can share the worlds among several. numba's own parallel loops are not used: they
+start OpenMP, after which a forked process dies, and its threads wait busily in the way of others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
-
 import numpy as np
-from numba import njit, prange
 
 from hmi_marl.envs.worlds.batched.collisions import collide
-from hmi_marl.envs.worlds.batched.compiler import compiled, source_stamp
+from hmi_marl.envs.worlds.batched.compiler import compiled, kernel
 from hmi_marl.envs.worlds.batched.control import act_driven, act_traffic, command
 from hmi_marl.envs.worlds.batched.lanes import lateral
 from hmi_marl.envs.worlds.batched.lidar import trace
@@ -72,59 +73,40 @@ def read_ego(f, i, world, lanes, table, rows, ego, flags):
     flags[1] = i[CRASHED, 0]
 
 
-class Kernels(NamedTuple):
-    """The compiled loops over worlds."""
-
-    begin: Callable[..., None]
-    step: Callable[..., None]
-    look: Callable[..., None]
-
-
-def build(stamp: str) -> Kernels:
-    """Compile at the first call, or take what an earlier process compiled from the same sources.
-
-    Args:
-        stamp: of the sources; numba's cache takes it for part of the functions.
-    """
-    parallel: Any = njit(parallel=True, cache=True, error_model="numpy")
-
-    @parallel
-    def begin_worlds(blocks, road, rows, speeds, seeds, which, low, high, room, told):
-        _ = stamp
-        ego, flags = told
-        floats, integers, worlds = blocks
-        lanes, table = road
-        draws, lane, start = room
-        for k in prange(len(which)):
-            if which[k]:
-                f, i, world = floats[k], integers[k], worlds[k]
-                begin(
-                    f, i, world, lanes, table, rows, speeds,
-                    seeds[k], low, high, draws[k], lane[k], start[k],
-                )  # fmt: skip
-                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
-
-    @parallel
-    def step_worlds(blocks, road, rows, speeds, actions, which, substeps, dt, told):
-        _ = stamp
-        ego, flags = told
-        floats, integers, worlds = blocks
-        lanes, table = road
-        for k in prange(len(which)):
-            if which[k]:
-                f, i, world = floats[k], integers[k], worlds[k]
-                advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
-                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
-
-    @parallel
-    def look_around(blocks, which, inflation, directions, maximum_range, grids):
-        _ = stamp
-        floats, _integers, worlds = blocks
-        for k in prange(len(which)):
-            if which[k]:
-                trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])
-
-    return Kernels(begin_worlds, step_worlds, look_around)
+@kernel
+def begin_worlds(first, last, blocks, road, rows, speeds, seeds, which, low, high, room, told):
+    """Begin the episodes of the marked worlds; see :func:`spawn.begin`."""
+    ego, flags = told
+    floats, integers, worlds = blocks
+    lanes, table = road
+    draws, lane, start = room
+    for k in range(first, last):
+        if which[k]:
+            f, i, world = floats[k], integers[k], worlds[k]
+            begin(
+                f, i, world, lanes, table, rows, speeds,
+                seeds[k], low, high, draws[k], lane[k], start[k],
+            )  # fmt: skip
+            read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
 
 
-KERNELS = build(source_stamp())
+@kernel
+def step_worlds(first, last, blocks, road, rows, speeds, actions, which, substeps, dt, told):
+    """Take one policy step in the marked worlds; see :func:`advance`."""
+    ego, flags = told
+    floats, integers, worlds = blocks
+    lanes, table = road
+    for k in range(first, last):
+        if which[k]:
+            f, i, world = floats[k], integers[k], worlds[k]
+            advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
+            read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+
+
+@kernel
+def look_around(first, last, blocks, which, inflation, directions, maximum_range, grids):
+    """Trace the lidars of the marked worlds; see :func:`lidar.trace`."""
+    floats, _integers, worlds = blocks
+    for k in range(first, last):
+        if which[k]:
+            trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])

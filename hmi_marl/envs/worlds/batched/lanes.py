@@ -15,8 +15,8 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from hmi_marl.envs.scene import Scene
-from hmi_marl.envs.worlds.batched import numpy_math as nm
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.elementary import arctan, sin_cos
 from hmi_marl.envs.worlds.batched.memory import (
     AB,
     AMPLITUDE,
@@ -126,26 +126,18 @@ def lateral(lanes, lane, s, y):
     """The r of local_coordinates at longitudinal s."""
     r = y - lanes[lane, Y0]
     if lanes[lane, AMPLITUDE] != 0.0:
-        r -= lanes[lane, AMPLITUDE] * math.sin(lanes[lane, PULSATION] * s + lanes[lane, PHASE])
-    return r
-
-
-@inlined
-def lateral_to_the_bit(lanes, lane, s, y):
-    """The same with NumPy's sine, for steering by it."""
-    r = y - lanes[lane, Y0]
-    if lanes[lane, AMPLITUDE] != 0.0:
-        r -= lanes[lane, AMPLITUDE] * nm.sin(lanes[lane, PULSATION] * s + lanes[lane, PHASE])
+        sine, _ = sin_cos(lanes[lane, PULSATION] * s + lanes[lane, PHASE])
+        r -= lanes[lane, AMPLITUDE] * sine
     return r
 
 
 @inlined
 def heading_at(lanes, lane, s):
-    """The lane's heading at longitudinal s, to the bit."""
+    """The lane's heading at longitudinal s."""
     if lanes[lane, AMPLITUDE] == 0.0:
         return 0.0
-    slope = nm.cos(lanes[lane, PULSATION] * s + lanes[lane, PHASE])
-    return nm.arctan(lanes[lane, AMPLITUDE] * lanes[lane, PULSATION] * slope)
+    _, cosine = sin_cos(lanes[lane, PULSATION] * s + lanes[lane, PHASE])
+    return arctan(lanes[lane, AMPLITUDE] * lanes[lane, PULSATION] * cosine)
 
 
 @compiled

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.elementary import arctan2
 from hmi_marl.envs.worlds.batched.memory import (
     CAR_LENGTH,
     CAR_WIDTH,
@@ -76,14 +77,14 @@ def _is_unsure(angle, sector):
 
 @compiled
 def _exact_angles(dx, dy, cosine, sine, half_length, half_width):
-    """(angle of the middle, least and largest angle of a corner) by atan2."""
+    """(angle of the middle, least and largest angle of a corner) by the exact arctangent."""
     least, most = np.inf, -np.inf
     for corner in range(4):
         a = half_length if corner >= 2 else -half_length
         b = half_width if corner == 1 or corner == 2 else -half_width
-        angle = math.atan2(dy + (sine * a + cosine * b), dx + (cosine * a - sine * b))
+        angle = arctan2(dy + (sine * a + cosine * b), dx + (cosine * a - sine * b))
         least, most = min(least, angle), max(most, angle)
-    return math.atan2(dy, dx), least, most
+    return arctan2(dy, dx), least, most
 
 
 @inlined

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from hmi_marl.envs.worlds.batched import numpy_math as nm
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.elementary import arctan, sin_cos, tan
 from hmi_marl.envs.worlds.batched.lanes import closest_lane
 from hmi_marl.envs.worlds.batched.memory import (
     ACCELERATION,
@@ -33,11 +33,14 @@ MAX_SPEED = 40.0
 def _turn_to_the_bit(f, v, steering, dt):
     """Move along a curve in highway-env's own steps."""
     speed, heading = f[SPEED, v], f[HEADING, v]
-    beta = nm.arctan(0.5 * nm.tan(steering))
-    f[X, v] += speed * nm.cos(heading + beta) * dt
-    f[Y, v] += speed * nm.sin(heading + beta) * dt
-    heading += speed * nm.sin(beta) / (CAR_LENGTH / 2) * dt
-    f[HEADING, v], f[COS, v], f[SIN, v] = heading, nm.cos(heading), nm.sin(heading)
+    beta = arctan(0.5 * tan(steering))
+    sine, cosine = sin_cos(heading + beta)
+    f[X, v] += speed * cosine * dt
+    f[Y, v] += speed * sine * dt
+    sine, _ = sin_cos(beta)
+    heading += speed * sine / (CAR_LENGTH / 2) * dt
+    f[HEADING, v] = heading
+    f[SIN, v], f[COS, v] = sin_cos(heading)
 
 
 @inlined
@@ -59,7 +62,7 @@ def move(f, i, lanes, table, rows, v, dt):
         f[X, v] += speed * (cosine * along - sine * slip) * dt
         f[Y, v] += speed * (sine * along + cosine * slip) * dt
         f[HEADING, v] += speed * slip / (CAR_LENGTH / 2) * dt
-        f[COS, v], f[SIN, v] = math.cos(f[HEADING, v]), math.sin(f[HEADING, v])
+        f[SIN, v], f[COS, v] = sin_cos(f[HEADING, v])
     else:
         f[X, v] += speed * f[COS, v] * dt
         f[Y, v] += speed * f[SIN, v] * dt

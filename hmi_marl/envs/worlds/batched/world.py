@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import sys
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.scene import Scene, number_of_draws
 from hmi_marl.envs.worlds.base import Ego, Snapshot
-from hmi_marl.envs.worlds.batched.kernels import EGO_SPEED, KERNELS
+from hmi_marl.envs.worlds.batched.compiler import prepare
+from hmi_marl.envs.worlds.batched.elementary import sin_cos
+from hmi_marl.envs.worlds.batched.kernels import (
+    EGO_SPEED,
+    begin_worlds,
+    look_around,
+    step_worlds,
+)
 from hmi_marl.envs.worlds.batched.lanes import lane_table
 from hmi_marl.envs.worlds.batched.memory import (
     CRASHED,
@@ -28,34 +29,10 @@ from hmi_marl.envs.worlds.batched.memory import (
     X,
     Y,
 )
+from hmi_marl.envs.worlds.batched.threads import available, share
 
-_PATIENCE = 2.0
-_ready: set[str] = set()
-
-
-@contextmanager
-def _telling_of_compilation(kernel: str) -> Iterator[None]:
-    """Say so on stderr if the first call of a kernel takes long, which is its compilation."""
-    if kernel in _ready:
-        yield
-        return
-    start = time.perf_counter()
-    told = threading.Event()
-
-    def tell() -> None:
-        told.set()
-        print("hmi-marl: compiling the batched world, once for this machine ...", file=sys.stderr)
-
-    timer = threading.Timer(_PATIENCE, tell)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-    _ready.add(kernel)
-    if told.is_set():
-        print(f"hmi-marl: compiled in {time.perf_counter() - start:.1f} s", file=sys.stderr)
+_CARRAY: tuple[Literal["C", "W"], ...] = ("C", "W")
+"""What the compiled loops take: arrays in one piece that can be written to."""
 
 
 class BatchedWorld:
@@ -68,7 +45,7 @@ class BatchedWorld:
     """
 
     def __init__(self, scene: Scene, num_worlds: int, threads: int | None = None) -> None:
-        most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+        most = available()
         if threads is not None and not 1 <= threads <= most:
             raise ValueError(f"threads lies in 1 to {most} on this machine, but got {threads}")
         self.scene = scene
@@ -92,13 +69,20 @@ class BatchedWorld:
         """Of the driven cars, as read_ego fills it in."""
         self._inflation = np.ones(num_worlds)
         self._steps = np.zeros(num_worlds, np.int64)
-        angle = 2 * np.pi / scene.lidar_cells * np.arange(scene.lidar_cells)
-        self._directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        angles = 2 * np.pi / scene.lidar_cells * np.arange(scene.lidar_cells)
+        self._directions = np.array([sin_cos(angle)[::-1] for angle in angles])
         cells = (num_worlds, scene.lidar_cells, 2)
         self._seen = {inflated: np.zeros(cells, np.float32) for inflated in (False, True)}
         self._stale = {inflated: np.ones(num_worlds, np.bool_) for inflated in (False, True)}
-        none = np.zeros(num_worlds, np.uint64)
-        self.reset(none, self._inflation, np.ones(num_worlds, np.bool_))
+        none, everywhere = np.zeros(num_worlds, np.uint64), np.ones(num_worlds, np.bool_)
+        prepare(
+            [
+                (begin_worlds, (0, 0, *self._begin_arguments(none, everywhere))),
+                (step_worlds, (0, 0, *self._step_arguments(none.astype(np.int64), everywhere))),
+                (look_around, (0, 0, *self._look_arguments(inflated=True))),
+            ]
+        )
+        self.reset(none, self._inflation, everywhere)
 
     @property
     def bytes_per_world(self) -> int:
@@ -114,25 +98,18 @@ class BatchedWorld:
         which: NDArray[np.bool_],
     ) -> None:
         """See :meth:`World.reset`."""
-        low, high = self.scene.vehicle_range
-        rows, speeds = self.scene.lanes, self._speeds
-        road, room = self._road, self._room
-        self._run(
-            "begin", self._blocks, road, rows, speeds, seeds, which, low, high, room, self._told
-        )
+        which = np.require(which, np.bool_, _CARRAY)
+        seeds = np.require(seeds, np.uint64, _CARRAY)
+        self._share(begin_worlds, self._begin_arguments(seeds, which))
         self._moved(which)
         self._inflation = np.where(which, inflation, self._inflation)
         self._steps = np.where(which, 0, self._steps)
 
     def step(self, actions: NDArray[np.int64], which: NDArray[np.bool_]) -> None:
         """See :meth:`World.step`."""
-        scene = self.scene
-        substeps = scene.simulation_frequency // scene.policy_frequency
-        dt = 1 / scene.simulation_frequency
-        rows, speeds = scene.lanes, self._speeds
-        self._run(
-            "step", self._blocks, self._road, rows, speeds, actions, which, substeps, dt, self._told
-        )
+        which = np.require(which, np.bool_, _CARRAY)
+        actions = np.require(actions, np.int64, _CARRAY)
+        self._share(step_worlds, self._step_arguments(actions, which))
         self._moved(which)
         self._steps = self._steps + which
 
@@ -169,9 +146,7 @@ class BatchedWorld:
         stale = self._stale[inflated]
         if stale.any():
             self._seen[inflated] = self._seen[inflated].copy()  # the last one was handed out
-            inflation = self._inflation if inflated else np.ones(self.num_worlds)
-            reach, seen = float(self.scene.lidar_range), self._seen[inflated]
-            self._run("look", self._blocks, stale, inflation, self._directions, reach, seen)
+            self._share(look_around, self._look_arguments(inflated))
             stale[:] = False
         return self._seen[inflated]
 
@@ -191,7 +166,33 @@ class BatchedWorld:
             obstacles=f[[X, Y], vehicles : vehicles + 1].T.copy(),
         )
 
-    def _run(self, kernel: str, *arguments: object) -> None:
-        numba.set_num_threads(self.threads)
-        with _telling_of_compilation(kernel):
-            getattr(KERNELS, kernel)(*arguments)
+    def _share(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
+        share(kernel, self.num_worlds, self.threads, *arguments)
+
+    def _begin_arguments(
+        self, seeds: NDArray[np.uint64], which: NDArray[np.bool_]
+    ) -> tuple[Any, ...]:
+        scene, speeds = self.scene, self._speeds
+        low, high = scene.vehicle_range
+        place = self._blocks, self._road, scene.lanes, speeds
+        return *place, seeds, which, low, high, self._room, self._told
+
+    def _step_arguments(
+        self, actions: NDArray[np.int64], which: NDArray[np.bool_]
+    ) -> tuple[Any, ...]:
+        scene, speeds = self.scene, self._speeds
+        substeps = scene.simulation_frequency // scene.policy_frequency
+        dt = 1 / scene.simulation_frequency
+        place = self._blocks, self._road, scene.lanes, speeds
+        return *place, actions, which, substeps, dt, self._told
+
+    def _look_arguments(self, inflated: bool) -> tuple[Any, ...]:
+        inflation = self._inflation if inflated else np.ones(self.num_worlds)
+        reach, seen = float(self.scene.lidar_range), self._seen[inflated]
+        stale = self._stale[inflated]
+        return self._blocks, stale, inflation, self._directions, reach, seen
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Load a copy; where fewer threads are allowed than it was made with, it takes fewer."""
+        self.__dict__.update(state)
+        self.threads = min(self.threads, available())

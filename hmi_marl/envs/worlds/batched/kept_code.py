@@ -1,0 +1,160 @@
+"""Compiled code in files, so that it is compiled once on a machine.
+
+numba trusts its own files: one that was cut short raises an error from deep within pickle, and a
+folder that cannot be written raises another while the module is imported. Here a file is named after
+all that it depends on (sources, types of arguments, processor, versions) and holds its own checksum.
+What does not fit is compiled again, and a line on stderr says once where.
+
+The folder is the one that numba chooses: NUMBA_CACHE_DIR if it is set, else ``__pycache__`` next to
+the sources, else the user's cache folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import caching
+from numba.core.compiler import CompileResult
+
+try:
+    import fcntl
+except ImportError:  # on Windows, processes that start together may compile the same twice
+    fcntl = None  # type: ignore[assignment]
+
+_DIGEST_SIZE = hashlib.sha256().digest_size
+
+
+@contextmanager
+def one_process_at_a_time() -> Iterator[None]:
+    """Wait while another process compiles, so that what it has kept can be taken."""
+    folder = _folder()
+    if folder is None or fcntl is None:
+        yield
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = open(folder / "hmi_marl-compiling.lock", "w")  # noqa: SIM115 (closed below)
+    except OSError:
+        yield
+        return
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+class KeptCode(caching._Cache):  # what numba asks for when it has to compile
+    """The compiled code of one kernel in files, as numba's dispatcher asks for it."""
+
+    def __init__(self, function: Callable[..., None]) -> None:
+        self._name = function.__name__
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder, None if none can be written."""
+        folder = _folder()
+        return None if folder is None else str(folder)
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Return the compiled code for these types of arguments, or None if it must be compiled."""
+        target.refresh()
+        path = self._path(signature, target.codegen())
+        if path is not None and path.exists():
+            try:
+                content = path.read_bytes()
+                code = content[_DIGEST_SIZE:]
+                if hashlib.sha256(code).digest() != content[:_DIGEST_SIZE]:
+                    raise ValueError("its checksum is wrong")
+                return CompileResult._rebuild(target, *pickle.loads(code))
+            except Exception as error:  # whatever is wrong with it, it can be made again
+                _say_once(f"cannot use {path} ({_reason(error)}); compiling again")
+        where = "" if path is None else f", kept in {path.parent}"
+        _say_once(f"compiling the batched world (some 20 s{where}) ...")
+        return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep what was compiled; without a folder it lasts as long as the process."""
+        path = self._path(signature, result.codegen)
+        if path is None:
+            return
+        code = pickle.dumps(result._reduce())
+        part = path.with_suffix(f".{os.getpid()}.part")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(hashlib.sha256(code).digest() + code)
+            part.replace(path)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            _say_once(f"cannot keep compiled code in {path.parent} ({_reason(error)})")
+            return
+        machine, _, _ = path.stem.rpartition("-")
+        for stale in path.parent.glob(f"{machine}-*.nbc"):
+            if stale != path:
+                stale.unlink(missing_ok=True)
+
+    def enable(self) -> None:
+        """Do nothing: kept code is always on."""
+
+    def disable(self) -> None:
+        """Do nothing: kept code is always on."""
+
+    def flush(self) -> None:
+        """Do nothing: names of files tell what is current."""
+
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
+        folder = _folder()
+        if folder is None:
+            return None
+        versions = (numba.__version__, sys.version_info[:2], codegen.magic_tuple(), str(signature))
+        machine = hashlib.sha256(repr(versions).encode()).hexdigest()[:16]
+        return folder / f"hmi_marl-{self._name}-{machine}-{source_stamp()[:16]}.nbc"
+
+
+@cache
+def _folder() -> Path | None:
+    """The folder that compiled code is kept in, or None, after saying so, if there is none."""
+    wanted = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    try:
+        locator = caching.CompileResultCacheImpl(source_stamp.__wrapped__).locator
+    except RuntimeError:
+        _say_once(
+            "no folder for compiled code can be written, so every process compiles anew; "
+            "set NUMBA_CACHE_DIR to a folder that can be"
+        )
+        return None
+    folder = Path(locator.get_cache_path())
+    if wanted and not isinstance(locator, caching.UserProvidedCacheLocator):
+        _say_once(f"cannot write to NUMBA_CACHE_DIR={wanted}; compiled code is kept in {folder}")
+    return folder
+
+
+@cache
+def source_stamp() -> str:
+    """Return a fingerprint of everything that the kernels are compiled from."""
+    here = Path(__file__).parent
+    sources = [
+        *sorted(here.glob("*.py")),
+        here.parents[1] / "scene.py",
+        here.parents[1] / "streams.py",
+    ]
+    digest = hashlib.sha256()
+    for source in sources:
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def _say_once(message: str) -> None:
+    print(f"hmi-marl: {message}", file=sys.stderr, flush=True)
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,61 @@
+"""The batched world is the same to the bit on every processor."""
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from episode_hash import fingerprint
+
+TESTS = Path(__file__).parents[2]
+FINGERPRINT = "d46c22c3fcd01ec4ede3a95521928e61aed08ebfce5fcc687e444381e0528640"
+"""Of 1,000 episodes. It changes with the world's behaviour, and with nothing else: if it does, the
+CHANGELOG says what trained agents will see differently."""
+
+SETTINGS = [
+    *({"OPENBLAS_CORETYPE": core} for core in ("Haswell", "SkylakeX", "Sandybridge")),
+    *({"OPENBLAS_CORETYPE": core} for core in ("Nehalem", "Prescott")),
+    *({"NPY_DISABLE_CPU_FEATURES": names} for names in ("X86_V4", "X86_V4 X86_V3")),
+    {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-AVX512F"},
+]
+"""What makes NumPy, BLAS and the C library take the loops of other processors."""
+COMPILED_FOR = ["nehalem", "haswell", "skylake-avx512"]
+"""Processors that the compiler can be asked to write for: without and with fused multiply-add."""
+
+only_x86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="settings of x86-64")
+
+
+def fingerprint_under(settings):
+    env = os.environ | settings | {"PYTHONPATH": os.pathsep.join([*sys.path, str(TESTS)])}
+    code = [sys.executable, "-W", "ignore", str(TESTS / "episode_hash.py")]
+    run = subprocess.run(code, env=env, capture_output=True, text=True, check=False, timeout=600)
+    assert run.returncode == 0, run.stderr
+    return run.stdout.strip()
+
+
+@pytest.mark.parametrize("threads", [1, None])
+def test_a_thousand_episodes_are_these(threads):
+    assert fingerprint(1000, threads) == FINGERPRINT
+
+
+@only_x86
+@pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: "-".join(settings.values()))
+def test_numpy_blas_and_the_c_library_do_not_enter(settings):
+    assert fingerprint_under(settings) == FINGERPRINT
+
+
+@only_x86
+@pytest.mark.parametrize(
+    "processor",
+    [
+        name if name == "nehalem" else pytest.param(name, marks=pytest.mark.slow)
+        for name in COMPILED_FOR
+    ],
+)
+def test_it_is_the_same_compiled_for_another_processor(processor, tmp_path):
+    if processor == "skylake-avx512" and "avx512vl" not in Path("/proc/cpuinfo").read_text():
+        pytest.skip("this processor cannot run it")
+    settings = {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": ""}
+    assert fingerprint_under(settings | {"NUMBA_CACHE_DIR": str(tmp_path)}) == FINGERPRINT
