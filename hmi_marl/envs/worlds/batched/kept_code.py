@@ -1,8 +1,8 @@
 """Compiled code in files, so that it is compiled once on a machine.
 
 numba trusts its own files: one that was cut short raises an error from deep within pickle, and a
-folder that cannot be written raises another while the module is imported. Here a file is named after
-all that it depends on (sources, types of arguments, processor, versions) and holds its own checksum.
+folder that cannot be written raises another while the module is imported. Here a file is named
+after all it depends on (sources, types of arguments, processor, versions) and holds its checksum.
 What does not fit is compiled again, and a line on stderr says once where.
 
 The folder is the one that numba chooses: NUMBA_CACHE_DIR if it is set, else ``__pycache__`` next to
@@ -71,7 +71,7 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
             try:
                 content = path.read_bytes()
                 code = content[_DIGEST_SIZE:]
-                if hashlib.sha256(code).digest() != content[:_DIGEST_SIZE]:
+                if _checksum(path, code) != content[:_DIGEST_SIZE]:
                     raise ValueError("its checksum is wrong")
                 return CompileResult._rebuild(target, *pickle.loads(code))
             except Exception as error:  # whatever is wrong with it, it can be made again
@@ -89,7 +89,7 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
         part = path.with_suffix(f".{os.getpid()}.part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(hashlib.sha256(code).digest() + code)
+            part.write_bytes(_checksum(path, code) + code)
             part.replace(path)
         except OSError as error:
             part.unlink(missing_ok=True)
@@ -116,6 +116,11 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
         versions = (numba.__version__, sys.version_info[:2], codegen.magic_tuple(), str(signature))
         machine = hashlib.sha256(repr(versions).encode()).hexdigest()[:16]
         return folder / f"hmi_marl-{self._name}-{machine}-{source_stamp()[:16]}.nbc"
+
+
+def _checksum(path: Path, code: bytes) -> bytes:
+    """Checksum of the code and of what it is kept as, so that files cannot be exchanged."""
+    return hashlib.sha256(path.name.encode() + code).digest()
 
 
 @cache

@@ -1,8 +1,8 @@
 """The loops over worlds: begin, step, look around.
 
-Each loop runs over the worlds ``first`` to ``last - 1`` in one thread and releases Python's lock, so
-that :mod:`threads` can share the worlds among several. numba's own parallel loops are not used: they
-start OpenMP, after which a forked process dies, and its threads wait busily in the way of others.
+Each loop takes worlds, some at a time, until none is left, and releases the GIL, so that several
+threads can run it at once (:mod:`threads`). numba's own parallel loops are not used: they start
+OpenMP, after which a forked process dies, and whose threads wait busily in the way of others.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from hmi_marl.envs.worlds.batched.memory import (
 from hmi_marl.envs.worlds.batched.motion import move
 from hmi_marl.envs.worlds.batched.neighbours import NOBODY, front_of, sort_by_x
 from hmi_marl.envs.worlds.batched.spawn import begin
+from hmi_marl.envs.worlds.batched.threads import take
 
 
 @compiled
@@ -74,39 +75,48 @@ def read_ego(f, i, world, lanes, table, rows, ego, flags):
 
 
 @kernel
-def begin_worlds(first, last, blocks, road, rows, speeds, seeds, which, low, high, room, told):
+def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, room, told):
     """Begin the episodes of the marked worlds; see :func:`spawn.begin`."""
     ego, flags = told
     floats, integers, worlds = blocks
     lanes, table = road
     draws, lane, start = room
-    for k in range(first, last):
-        if which[k]:
-            f, i, world = floats[k], integers[k], worlds[k]
-            begin(
-                f, i, world, lanes, table, rows, speeds,
-                seeds[k], low, high, draws[k], lane[k], start[k],
-            )  # fmt: skip
-            read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+    first, last = take(progress, 0, len(which))
+    while first < last:
+        for k in range(first, last):
+            if which[k]:
+                f, i, world = floats[k], integers[k], worlds[k]
+                begin(
+                    f, i, world, lanes, table, rows, speeds,
+                    seeds[k], low, high, draws[k], lane[k], start[k],
+                )  # fmt: skip
+                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+        first, last = take(progress, last - first, len(which))
 
 
 @kernel
-def step_worlds(first, last, blocks, road, rows, speeds, actions, which, substeps, dt, told):
+def step_worlds(progress, blocks, road, rows, speeds, actions, which, substeps, dt, told):
     """Take one policy step in the marked worlds; see :func:`advance`."""
     ego, flags = told
     floats, integers, worlds = blocks
     lanes, table = road
-    for k in range(first, last):
-        if which[k]:
-            f, i, world = floats[k], integers[k], worlds[k]
-            advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
-            read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+    first, last = take(progress, 0, len(which))
+    while first < last:
+        for k in range(first, last):
+            if which[k]:
+                f, i, world = floats[k], integers[k], worlds[k]
+                advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
+                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+        first, last = take(progress, last - first, len(which))
 
 
 @kernel
-def look_around(first, last, blocks, which, inflation, directions, maximum_range, grids):
+def look_around(progress, blocks, which, inflation, directions, maximum_range, grids):
     """Trace the lidars of the marked worlds; see :func:`lidar.trace`."""
     floats, _integers, worlds = blocks
-    for k in range(first, last):
-        if which[k]:
-            trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])
+    first, last = take(progress, 0, len(which))
+    while first < last:
+        for k in range(first, last):
+            if which[k]:
+                trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])
+        first, last = take(progress, last - first, len(which))

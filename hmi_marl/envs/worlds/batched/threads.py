@@ -2,6 +2,10 @@
 
 These are plain Python threads, which sleep while there is nothing to do. A forked child starts
 threads of its own. No other library's thread count changes, and BLAS and torch keep their cores.
+
+The worlds are taken in small parts, by whichever thread is free. Where another library keeps a core
+busy (OpenMP's threads wait actively for a while after each parallel loop), the calling thread takes
+more of the parts and waits for no helper that has not begun.
 """
 
 from __future__ import annotations
@@ -9,14 +13,62 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
 import numba
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from hmi_marl.envs.worlds.batched.compiler import compiled
 
 WORTH_A_THREAD = 16
-"""Worlds below which starting another thread costs more time than it saves."""
+"""Worlds below which another thread costs more time than it saves."""
+_PART = 8
+"""Worlds that a thread takes at a time."""
+
+
+def _add_compiled(typing_context: Any, array: Any, place: Any, amount: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind, _, _ = signature.args
+        data = cgutils.create_struct_proxy(kind)(context, builder, arguments[0]).data
+        where = builder.gep(data, [arguments[1]])
+        return builder.atomic_rmw("add", where, arguments[2], "seq_cst")
+
+    number = types.int64
+    return number(array, number, number), codegen
+
+
+def _add_in_python(array: NDArray[np.int64], place: int, amount: int) -> int:
+    before = int(array[place])
+    array[place] += amount
+    return before
+
+
+_WITHOUT_COMPILER = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
+_add: Any = _add_in_python if _WITHOUT_COMPILER else intrinsic(_add_compiled)
+"""Add to an element of an int64 array, safe among threads; returns what it was before."""
+
+
+@compiled
+def take(progress, finished, count):
+    """Return (first, last) of the next part of ``count`` worlds; empty when all are taken.
+
+    Args:
+        progress: (2,), int64: how many worlds have been taken, and how many are finished.
+        finished: worlds of the part that the caller has just done, 0 at first.
+    """
+    _add(progress, 1, finished)
+    first = _add(progress, 0, _PART)
+    return min(first, count), min(first + _PART, count)
+
+
+@compiled
+def _finished(progress):
+    return _add(progress, 1, 0)
 
 
 def available() -> int:
@@ -25,24 +77,25 @@ def available() -> int:
 
 
 class _Helpers:
-    """Threads that wait for parts of loops, started when first needed."""
+    """Threads that wait for work, started when first needed."""
 
     def __init__(self) -> None:
-        self._parts: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._work: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._started = 0
         self._starting = threading.Lock()
 
-    def submit(self, part: Callable[[], None], threads: int) -> None:
-        """Let one of at least ``threads`` threads run ``part``."""
+    def submit(self, work: Callable[[], None], helpers: int) -> None:
+        """Let each of so many threads do ``work`` as soon as it gets to it."""
         with self._starting:
-            while self._started < threads:
-                threading.Thread(target=self._work, name="hmi-marl", daemon=True).start()
+            while self._started < helpers:
+                threading.Thread(target=self._serve, name="hmi-marl", daemon=True).start()
                 self._started += 1
-        self._parts.put(part)
+        for _ in range(helpers):
+            self._work.put(work)
 
-    def _work(self) -> None:
+    def _serve(self) -> None:
         while True:
-            self._parts.get()()
+            self._work.get()()
 
 
 _helpers = _Helpers()
@@ -50,7 +103,7 @@ _helpers = _Helpers()
 
 def _start_anew() -> None:
     global _helpers
-    _helpers = _Helpers()  # threads and locks do not come along in a fork
+    _helpers = _Helpers()  # threads do not come along in a fork
 
 
 if hasattr(os, "register_at_fork"):
@@ -58,29 +111,26 @@ if hasattr(os, "register_at_fork"):
 
 
 def share(loop: Callable[..., None], count: int, threads: int, *arguments: Any) -> None:
-    """Run ``loop(first, last, *arguments)`` over 0 to ``count`` in up to ``threads`` parts.
+    """Run ``loop(progress, *arguments)`` over ``count`` worlds in up to ``threads`` threads.
 
-    Raises:
-        Exception: whatever a part raised, once all parts have ended.
+    Args:
+        loop: asks :func:`take` for worlds until there are none left. Compiled code, which raises
+            nothing.
+        count: of worlds.
+        threads: at most, the caller's included.
     """
-    parts = max(1, min(threads, count // WORTH_A_THREAD))
-    if parts == 1:
-        loop(0, count, *arguments)
+    progress = np.zeros(2, np.int64)
+    helpers = min(threads, count // WORTH_A_THREAD) - 1
+    if helpers < 1 or _WITHOUT_COMPILER:
+        loop(progress, *arguments)
         return
-    edges = [count * part // parts for part in range(parts + 1)]
-    ended: SimpleQueue[BaseException | None] = SimpleQueue()
+    ended: SimpleQueue[None] = SimpleQueue()
 
-    def run(first: int, last: int) -> None:
-        try:
-            loop(first, last, *arguments)
-        except BaseException as error:
-            ended.put(error)
-        else:
-            ended.put(None)
+    def help_out() -> None:
+        loop(progress, *arguments)
+        ended.put(None)
 
-    for part in range(1, parts):
-        _helpers.submit(partial(run, edges[part], edges[part + 1]), parts - 1)
-    run(edges[0], edges[1])
-    errors = [error for error in (ended.get() for _ in range(parts)) if error is not None]
-    if errors:
-        raise errors[0]
+    _helpers.submit(help_out, helpers)
+    loop(progress, *arguments)
+    while _finished(progress) < count:
+        ended.get()

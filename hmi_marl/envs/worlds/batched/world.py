@@ -75,11 +75,12 @@ class BatchedWorld:
         self._seen = {inflated: np.zeros(cells, np.float32) for inflated in (False, True)}
         self._stale = {inflated: np.ones(num_worlds, np.bool_) for inflated in (False, True)}
         none, everywhere = np.zeros(num_worlds, np.uint64), np.ones(num_worlds, np.bool_)
+        progress = np.zeros(2, np.int64)
         prepare(
             [
-                (begin_worlds, (0, 0, *self._begin_arguments(none, everywhere))),
-                (step_worlds, (0, 0, *self._step_arguments(none.astype(np.int64), everywhere))),
-                (look_around, (0, 0, *self._look_arguments(inflated=True))),
+                (begin_worlds, (progress, *self._begin_arguments(none, everywhere))),
+                (step_worlds, (progress, *self._step_arguments(none.astype(np.int64), everywhere))),
+                (look_around, (progress, *self._look_arguments(inflated=True))),
             ]
         )
         self.reset(none, self._inflation, everywhere)

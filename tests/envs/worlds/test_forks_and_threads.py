@@ -1,0 +1,223 @@
+"""The batched world among forks, pools and other libraries' threads, each in a fresh process."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+LIMIT = 120
+"""Seconds after which a process counts as stuck; each takes a few."""
+
+MANY = """
+import numpy as np
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.worlds import make_world
+
+
+def drive(teams, steps=3, threads=None):
+    config = TeamConfig(driver="bart", duration=2.0)
+    team = Teaming(config, teams, make_world("batched", config.scene, teams, threads))
+    team.reset(np.arange(teams, dtype=np.uint64))
+    for _ in range(steps):
+        team.intend(np.full(teams, 3))
+        team.step(np.zeros(teams, np.int64))
+    return float(team.state().sum())
+"""
+"""Drives teams; many of them in all the threads that there are."""
+
+
+def run(code, **env):
+    """Run code in a fresh process; returns what it printed."""
+    full = MANY + "\nif __name__ == '__main__':\n" + "\n".join(f"    {x}" for x in code.split("\n"))
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", full],
+        env=os.environ | env,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "fork()" not in ended.stderr
+    return ended.stdout.strip()
+
+
+def run_file(code, folder, **env):
+    """The same from a file, as pools that start their workers afresh need it."""
+    path = folder / "program.py"
+    path.write_text(MANY + "\n" + code)
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", str(path)],
+        env=os.environ | env,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT,
+        cwd=folder,
+    )
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout.strip()
+
+
+def test_gymnasiums_asynchronous_vectors_with_their_default_context():
+    printed = run(
+        "import gymnasium, hmi_marl\n"
+        "drive(512)\n"
+        "envs = gymnasium.make_vec('hmi_marl/MergeHMI-v0', num_envs=2, duration=1.0,\n"
+        "    vectorization_mode='async', world='batched')\n"
+        "envs.reset(seed=0)\n"
+        "for _ in range(4): envs.step(np.array([0, 1]))\n"
+        "envs.close(); print('ended', drive(512) > 0)"
+    )
+    assert printed == "ended True"
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_a_pool_whose_workers_drive_many_teams_after_their_parent_did(method, tmp_path):
+    printed = run_file(
+        "if __name__ == '__main__':\n"
+        "    import multiprocessing\n"
+        "    alone = drive(256)\n"
+        f"    with multiprocessing.get_context('{method}').Pool(2) as pool:\n"
+        "        print(pool.map(drive, [256, 256]) == [alone, alone], drive(256) == alone)",
+        tmp_path,
+    )
+    assert printed == "True True"
+
+
+def test_stable_baselines3_in_forked_processes():
+    pytest.importorskip("stable_baselines3")
+    printed = run(
+        "import gymnasium, hmi_marl\n"
+        "from stable_baselines3 import PPO\n"
+        "from stable_baselines3.common.vec_env import SubprocVecEnv\n"
+        "drive(256)\n"
+        "make = lambda: gymnasium.make('hmi_marl/MergeDriver-v0', world='batched', duration=1.0)\n"
+        "envs = SubprocVecEnv([make, make], start_method='fork')\n"
+        "PPO('MlpPolicy', envs, n_steps=8, batch_size=8, n_epochs=1).learn(16)\n"
+        "envs.close(); print('ended')"
+    )
+    assert printed == "ended"
+
+
+def test_supersuits_processes():
+    pytest.importorskip("supersuit")
+    printed = run(
+        "import supersuit\n"
+        "from hmi_marl import merge_v0\n"
+        "drive(256)\n"
+        "env = merge_v0.parallel_env(world='batched', duration=1.0)\n"
+        "env = supersuit.pad_action_space_v0(supersuit.pad_observations_v0(env))\n"
+        "envs = supersuit.pettingzoo_env_to_vec_env_v1(env)\n"
+        "envs = supersuit.concat_vec_envs_v1(envs, 4, num_cpus=2, base_class='gymnasium')\n"
+        "envs.reset(seed=0); envs.step(np.zeros(8, int)); envs.close(); print('ended')"
+    )
+    assert printed.endswith("ended")
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky", "multiprocessing"])
+def test_joblib(backend, tmp_path):
+    pytest.importorskip("joblib")
+    printed = run_file(
+        "if __name__ == '__main__':\n"
+        "    import joblib\n"
+        "    alone = drive(64)\n"
+        f"    work = joblib.Parallel(n_jobs=2, backend='{backend}')\n"
+        "    print(work(joblib.delayed(drive)(64) for _ in range(4)) == [alone] * 4)",
+        tmp_path,
+    )
+    assert printed == "True"
+
+
+@pytest.mark.parametrize("layer", ["workqueue", "omp", "default"])
+def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
+    printed = run(
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "alone = drive(128)\n"
+        "with ThreadPoolExecutor(4) as pool:\n"
+        "    print(list(pool.map(lambda _: drive(128, 10), range(8))) == [drive(128, 10)] * 8)",
+        NUMBA_THREADING_LAYER=layer,
+    )
+    assert printed == "True"
+
+
+def test_thread_counts_of_numba_and_torch_stay_as_they_were():
+    pytest.importorskip("torch")
+    printed = run(
+        "import numba, torch\n"
+        "counts = lambda: (numba.get_num_threads(), torch.get_num_threads(),\n"
+        "    torch.get_num_interop_threads())\n"
+        "torch.set_num_threads(1); numba.set_num_threads(1)\n"
+        "few = counts(); drive(512); drive(8); drive(512, threads=1); print(counts() == few)\n"
+        "most = numba.config.NUMBA_NUM_THREADS\n"
+        "torch.set_num_threads(3); numba.set_num_threads(most)\n"
+        "many = counts(); drive(512); drive(512, threads=1); print(counts() == many)"
+    )
+    assert printed.split() == ["True", "True"]
+
+
+def test_openmp_is_never_started():
+    printed = run(
+        "drive(512)\n"
+        "maps = open('/proc/self/maps').read()\n"
+        "print('gomp' in maps or 'omppool' in maps or 'workqueue' in maps)"
+    )
+    assert printed == "False"
+
+
+def test_one_world_and_one_thread_start_no_threads():
+    printed = run(
+        "import threading\n"
+        "drive(1); drive(512, threads=1); print(threading.active_count())\n"
+        "drive(512); print(threading.active_count())"
+    )
+    alone, many = map(int, printed.split())
+    assert alone == 1
+    assert many == min(os.cpu_count(), len(os.sched_getaffinity(0)), 32)
+
+
+def test_training_with_one_thread_learns_on_one_thread_in_a_cold_process(tmp_path):
+    pytest.importorskip("rsl_rl")
+    printed = run(
+        "import torch\n"
+        "from pathlib import Path\n"
+        "from hmi_marl.training.learner import PPOLearner\n"
+        "from hmi_marl.training.run import train\n"
+        "from hmi_marl.training.two_stage import TwoStage\n"
+        "torch.set_num_threads(4)\n"
+        "seen, learn = set(), PPOLearner.learn\n"
+        "def watched(self, *args):\n"
+        "    seen.add(torch.get_num_threads())\n"
+        "    return learn(self, *args)\n"
+        "PPOLearner.learn = watched\n"
+        "settings = TwoStage(driver_steps=12_800, hmi_steps=12_800, teams=128, threads=1)\n"
+        "train(settings, Path('run'), quiet=True)\n"
+        "print(seen, torch.get_num_threads())".replace("'run'", repr(str(tmp_path / "run")))
+    )
+    assert printed == "{1} 4"
+
+
+def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
+    path = str(tmp_path / "env.pickle")
+    if (os.cpu_count() or 1) < 2:
+        pytest.skip("needs two cores")
+    before = run(
+        "import pickle\n"
+        "from hmi_marl import merge_v0\n"
+        "env = merge_v0.parallel_env(world='batched', duration=1.0); env.reset(seed=3)\n"
+        "config = TeamConfig(duration=1.0)\n"
+        "team = Teaming(config, 64, make_world('batched', config.scene, 64, 2))\n"
+        f"pickle.dump((env, team), open({path!r}, 'wb'))\n"
+        "print(env.state().sum())"
+    )
+    after = run(
+        "import pickle\n"
+        f"env, team = pickle.load(open({path!r}, 'rb'))\n"
+        "assert team.world.threads == 1\n"
+        "print(env.state().sum())\n"
+        "team.reset(np.arange(64)); env.step({'driver': 1, 'vehicle_ai': 0})",
+        NUMBA_NUM_THREADS="1",
+    )
+    assert after == before

@@ -1,0 +1,190 @@
+"""Compiled code in files: a broken file or folder costs a compilation, never a trace."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import sys
+from pathlib import Path
+import numpy as np
+from numba.core import caching
+from hmi_marl.envs.worlds.batched.compiler import kernel, prepare
+
+@kernel
+def double(progress, values):
+    for k in range(len(values)):
+        values[k] *= 2
+
+@kernel
+def halve(progress, values):
+    for k in range(len(values)):
+        values[k] /= 2
+
+caching.CacheImpl._locator_classes = (
+    [] if "no folder" in sys.argv
+    else [caching.UserProvidedCacheLocator, caching.UserWideCacheLocator]
+)
+if "full disk" in sys.argv:
+    def write_bytes(self, data):
+        self.touch()
+        raise OSError(28, "No space left on device")
+    Path.write_bytes = write_bytes
+values = np.ones(3)
+calls = [(double, (np.zeros(2, np.int64), values)), (halve, (np.zeros(2, np.int64), values))]
+for _ in range(2):
+    prepare(calls)
+    double(np.zeros(2, np.int64), values)
+print(values.sum(), sum(sum(each.stats.cache_misses.values()) for each, _ in calls))
+"""
+"""Two small kernels; prints 12.0 and how many of them were compiled. The folder next to the sources
+is left out, so that nothing of this comes to lie there."""
+
+
+@pytest.fixture
+def program(tmp_path):
+    path = tmp_path / "program.py"
+    path.write_text(PROGRAM)
+    return path
+
+
+def start(program, folder, *arguments):
+    command = [sys.executable, str(program), *arguments]
+    env = os.environ | {
+        "NUMBA_CACHE_DIR": str(folder),
+        "XDG_CACHE_HOME": str(program.parent / "user"),
+    }
+    return subprocess.Popen(
+        command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def run(program, folder, *arguments):
+    """(how many kernels were compiled, lines on stderr)."""
+    process = start(program, folder, *arguments)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err
+    total, compiled = out.split()
+    assert total == "12.0"
+    return int(compiled), err.splitlines()
+
+
+def kept(folder):
+    return sorted(folder.rglob("*.nbc"))
+
+
+def test_compiling_is_announced_once_and_where_and_a_second_process_says_nothing(program, tmp_path):
+    folder = tmp_path / "missing" / "code"
+    compiled, said = run(program, folder)
+    assert compiled == 2
+    assert len(said) == 2
+    assert "compiling the batched world" in said[0]
+    assert str(folder) in said[0]
+    assert "compiled in" in said[1]
+    assert len(kept(folder)) == 2
+    assert run(program, folder) == (0, [])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_file_that_was_cut_short_is_compiled_again(program, tmp_path, share):
+    run(program, tmp_path)
+    victim, other = kept(tmp_path)
+    whole = victim.read_bytes()
+    victim.write_bytes(whole[: int(share * len(whole))])
+    compiled, said = run(program, tmp_path)
+    assert compiled == 1
+    assert str(victim) in said[0]
+    assert "compiling again" in said[0]
+    assert run(program, tmp_path) == (0, [])
+    assert kept(tmp_path) == [victim, other]
+
+
+def test_a_foreign_file_is_compiled_again(program, tmp_path):
+    run(program, tmp_path)
+    victim, other = kept(tmp_path)
+    victim.write_bytes(b"\x80\x04K\x01." * 50)  # pickles of the number 1
+    other.write_bytes(b"not a kernel")
+    compiled, said = run(program, tmp_path)
+    assert compiled == 2
+    assert all(any(str(path) in line for line in said) for path in (victim, other))
+
+
+def test_the_file_of_another_kernel_is_not_taken_for_this_one(program, tmp_path):
+    run(program, tmp_path)
+    victim, other = kept(tmp_path)
+    victim.write_bytes(other.read_bytes())
+    compiled, said = run(program, tmp_path)
+    assert compiled == 1
+    assert str(victim) in said[0]
+
+
+def test_one_changed_byte_is_noticed(program, tmp_path):
+    run(program, tmp_path)
+    victim = kept(tmp_path)[0]
+    content = bytearray(victim.read_bytes())
+    content[len(content) // 2] ^= 1
+    victim.write_bytes(content)
+    assert run(program, tmp_path)[0] == 1
+
+
+def test_a_folder_that_cannot_be_written_is_named_once(program, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    _, said = run(program, blocked / "code")
+    assert sum(str(blocked) in line for line in said) == 1
+
+
+def test_without_any_folder_it_compiles_in_every_process_and_says_how_to_change_that(
+    program, tmp_path
+):
+    for _ in range(2):
+        compiled, said = run(program, tmp_path, "no folder")
+        assert compiled == 2
+        assert sum("set NUMBA_CACHE_DIR" in line for line in said) == 1
+    assert kept(tmp_path) == []
+
+
+def test_a_folder_that_is_taken_away_while_it_is_in_use(program, tmp_path):
+    folder = tmp_path / "code"
+    run(program, folder)
+    for path in folder.rglob("*"):
+        if path.is_file():
+            path.unlink()
+    path = next(path for path in folder.iterdir() if path.is_dir())
+    path.rmdir()
+    path.write_text("in the way")
+    assert run(program, folder)[0] == 2
+    assert len(kept(tmp_path / "user")) == 2
+
+
+def test_a_full_disk_costs_a_line_and_leaves_no_part_of_a_file(program, tmp_path):
+    compiled, said = run(program, tmp_path / "code", "full disk")
+    assert compiled == 2
+    assert sum("No space left on device" in line for line in said) == 1
+    assert not [path for path in (tmp_path / "code").rglob("*") if path.suffix in (".nbc", ".part")]
+
+
+def test_processes_that_start_together_compile_once(program, tmp_path):
+    processes = [start(program, tmp_path) for _ in range(3)]
+    ended = [process.communicate(timeout=120) for process in processes]
+    assert sorted(int(out.split()[1]) for out, _ in ended) == [0, 0, 2]
+    assert sum("compiling" in err for _, err in ended) == 1
+
+
+def test_the_real_world_is_compiled_at_most_once_on_a_machine():
+    code = (
+        "from hmi_marl import merge_v0\n"
+        "env = merge_v0.parallel_env(world='batched', duration=0.4)\n"
+        "env.reset(seed=0); env.step({'driver': 1, 'vehicle_ai': 0})\n"
+        "from hmi_marl.envs.worlds.batched import kernels\n"
+        "loops = kernels.begin_worlds, kernels.step_worlds, kernels.look_around\n"
+        "print(sum(sum(loop.stats.cache_misses.values()) for loop in loops))"
+    )
+    for _ in range(2):
+        command = [sys.executable, "-c", code]
+        run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "0"
+    assert run.stderr == ""
