@@ -8,7 +8,9 @@ def test_the_nearest_names_are_suggested_best_first():
     assert unknown("protocol", "two-stge", known, "the list") == (
         "unknown protocol 'two-stge'; did you mean two-stage? the list lists all"
     )
-    assert suggest("aab", ["aaa", "abb", "zzz"], "x") == "did you mean aaa or abb? x lists all"
+    assert suggest("homer2", ["home", "homer", "zzz"], "x").startswith(
+        "did you mean homer or home?"
+    )
 
 
 def test_case_does_not_matter_and_names_are_suggested_as_they_are_spelt():
