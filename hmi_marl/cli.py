@@ -1,60 +1,94 @@
-"""The ``hmi-marl`` command: parse, call, print."""
+"""The ``hmi-marl`` command: parse, import what the subcommand needs, call, print."""
 
 from __future__ import annotations
 
+import io
 import os
+import re
 import shlex
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated
-
-import tyro
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import make_dataclass
+from typing import Annotated, Any, NoReturn, Union
 
 import hmi_marl
-from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES
-from hmi_marl.commands.adapt import Adapt
-from hmi_marl.commands.bench import Bench
-from hmi_marl.commands.collect import Collect
-from hmi_marl.commands.compare import Compare
-from hmi_marl.commands.export import Export
-from hmi_marl.commands.oracle import Oracle
-from hmi_marl.commands.reproduce import Reproduce
-from hmi_marl.commands.table import Table
-from hmi_marl.commands.train import Train
-from hmi_marl.commands.traits import Traits
-from hmi_marl.commands.watch import Watch
-from hmi_marl.envs.drivers import DRIVERS
+from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
+from hmi_marl.names import unknown
 
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 """Exit statuses; the last two are what the shell reports after SIGINT and SIGPIPE."""
 ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
-"""Told in one line. Whatever else is raised is a fault of ours, and shows its trace."""
+"""Printed in one line. Whatever else is raised is a fault of ours, and shows its trace."""
+_WIDE = "10000"
+"""Columns in which tyro breaks no line of an error."""
 
 
-Command = (
-    Annotated[Adapt, tyro.conf.subcommand("adapt")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[Collect, tyro.conf.subcommand("collect")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Oracle, tyro.conf.subcommand("oracle")]
-    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
-    | Annotated[Table, tyro.conf.subcommand("table")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Traits, tyro.conf.subcommand("traits")]
-    | Annotated[Watch, tyro.conf.subcommand("watch")]
-)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status. Errors are one line, without a trace."""
+    try:
+        _run(list(sys.argv[1:] if arguments is None else arguments))
+    except BrokenPipeError:  # as in `hmi-marl oracle | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python's exit tells it
+        return NOBODY_READS
+    except ERRORS as error:
+        print(f"hmi-marl: {_one_line(str(error)) or type(error).__name__}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("hmi-marl: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return 0
 
 
-@dataclass(frozen=True)
-class _CommandLine:
-    """What was typed. Its one field gives errors a name to begin with."""
+def parse(arguments: Sequence[str]) -> Any:
+    """Parse a command line into its subcommand's dataclass, which is not yet checked.
 
-    command: Annotated[tyro.conf.OmitSubcommandPrefixes[Command], tyro.conf.arg(prefix_name=False)]
+    Imports the module of that subcommand alone.
+
+    Raises:
+        SystemExit: after printing help (status 0) or an error of one line (status 2).
+    """
+    name, *rest = arguments or ["--help"]
+    if name.startswith("-"):
+        return _understand(_overview(), "hmi-marl", [name, *rest], _description())
+    if name not in BY_NAME:
+        _refuse(unknown("subcommand", name, BY_NAME))
+    subcommand, prog = BY_NAME[name], f"hmi-marl {name}"
+    parts = [part.name for part in subcommand.parts]
+    if parts and rest and not rest[0].startswith("-") and rest[0] not in parts:
+        _refuse(unknown(f"subcommand of {name}", rest[0], parts, f"{prog} --help"))
+    return _understand(subcommand.load(), prog, rest, parts=parts)
+
+
+def _run(arguments: list[str]) -> None:
+    if arguments == ["--version"]:
+        print(f"hmi-marl {hmi_marl.__version__}")
+        return
+    try:
+        command = parse(arguments)
+        BY_NAME[arguments[0]].check(command)
+        command.run(shlex.join(["hmi-marl", *arguments]))
+    finally:
+        sys.stdout.flush()  # here, where a broken pipe can still be dealt with
+
+
+def _overview() -> Any:
+    """The subcommands without their options, so that none of their modules is imported."""
+    import tyro
+
+    kinds = tuple(
+        Annotated[
+            make_dataclass(each.name, []), tyro.conf.subcommand(each.name, description=each.help)
+        ]
+        for each in SUBCOMMANDS
+    )
+    return Union[kinds]  # noqa: UP007  # made at run time
 
 
 def _description() -> str:
+    from hmi_marl.agents.catalogue import DRIVER_POLICY_NAMES, HMI_NAMES
+    from hmi_marl.envs.drivers import DRIVERS
+
     kinds = (
         ("drivers", {name: str(driver) for name, driver in DRIVERS.items()}),
         ("HMIs", HMI_NAMES),
@@ -66,47 +100,116 @@ def _description() -> str:
     )
     return (
         "Human-AI teaming in driving: a distractible driver and their HMI.\n\n"
-        f"{known}\n\nhmi-marl --version prints the version."
+        "Example: hmi-marl oracle --driver homer\n\n"
+        f"{known}\n\n"
+        "hmi-marl SUBCOMMAND --help lists its options, hmi-marl --version prints the version."
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status. Errors are told in one line, without a trace."""
+def _understand(
+    kind: Any,
+    prog: str,
+    arguments: list[str],
+    description: str | None = None,
+    parts: Sequence[str] = (),
+) -> Any:
+    """What tyro makes of the arguments, its errors in one line.
+
+    Args:
+        kind: dataclass to make of them.
+        prog: what is typed before them.
+        arguments: to parse.
+        description: in place of the dataclass's docstring.
+        parts: names of the subcommands that ``kind`` chooses among.
+    """
+    import tyro
+
+    def understood(arguments: list[str]) -> Any:
+        return tyro.cli(
+            kind,
+            prog=prog,
+            description=description,
+            args=arguments,
+            config=(tyro.conf.CascadeSubcommandArgs, tyro.conf.OmitSubcommandPrefixes),
+        )
+
+    told = io.StringIO()
     try:
-        _run(list(sys.argv[1:] if arguments is None else arguments))
-    except BrokenPipeError:  # as in `hmi-marl oracle | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python's exit tells it
-        return NOBODY_READS
-    except ERRORS as error:
-        told = " ".join(str(error).split()) or type(error).__name__
-        print(f"hmi-marl: {told}", file=sys.stderr)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        print("hmi-marl: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    return 0
+        with redirect_stderr(told):
+            return understood(arguments)
+    except SystemExit as stop:
+        if not stop.code:  # the help was printed
+            sys.stderr.write(told.getvalue())
+            raise
+    return _refuse(_why(understood, prog, arguments, parts))
 
 
-def parse(arguments: Sequence[str]) -> Command:
-    """The subcommand that was typed, its arguments understood but not yet checked."""
-    typed = tyro.cli(
-        _CommandLine,
-        prog="hmi-marl",
-        description=_description(),
-        args=list(arguments) or ["--help"],
-        config=(tyro.conf.CascadeSubcommandArgs,),
-    )
-    return typed.command
+def _why(
+    understood: Callable[[list[str]], object],
+    prog: str,
+    arguments: list[str],
+    parts: Sequence[str],
+) -> str:
+    """What is wrong with arguments that tyro refuses, in one line."""
+    part = [argument for argument in arguments if argument in parts][-1:]
+    lists = " ".join([prog, *part, "--help"])
+    rows = re.findall(r"│ +((?:--?[\w.-]+(?:, )?)+)", _said(understood, [*part, "--help"]))
+    options = [option for row in rows for option in row.split(", ")]
+    for argument in arguments:
+        option = argument.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in (*options, "--"):
+            return unknown("option", option, options, lists)
+    return _explained(_first_part(_said(understood, arguments)), lists)
 
 
-def _run(arguments: list[str]) -> None:
-    if arguments == ["--version"]:
-        print(f"hmi-marl {hmi_marl.__version__}")
-        return
+def _said(understood: Callable[[list[str]], object], arguments: list[str]) -> str:
+    """What tyro prints, with boxes of its own lines and no line broken."""
+    text = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # tyro looks for an encoding
+    with _columns(_WIDE), redirect_stdout(text), redirect_stderr(text), suppress(SystemExit):
+        understood(arguments)
+    text.seek(0)
+    return text.read()
+
+
+def _first_part(box: str) -> str:
+    """The text of tyro's boxed error up to its first rule, in one line."""
+    lines = [line.strip(" │") for line in box.splitlines() if line[:1] == "│"]
+    end = next((place for place, line in enumerate(lines) if line.startswith("──")), len(lines))
+    return _one_line(" ".join(lines[:end])).rstrip(".") or "cannot parse the arguments"
+
+
+def _explained(error: str, lists: str) -> str:
+    """What tyro says in our words, where it is about a name or about our own settings."""
+    if found := re.match(
+        r"invalid choice '(.*)' for argument '(.*)'\. Expected one of (.*)", error
+    ):
+        value, argument, choices = found.groups()
+        return unknown(f"value of {argument}", value, re.findall(r"'(.*?)'", choices), lists)
+    if found := re.match(r"Error parsing [\w.]+: (.*)", error):  # of a group of options
+        return found[1]
+    return f"{error}; see {lists}"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _refuse(why: str) -> NoReturn:
+    print(f"hmi-marl: {why}", file=sys.stderr)
+    raise SystemExit(BAD_INPUT)
+
+
+@contextmanager
+def _columns(count: str) -> Iterator[None]:
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = count
     try:
-        parse(arguments).run(shlex.join(["hmi-marl", *arguments]))
+        yield
     finally:
-        sys.stdout.flush()  # here, where a broken pipe can still be dealt with
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from hmi_marl.agents.trait_estimator import CHANGE_RATE, TraitEstimator
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.seats import Policy
+from hmi_marl.names import unknown
 
 ADAPT = "adapt"
 EXPECTED, CHOOSING, CONDITIONED = KINDS = ("expected", "choosing", "conditioned")
@@ -96,7 +97,7 @@ def make_adaptive(
             )
         places = model.places(Traits.of(candidates))
         return ConditionedHMI(estimator(candidates), policy, places)
-    raise ValueError(f"an adaptive HMI is one of {', '.join(KINDS)}, not {kind!r}")
+    raise ValueError(unknown("kind of adaptive HMI", kind, KINDS))
 
 
 def adaptive_by_name(argument: str, config: TeamConfig) -> AdaptiveHMI:

@@ -15,6 +15,7 @@ from hmi_marl.agents.shipped import PREFIX, is_shipped, shipped_names
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.seats import Policy
+from hmi_marl.names import unknown
 
 
 def _shipped(kind: str) -> dict[str, str]:
@@ -58,10 +59,6 @@ _ALIASES = {
 }
 
 
-def _known(names: MappingProxyType[str, str]) -> str:
-    return "; ".join(f"{name} ({meaning})" for name, meaning in names.items())
-
-
 def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy:
     """The HMI of this name for teams set up by ``config``.
 
@@ -73,7 +70,7 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
             that goes by a^H must know.
 
     Raises:
-        ValueError: unknown name (the message lists the known ones), or one that does not fit the
+        ValueError: unknown name (the message names the nearest), or one that does not fit the
             configuration.
     """
     if not isinstance(name, str):
@@ -108,14 +105,14 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
             return OptimalAlert(model, config)
         revealing = _number(share, "belief:DRIVER:SHARE") if share else DEFAULT_REVEALING
         return BeliefAlert(model, config, revealing, taking_turns)
-    raise ValueError(f"unknown HMI {name!r}; known HMIs: {_known(HMI_NAMES)}")
+    raise ValueError(unknown("HMI", name, _typed(HMI_NAMES) | _ALIASES))
 
 
 def make_driver_policy(name: str, config: TeamConfig) -> Policy:
     """The policy of this name for the driver's seat; case does not matter.
 
     Raises:
-        ValueError: unknown name; the message lists the known ones.
+        ValueError: unknown name; the message names the nearest.
     """
     if not isinstance(name, str):
         raise TypeError(f"a driver policy's name is a string, not {name!r}")
@@ -126,7 +123,7 @@ def make_driver_policy(name: str, config: TeamConfig) -> Policy:
         return RuleBasedDriver(config)
     if kind == "random":
         return RandomDriver()
-    raise ValueError(f"unknown driver policy {name!r}; known: {_known(DRIVER_POLICY_NAMES)}")
+    raise ValueError(unknown("driver policy", name, _typed(DRIVER_POLICY_NAMES)))
 
 
 def learned_file(name: str, seat: str) -> Path | None:
@@ -138,6 +135,12 @@ def learned_file(name: str, seat: str) -> Path | None:
     if not _is_path(name, HMI_NAMES if seat == VEHICLE_AI else DRIVER_POLICY_NAMES):
         return None
     return find_policy(Path(name), seat).with_suffix(".safetensors")
+
+
+def _typed(names: MappingProxyType[str, str]) -> dict[str, str]:
+    """The known names that are typed as they stand, without their arguments."""
+    kinds = {name.partition("[")[0]: meaning for name, meaning in names.items()}
+    return {kind: meaning for kind, meaning in kinds.items() if kind.islower()}
 
 
 def _is_path(name: str, known: MappingProxyType[str, str]) -> bool:

@@ -33,15 +33,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.learned import INTENT, INTENTS, LearnedPolicy, PolicyCard, check_weights
 from hmi_marl.agents.network import Weights
+from hmi_marl.extras import needing
 from hmi_marl.files import write_bytes
 
-try:
+with needing("exporting to ONNX"):
     import onnx
     from onnx import TensorProto, helper, numpy_helper
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f"exporting to ONNX needs {error.name}: pip install 'hmi-marl[train]'", name=error.name
-    ) from error
 
 OPSET, IR_VERSION = 18, 9
 """Old enough for runtimes of 2023."""

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hmi_marl.names import HELP, suggest, unknown
+
 FORMAT = "hmi-marl trained 1"
 PREFIX = "trained:"
 INDEX = "INDEX.json"
@@ -90,19 +92,20 @@ def find_shipped(name: str | Path, kind: str, folder: Path = FOLDER) -> Path:
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: an unknown name or another kind of agent (the message lists what there is), or
+        ValueError: an unknown name or another kind of agent (the message names the nearest), or
             an altered file.
     """
     agents = shipped_agents(folder)
     wanted = str(name).lower().removeprefix(PREFIX)
-    alike = ", ".join(PREFIX + each for each, agent in agents.items() if agent.kind == kind)
+    alike = [PREFIX + each for each, agent in agents.items() if agent.kind == kind]
+    where = HELP if kind in ("driver", "vehicle_ai") else str(folder / INDEX)
     if wanted not in agents:
-        raise ValueError(f"unknown trained agent {str(name)!r}; of kind {kind} there are: {alike}")
+        raise ValueError(unknown("trained agent", str(name), alike, where))
     agent = agents[wanted]
     if agent.kind != kind:
         raise ValueError(
             f"{PREFIX}{wanted} is of kind {agent.kind} ({agent.what}), not {kind}; "
-            f"of kind {kind} there are: {alike}"
+            f"{suggest(PREFIX + wanted, alike, where)}"
         )
     for path, digest in agent.files.items():
         try:

@@ -9,6 +9,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import World, make_world
+from hmi_marl.extras import needing
 
 if TYPE_CHECKING:
     import torch
@@ -51,12 +52,8 @@ def make_vec(
     >>> env.num_actions, env.action_sizes, env.get_observations()["driver"].shape
     (1, (5,), torch.Size([2, 52]))
     """
-    try:
+    with needing("make_vec"):
         from hmi_marl.envs.vector import TeamVecEnv
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            f"make_vec needs {error.name}: pip install 'hmi-marl[train]'", name=error.name
-        ) from error
 
     config = TeamConfig(**settings)
     name = None

@@ -6,13 +6,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
-from tqdm import tqdm
 
 from hmi_marl.agents.adaptive_catalogue import Trained
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.envs.plain import plain
-from hmi_marl.evaluation import adapt, adapt_report
-from hmi_marl.evaluation.adapt_clip import record_change
 from hmi_marl.evaluation.adapt_settings import QUICK, AdaptSettings
 from hmi_marl.files import make_folder
 from hmi_marl.workers import check_workers
@@ -20,7 +17,7 @@ from hmi_marl.workers import check_workers
 
 @dataclass(frozen=True)
 class Adapt:
-    """Unknown drivers with HMIs that get to know them, beside one that knew all along.
+    """Evaluate adaptive HMIs on unknown drivers against an HMI that knows the driver.
 
     Drivers of the four types, of a continuous population, and changes of driver in mid-trip, with
     attention hidden. Tells what knowing the driver is worth, how soon how much of that is earned,
@@ -46,6 +43,10 @@ class Adapt:
 
     def run(self, typed: str) -> None:
         """Play, write and print."""
+        from tqdm import tqdm
+
+        from hmi_marl.evaluation import adapt, adapt_report
+
         use_quiet_threads()
         size = self.size
         if self.quick:
@@ -59,6 +60,8 @@ class Adapt:
             results = adapt.evaluate(size, self.driver_policy, self.trained, workers, bar.update)
         print(adapt_report.write_report(out, results, {}, typed, plain(size))[0])
         if self.clip:
+            from hmi_marl.evaluation.adapt_clip import record_change
+
             record_change(out / "adapt.gif", self.driver_policy, self.trained, size)
             print(f"\nthe clip: {out / 'adapt.gif'}")
         print(f"\nthe page: {(out / 'index.html').resolve().as_uri()}")

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
-from tqdm import tqdm
 
 from hmi_marl.evaluation.bench_config import BenchConfig
 from hmi_marl.files import make_folder, write_json
@@ -14,7 +13,7 @@ from hmi_marl.files import make_folder, write_json
 
 @dataclass(frozen=True)
 class Bench:
-    """How fast the worlds are, side by side in one run, as ratios to highway-env's own step.
+    """Measure the speed of the worlds in one run, as ratios to highway-env's own step.
 
     Example: hmi-marl bench --teams 1024 --threads 1 2
     """
@@ -26,6 +25,8 @@ class Bench:
 
     def run(self, typed: str) -> None:
         """Measure, write and print."""
+        from tqdm import tqdm
+
         from hmi_marl.evaluation import bench
 
         self.bench.check()

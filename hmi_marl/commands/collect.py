@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
-from tqdm import tqdm
 
 from hmi_marl.evaluation.collect import CollectSettings, Summary, collect
 from hmi_marl.files import make_folder, write_json
@@ -14,7 +13,7 @@ from hmi_marl.files import make_folder, write_json
 
 @dataclass(frozen=True)
 class Collect:
-    """Record demonstrations: drivers beside an HMI that alerts at random.
+    """Record demonstrations of drivers with an HMI that alerts at random.
 
     What could be observed of a person goes to observed.parquet, the hidden truth apart from it to
     truth.parquet, and what is printed to summary.json.
@@ -32,6 +31,8 @@ class Collect:
 
     def run(self, typed: str) -> None:
         """Play, record, write and print."""
+        from tqdm import tqdm
+
         from hmi_marl.training.demonstration_files import (
             OBSERVED,
             TRUTH,

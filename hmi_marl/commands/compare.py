@@ -6,14 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
-from tqdm import tqdm
 
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.evaluation import compare, compare_play, compare_report
-from hmi_marl.evaluation.compare import CompareSettings
-from hmi_marl.evaluation.compare_analysis import Comparison
+from hmi_marl.evaluation.compare import CompareSettings, quick
 from hmi_marl.files import make_folder
-from hmi_marl.training.jobs import train_all
 from hmi_marl.workers import check_workers
 
 
@@ -40,7 +36,13 @@ class Compare:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
-        size = compare.quick(self.size) if self.quick else self.size
+        from tqdm import tqdm
+
+        from hmi_marl.evaluation import compare_play, compare_report
+        from hmi_marl.evaluation.compare_analysis import Comparison
+        from hmi_marl.training.jobs import train_all
+
+        size = quick(self.size) if self.quick else self.size
         out = self.out or Path("runs") / ("compare-quick" if self.quick else "compare")
         workers = check_workers(self.workers)
         make_folder(out)

@@ -16,7 +16,7 @@ from hmi_marl.files import make_folder, write_json
 
 @dataclass(frozen=True)
 class Oracle:
-    """The exact optimum of the alert problem for one driver, and the audit of the paper's table.
+    """Solve the alert problem of one driver exactly, and audit the paper's table.
 
     Example: hmi-marl oracle --driver bart --window 7 --horizon 100
     """

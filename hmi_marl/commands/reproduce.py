@@ -14,28 +14,16 @@ from hmi_marl.commands.reproduce_adapt import ReproduceAdapt
 from hmi_marl.commands.reproduce_graded import ReproduceGraded
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.evaluation.attentive import AttentiveSettings
-from hmi_marl.evaluation.full import QUICK, QUICK_TABLE, FullSettings, reproduce_all, shared_driver
-from hmi_marl.evaluation.full_report import NUMBERS, PAGE
 from hmi_marl.evaluation.hidden import HiddenSettings
-from hmi_marl.evaluation.paper_stages import (
-    DriverStage,
-    HiddenStage,
-    TableStage,
-    TraitsStage,
-    learn_driver,
-)
 from hmi_marl.evaluation.reproduction import ReproductionSettings
-from hmi_marl.evaluation.shipping import ship
-from hmi_marl.evaluation.stages import Place
 from hmi_marl.evaluation.trait_settings import TraitReproduction
 from hmi_marl.files import write_bytes
-from hmi_marl.training.jobs import need_training
 from hmi_marl.workers import check_workers
 
 
 @dataclass(frozen=True)
 class ReproduceAll:
-    """Every table and figure of the paper, in one report with a verdict on each of its claims.
+    """Reproduce every table and figure of the paper, with a verdict on each claim.
 
     Goes on by itself where it was cut off.
 
@@ -54,7 +42,8 @@ class ReproduceAll:
     def run(self, typed: str) -> None:
         """Do what is not done yet, write the report and say where it is."""
         use_quiet_threads()
-        need_training()
+        from hmi_marl.evaluation.full import QUICK, FullSettings, reproduce_all
+
         settings = (QUICK if self.quick else FullSettings()).with_seed(self.seed)
         out = self.out or Path("runs/reproduce") / ("all-quick" if self.quick else "all")
         told = ["hmi-marl", "reproduce", *["--quick"] * self.quick]
@@ -65,7 +54,7 @@ class ReproduceAll:
 
 @dataclass(frozen=True)
 class ReproduceTable:
-    """The paper's table of HMIs and drivers, every policy in it learnt.
+    """Learn every policy of the paper's table of HMIs and drivers, and make the table.
 
     Goes on by itself where it was cut off.
 
@@ -86,6 +75,10 @@ class ReproduceTable:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
+        from hmi_marl.evaluation.full import QUICK_TABLE
+        from hmi_marl.evaluation.paper_stages import TableStage
+        from hmi_marl.evaluation.stages import Place
+
         size = self.size
         if self.quick:
             if replace(size, seed=0) != ReproductionSettings():
@@ -99,7 +92,7 @@ class ReproduceTable:
 
 @dataclass(frozen=True)
 class ReproduceDriver:
-    """How drivers without distraction learn to drive: speed, crashes and headway by steps.
+    """Learn to drive without distraction: speed, crashes and headway by steps.
 
     Example: hmi-marl reproduce driver --steps 18_000_000
     """
@@ -112,12 +105,15 @@ class ReproduceDriver:
     def run(self, typed: str) -> None:
         """Learn, play, write and print."""
         use_quiet_threads()
+        from hmi_marl.evaluation.paper_stages import DriverStage
+        from hmi_marl.evaluation.stages import Place
+
         print(DriverStage(self.size).run(Place(self.out, self.out, 1, typed)).text)
 
 
 @dataclass(frozen=True)
 class ReproduceHidden:
-    """HMIs that do not see attention: learned ones beside Bayes filters, driver by driver.
+    """Compare learned HMIs that do not see attention with Bayes filters, by driver.
 
     Example: hmi-marl reproduce hidden --driver-run trained:driver
     """
@@ -134,6 +130,9 @@ class ReproduceHidden:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
+        from hmi_marl.evaluation.paper_stages import HiddenStage, learn_driver
+        from hmi_marl.evaluation.stages import Place
+
         workers = check_workers(self.workers)
         driver_run = self.driver_run or learn_driver(self.size.driver_job(self.out), typed)
         print(HiddenStage(self.size).run(Place(self.out, driver_run, workers, typed)).text)
@@ -141,7 +140,7 @@ class ReproduceHidden:
 
 @dataclass(frozen=True)
 class ReproduceTraits(TraitReproduction):
-    """Latent traits: collect demonstrations, learn the paper's three settings, judge them.
+    """Learn latent traits in the paper's three settings and judge what was learnt.
 
     Goes on where it was cut off. With --seeds 5 every setting is learnt five times, and accuracies
     and KL get intervals.
@@ -159,6 +158,9 @@ class ReproduceTraits(TraitReproduction):
     def run(self, typed: str) -> None:
         """Do what is not done yet, judge, write and print."""
         use_quiet_threads()
+        from hmi_marl.evaluation.paper_stages import TraitsStage, learn_driver
+        from hmi_marl.evaluation.stages import Place
+
         workers = check_workers(self.workers)
         size = only(TraitReproduction, self)
         driver_run = self.driver_run or learn_driver(size.driver_job(self.out), typed)
@@ -168,7 +170,7 @@ class ReproduceTraits(TraitReproduction):
 
 @dataclass(frozen=True)
 class ReproduceShip:
-    """Put the agents of a finished reproduction where the package ships them from.
+    """Copy the agents of a finished reproduction to where the package ships them from.
 
     Example: hmi-marl reproduce ship --out hmi_marl/trained --report docs/report
     """
@@ -182,6 +184,10 @@ class ReproduceShip:
 
     def run(self, typed: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
+        from hmi_marl.evaluation.full import FullSettings, shared_driver
+        from hmi_marl.evaluation.full_report import NUMBERS, PAGE
+        from hmi_marl.evaluation.shipping import ship
+
         stages = FullSettings().stages()
         for agent in ship(stages, self.run_folder, shared_driver(self.run_folder), self.out):
             print(f"{agent.name:<20} {agent.what}")
@@ -208,7 +214,7 @@ What = (
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Make what the paper shows again, with the exact values and a verdict beside each number.
+    """Reproduce the paper's results, each number with its exact value and a verdict.
 
     Example: hmi-marl reproduce --quick
     """

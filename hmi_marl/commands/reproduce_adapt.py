@@ -9,14 +9,12 @@ from hmi_marl.agents.adaptive_catalogue import Trained
 from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.evaluation.adapt_settings import AdaptReproduction
-from hmi_marl.evaluation.adapt_stage import AdaptStage
-from hmi_marl.evaluation.stages import Place
 from hmi_marl.workers import check_workers
 
 
 @dataclass(frozen=True)
 class ReproduceAdapt(AdaptReproduction):
-    """Drivers who are not known: learn the encoder and the HMI conditioned on z, and judge them.
+    """Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.
 
     Goes on by itself where it was cut off.
 
@@ -35,6 +33,9 @@ class ReproduceAdapt(AdaptReproduction):
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
+        from hmi_marl.evaluation.adapt_stage import AdaptStage
+        from hmi_marl.evaluation.stages import Place
+
         place = Place(self.out, self.driver_run, check_workers(self.workers), typed)
         size = only(AdaptReproduction, self)
         print(AdaptStage(size, self.hidden).run(place).text)

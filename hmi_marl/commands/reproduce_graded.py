@@ -9,14 +9,12 @@ import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.evaluation.graded import QUICK, GradedSettings
-from hmi_marl.evaluation.graded_stage import GradedStage
-from hmi_marl.evaluation.stages import Place
 from hmi_marl.workers import check_workers
 
 
 @dataclass(frozen=True)
 class ReproduceGraded:
-    """Graded alerts and alert fatigue: learned HMIs beside the exact optimum.
+    """Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.
 
     Goes on by itself where it was cut off.
 
@@ -35,6 +33,9 @@ class ReproduceGraded:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
+        from hmi_marl.evaluation.graded_stage import GradedStage
+        from hmi_marl.evaluation.stages import Place
+
         size = self.size
         if self.quick:
             if replace(size, seed=0) != GradedSettings():

@@ -7,10 +7,8 @@ from functools import partial
 from pathlib import Path
 
 import tyro
-from tqdm import tqdm
 
 from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
-from hmi_marl.evaluation import clip, report
 from hmi_marl.evaluation.table import TableConfig, TableSettings, make_table
 from hmi_marl.files import make_folder
 from hmi_marl.workers import check_workers
@@ -18,9 +16,9 @@ from hmi_marl.workers import check_workers
 
 @dataclass(frozen=True)
 class Table:
-    """Compare HMIs (rows) for drivers (columns) over seeded episodes, on highway-env by default.
+    """Compare HMIs (rows) for drivers (columns) over seeded episodes.
 
-    Writes text, CSV, JSON and an HTML page with a figure and a clip.
+    On highway-env by default. Writes text, CSV, JSON and an HTML page with a figure and a clip.
 
     Example: hmi-marl table --hmis NoHMI AvgHMI own --drivers bart homer --episodes 20
     """
@@ -36,6 +34,10 @@ class Table:
 
     def run(self, typed: str) -> None:
         """Play, sum up, write and print; the page says what was ``typed``."""
+        from tqdm import tqdm
+
+        from hmi_marl.evaluation import report
+
         config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
         make_folder(self.out)
         total = config.episodes * len(config.drivers) * len(config.hmis)
@@ -48,6 +50,8 @@ class Table:
 
 
 def _record(config: TableConfig, path: Path) -> None:
+    from hmi_marl.evaluation import clip
+
     team = config.team(config.drivers[-1])
     # On highway-env itself, whatever world the table was played on.
     moments = clip.episode(team, config.hmis[-1], config.driver_policy, config.seed, "highway")

@@ -12,7 +12,6 @@ from typing import Annotated
 import tyro
 
 from hmi_marl.training.alternating import Alternating
-from hmi_marl.training.jobs import need_training
 from hmi_marl.training.joint import Joint
 from hmi_marl.training.settings import TrainSettings
 from hmi_marl.training.simultaneous import Simultaneous
@@ -60,7 +59,6 @@ class Train:
             raise ValueError(f"there is at least one process, but got {self.processes}")
         if self.processes > 1 and "WORLD_SIZE" not in os.environ:
             start_again_in_processes(self.processes, typed)
-        need_training()
         from hmi_marl.training.run import train
 
         out = Path("runs") / _NAMES[type(self.protocol)] if self.out is None else self.out

@@ -12,7 +12,6 @@ from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.evaluation.trait_settings import AssessSettings
 from hmi_marl.files import make_folder
-from hmi_marl.training.jobs import need_training
 from hmi_marl.training.traits.settings import TraitSettings
 
 
@@ -36,7 +35,6 @@ class TrainTraits(TraitSettings):
     def run(self, typed: str) -> None:
         """Learn, and say what can be done with it."""
         use_quiet_threads()
-        need_training()
         from hmi_marl.training.traits.labels import read_preferences
         from hmi_marl.training.traits.run import learn_traits
 
@@ -49,7 +47,7 @@ class TrainTraits(TraitSettings):
 
 @dataclass(frozen=True)
 class EvaluateTraits:
-    """Judge trait models on held-out driving: who drives, which traits, how well they imitate.
+    """Judge trait models on held-out driving: drivers named, traits found, imitation.
 
     Every accuracy is quoted beside the exact Bayes classifier of the same windows.
 
@@ -86,7 +84,7 @@ class EvaluateTraits:
 
 @dataclass(frozen=True)
 class Traits:
-    """Latent driver traits from driving alone: learn them, judge what was learnt."""
+    """Learn latent driver traits from driving alone, and judge them."""
 
     what: Annotated[
         Annotated[TrainTraits, tyro.conf.subcommand("train")]

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from tqdm import tqdm
-
 from hmi_marl.envs.alerts import FULL
 from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.envs.scene import Scene
-from hmi_marl.evaluation import clip
 from hmi_marl.files import make_folder
 
 CLIP_FRAMES_PER_STEP = 2
@@ -56,6 +53,8 @@ class Watch:
 
     def run(self, typed: str) -> None:
         """Play, and draw as it goes."""
+        from hmi_marl.evaluation import clip
+
         config = TeamConfig(
             driver=get_driver(self.driver),
             ai_sees_attention=not self.hide_attention,
@@ -71,6 +70,8 @@ class Watch:
             clip.show(config, moments, WINDOW_FRAMES_PER_STEP, self.perceived)
             return
         make_folder(clip.check_suffix(self.out).parent)
+        from tqdm import tqdm
+
         total = config.horizon * CLIP_FRAMES_PER_STEP + 1
         with tqdm(total=total, unit=" frames", desc=self.out.name) as bar:
 

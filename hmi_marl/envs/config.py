@@ -16,6 +16,7 @@ from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.drivers import Driver, DriverList, Population, as_population
 from hmi_marl.envs.rewards import RewardWeights, Sharing, check_sharing
 from hmi_marl.envs.scene import Scene
+from hmi_marl.names import suggest
 
 AGENTS = ("driver", "vehicle_ai")
 DRIVER, VEHICLE_AI = AGENTS
@@ -160,7 +161,7 @@ def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Show the fields of :class:`TeamConfig` in place of ``**settings``, and refuse other names.
 
     ``help()`` and editors that look at the running program then list every keyword, and a typo is
-    told the known ones.
+    told the nearest.
     """
     signature = inspect.signature(function)
     own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
@@ -174,9 +175,9 @@ def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
     def checked(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         for name in kwargs:
             if name not in known:
+                own = function.__qualname__
                 raise TypeError(
-                    f"{function.__qualname__}() takes no keyword {name!r}; it takes "
-                    f"{', '.join(known)}"
+                    f"{own}() takes no keyword {name!r}; {suggest(name, known, f'help({own})')}"
                 )
         return function(*args, **kwargs)
 

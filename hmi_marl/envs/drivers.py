@@ -111,11 +111,10 @@ def get_driver(driver: str | Driver) -> Driver:
     if colon:
         return _driver_from_text(name, traits)
     if driver.lower() not in DRIVERS:
-        raise ValueError(
-            f"unknown driver {driver!r}; known drivers: {', '.join(DRIVERS)}. "
-            "For another one pass Driver(name, beta=..., alpha=..., eta=..., inflation=...), "
-            "or on the command line name:beta,alpha,eta,inflation"
-        )
+        from hmi_marl.names import unknown  # needed for this error alone
+
+        own = "your own is name:beta,alpha,eta,inflation"
+        raise ValueError(f"{unknown('driver', driver, DRIVERS)}; {own}")
     return DRIVERS[driver.lower()]
 
 

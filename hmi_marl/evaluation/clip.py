@@ -23,6 +23,7 @@ from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import Snapshot
 from hmi_marl.evaluation.rollout import begin, turn
+from hmi_marl.extras import need
 from hmi_marl.files import write_atomically
 
 Pictures = Iterator[NDArray[np.uint8]]
@@ -134,11 +135,9 @@ def check_suffix(path: Path) -> Path:
         raise ValueError(f"a clip is a {' or '.join(SUFFIXES)} file, not {path.name!r}")
     if path.suffix.lower() == ".mp4":
         try:
-            import imageio_ffmpeg  # noqa: F401
-        except ImportError:
-            raise RuntimeError(
-                "mp4 needs the video extra: pip install 'hmi-marl[video]'; or write a .gif"
-            ) from None
+            need("an mp4 clip", "imageio_ffmpeg")
+        except ModuleNotFoundError as error:
+            raise RuntimeError(f"{error}; or write a .gif") from None
     return path
 
 

@@ -19,6 +19,7 @@ from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
+from hmi_marl.names import unknown
 from hmi_marl.training.alternating import Alternating
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.joint import Joint
@@ -240,7 +241,7 @@ def _check_protocols(protocols: Sequence[str]) -> None:
         raise ValueError(f"protocols is a tuple of at least one of {known}; got {protocols!r}")
     for name, times in Counter(protocols).items():
         if name not in PROTOCOLS:
-            raise ValueError(f"unknown protocol {name!r}; known: {known}")
+            raise ValueError(unknown("protocol", name, PROTOCOLS, "hmi-marl compare --help"))
         if times > 1:
             raise ValueError(f"protocols names {name!r} twice")
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 CONFIDENCE = 0.95
 
@@ -46,6 +45,8 @@ def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
     middle = float(finite.mean())
     if len(finite) == 1:
         return Estimate(middle, math.nan, math.nan)
+    from scipy import stats  # takes half a second, which settings that hold an Estimate need not
+
     error = float(finite.std(ddof=1)) / math.sqrt(len(finite))
     half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(finite) - 1)) * error
     return Estimate(middle, max(middle - half, lowest), middle + half)
@@ -59,6 +60,8 @@ def share(successes: int, trials: int) -> Estimate:
     """
     if not 0 <= successes <= trials or trials == 0:
         raise ValueError(f"{successes} successes in {trials} trials make no share")
+    from scipy import stats
+
     interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(successes / trials, float(interval.low), float(interval.high))
 

@@ -12,7 +12,7 @@ from hmi_marl.training.settings import TrainSettings, check_count
 
 @dataclass(frozen=True)
 class Alternating(TrainSettings):
-    """Alternating: in every round each policy learns a while beside the other as it stands.
+    """Alternating: in every round each policy learns while the other stays as it is.
 
     Example: hmi-marl train alternating --rounds 4 --out runs/rounds
     """

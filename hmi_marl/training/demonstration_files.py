@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.plain import plain
+from hmi_marl.extras import needing
 from hmi_marl.files import write_atomically
 from hmi_marl.training.demonstrations import (
     NOBODY,
@@ -31,21 +32,17 @@ from hmi_marl.training.demonstrations import (
     column_names,
 )
 
-try:
+with needing("reading and writing demonstrations"):
     import pyarrow as pa
     import pyarrow.parquet as pq
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f"demonstrations are kept by {error.name}: pip install 'hmi-marl[data]'", name=error.name
-    ) from error
 
-from hmi_marl.training.demonstration_rows import (
-    BELONGS,
-    TRUTH_SCHEMA,
-    StepFile,
-    observed_schema,
-    stamped,
-)
+    from hmi_marl.training.demonstration_rows import (
+        BELONGS,
+        TRUTH_SCHEMA,
+        StepFile,
+        observed_schema,
+        stamped,
+    )
 
 OBSERVED, TRUTH = "observed.parquet", "truth.parquet"
 

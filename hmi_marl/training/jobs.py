@@ -6,7 +6,6 @@ cores. One thread each also makes the weights independent of how many run at a t
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.extras import TRAINING, need
 from hmi_marl.training.settings import TrainSettings
 from hmi_marl.workers import pool
 
@@ -74,11 +74,7 @@ def own_line() -> int:
 
 def need_training() -> None:
     """Raise ``ModuleNotFoundError``, saying what to install, if nothing can be learnt here."""
-    for module in ("torch", "rsl_rl", "tensorboard"):
-        if importlib.util.find_spec(module) is None:
-            raise ModuleNotFoundError(
-                f"training needs {module}: pip install 'hmi-marl[train]'", name=module
-            )
+    need("training", *TRAINING)
 
 
 def _train(job: Job, typed: str, quiet: bool) -> None:

@@ -22,16 +22,13 @@ import numpy as np
 from gymnasium import spaces
 
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.extras import needing
 from hmi_marl.training.demonstrations import Observed
 
-try:
+with needing("exporting to Minari"):
     import h5py  # noqa: F401
     import minari
     from minari.data_collector import EpisodeBuffer
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f"exporting to Minari needs {error.name}: pip install 'hmi-marl[data]'", name=error.name
-    ) from error
 
 _PLACE = "MINARI_DATASETS_PATH"
 

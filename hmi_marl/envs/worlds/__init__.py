@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego, Snapshot, World
+from hmi_marl.names import unknown
 
 WORLDS = ("highway", "batched")
 
@@ -14,9 +15,9 @@ __all__ = ["VEHICLE_ACTIONS", "WORLDS", "Ego", "Snapshot", "World", "check_world
 
 
 def check_world(world: str) -> str:
-    """Return ``world`` if it is a known world's name, or raise ValueError naming the known ones."""
+    """Return ``world`` if it is a known world's name, or raise ValueError naming the nearest."""
     if world not in WORLDS:
-        raise ValueError(f"unknown world {world!r}; known worlds: {', '.join(WORLDS)}")
+        raise ValueError(unknown("world", world, WORLDS, "hmi_marl.envs.worlds"))
     return world
 
 

@@ -1,0 +1,254 @@
+"""The subcommands of ``hmi-marl``: names, one-line helps and the extras that each needs.
+
+A subcommand is an entry here and a typed dataclass with ``run(typed)`` in a module of its own,
+which is imported only when the subcommand is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hmi_marl.extras import EXTRAS, TRAINING, need
+
+_PARQUET, _PROBES, _MINARI = ("pyarrow",), ("sklearn",), ("minari", "h5py")
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option that needs modules of its own."""
+
+    shown: str
+    """As it is typed, for the table and the error."""
+    needs: tuple[str, ...]
+    """Modules of extras."""
+    chosen: Callable[[Any], bool]
+    """Whether a parsed command uses it."""
+
+
+@dataclass(frozen=True)
+class Subcommand:
+    """A subcommand, or one that chooses among several."""
+
+    name: str
+    help: str
+    """The first line of its class's docstring."""
+    where: str
+    """Its class, as MODULE:CLASS below ``hmi_marl``."""
+    needs: tuple[str, ...] = ()
+    """Modules of extras, without which it does not begin."""
+    options: tuple[Option, ...] = ()
+    parts: tuple[Subcommand, ...] = ()
+    """What it chooses among."""
+    choice: str = ""
+    """The attribute of its class that holds the part chosen."""
+
+    def load(self) -> type[Any]:
+        """Import its class."""
+        module, _, name = self.where.partition(":")
+        kind: type[Any] = getattr(importlib.import_module(f"hmi_marl.{module}"), name)
+        return kind
+
+    def check(self, command: Any, path: str = "") -> None:
+        """Check that the extras of a parsed command are installed.
+
+        Raises:
+            ModuleNotFoundError: one is not; the message names it.
+        """
+        path = f"{path} {self.name}".lstrip()
+        for part in self.parts:
+            if type(getattr(command, self.choice)) is part.load():
+                part.check(getattr(command, self.choice), path)
+        need(path, *self.needs)
+        for option in self.options:
+            if option.chosen(command):
+                need(f"{path} {option.shown}", *option.needs)
+
+    def leaves(self, path: str = "") -> Iterator[tuple[str, Subcommand]]:
+        """All that can be run, with what is typed for each."""
+        path = f"{path} {self.name}".lstrip()
+        if not self.parts:
+            yield path, self
+        for part in self.parts:
+            yield from part.leaves(path)
+
+
+def _protocol(name: str, summary: str, module: str) -> Subcommand:
+    return Subcommand(name, summary, f"training.{module}", TRAINING)
+
+
+SUBCOMMANDS = (
+    Subcommand(
+        "adapt",
+        "Evaluate adaptive HMIs on unknown drivers against an HMI that knows the driver.",
+        "commands.adapt:Adapt",
+    ),
+    Subcommand(
+        "bench",
+        "Measure the speed of the worlds in one run, as ratios to highway-env's own step.",
+        "commands.bench:Bench",
+    ),
+    Subcommand(
+        "collect",
+        "Record demonstrations of drivers with an HMI that alerts at random.",
+        "commands.collect:Collect",
+        _PARQUET,
+        (Option("--minari", _MINARI, lambda command: command.minari),),
+    ),
+    Subcommand(
+        "compare",
+        "Train by every protocol with equal environment steps and several seeds, and compare them.",
+        "commands.compare:Compare",
+        TRAINING,
+    ),
+    Subcommand(
+        "export",
+        "Write a learned policy as ONNX, for use outside of Python.",
+        "commands.export:Export",
+        ("onnx",),
+    ),
+    Subcommand(
+        "oracle",
+        "Solve the alert problem of one driver exactly, and audit the paper's table.",
+        "commands.oracle:Oracle",
+    ),
+    Subcommand(
+        "reproduce",
+        "Reproduce the paper's results, each number with its exact value and a verdict.",
+        "commands.reproduce:Reproduce",
+        parts=(
+            Subcommand(
+                "all",
+                "Reproduce every table and figure of the paper, with a verdict on each claim.",
+                "commands.reproduce:ReproduceAll",
+                TRAINING + _PARQUET + _PROBES,
+            ),
+            Subcommand(
+                "table",
+                "Learn every policy of the paper's table of HMIs and drivers, and make the table.",
+                "commands.reproduce:ReproduceTable",
+                TRAINING,
+            ),
+            Subcommand(
+                "driver",
+                "Learn to drive without distraction: speed, crashes and headway by steps.",
+                "commands.reproduce:ReproduceDriver",
+                TRAINING,
+            ),
+            Subcommand(
+                "hidden",
+                "Compare learned HMIs that do not see attention with Bayes filters, by driver.",
+                "commands.reproduce:ReproduceHidden",
+                TRAINING,
+            ),
+            Subcommand(
+                "adapt",
+                "Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.",
+                "commands.reproduce_adapt:ReproduceAdapt",
+                TRAINING,
+            ),
+            Subcommand(
+                "traits",
+                "Learn latent traits in the paper's three settings and judge what was learnt.",
+                "commands.reproduce:ReproduceTraits",
+                TRAINING + _PARQUET + _PROBES,
+            ),
+            Subcommand(
+                "graded",
+                "Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.",
+                "commands.reproduce_graded:ReproduceGraded",
+                TRAINING,
+            ),
+            Subcommand(
+                "ship",
+                "Copy the agents of a finished reproduction to where the package ships them from.",
+                "commands.reproduce:ReproduceShip",
+            ),
+        ),
+        choice="what",
+    ),
+    Subcommand(
+        "table",
+        "Compare HMIs (rows) for drivers (columns) over seeded episodes.",
+        "commands.table:Table",
+    ),
+    Subcommand(
+        "train",
+        "Learn the driver's and the HMI's policies, by one of four protocols.",
+        "commands.train:Train",
+        parts=(
+            _protocol(
+                "two-stage",
+                "Two-stage, the paper's: a driver policy over the driver types, then an HMI.",
+                "two_stage:TwoStage",
+            ),
+            _protocol(
+                "joint",
+                "Joint: one composite policy acts for both seats and learns from one reward.",
+                "joint:Joint",
+            ),
+            _protocol(
+                "simultaneous",
+                "Simultaneous: two agents learn at once, with a common critic's view or their own.",
+                "simultaneous:Simultaneous",
+            ),
+            _protocol(
+                "alternating",
+                "Alternating: in every round each policy learns while the other stays as it is.",
+                "alternating:Alternating",
+            ),
+        ),
+        choice="protocol",
+    ),
+    Subcommand(
+        "traits",
+        "Learn latent driver traits from driving alone, and judge them.",
+        "commands.traits:Traits",
+        parts=(
+            Subcommand(
+                "train",
+                "Learn latent driver traits from demonstrations, by adversarial IRL.",
+                "commands.traits:TrainTraits",
+                TRAINING + _PARQUET,
+            ),
+            Subcommand(
+                "evaluate",
+                "Judge trait models on held-out driving: drivers named, traits found, imitation.",
+                "commands.traits:EvaluateTraits",
+                _PARQUET + _PROBES,
+            ),
+        ),
+        choice="what",
+    ),
+    Subcommand(
+        "watch",
+        "Watch one episode: as a clip with --out, else in a window.",
+        "commands.watch:Watch",
+        options=(
+            Option(
+                "--out clip.mp4",
+                ("imageio_ffmpeg",),
+                lambda command: command.out is not None and command.out.suffix.lower() == ".mp4",
+            ),
+        ),
+    ),
+)
+"""All of them, in the order in which ``hmi-marl --help`` lists them."""
+BY_NAME: Mapping[str, Subcommand] = {each.name: each for each in SUBCOMMANDS}
+
+
+def extras_table() -> str:
+    """A Markdown table of the extras that each subcommand needs."""
+    rows = ["| command | needs | for an option |", "| --- | --- | --- |"]
+    for subcommand in SUBCOMMANDS:
+        for path, leaf in subcommand.leaves():
+            options = [f"`{each.shown}`: {_extras(each.needs)}" for each in leaf.options]
+            rows.append(f"| `hmi-marl {path}` | {_extras(leaf.needs)} | {', '.join(options)} |")
+    return "\n".join(rows)
+
+
+def _extras(modules: tuple[str, ...]) -> str:
+    extras = [extra for extra, own in EXTRAS.items() if not set(own).isdisjoint(modules)]
+    return ", ".join(f"`{extra}`" for extra in extras) or "nothing more"
