@@ -20,6 +20,7 @@ from pygments.formatters import HtmlFormatter
 
 from hmi_marl import merge_v0
 from hmi_marl.cli import parse
+from hmi_marl.commands.registry import extras_table
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import (
     Layout,
@@ -51,6 +52,7 @@ def _make(name: str) -> str:
         "environment": environment,
         "layouts": layouts,
         "commands": commands,
+        "extras": extras_table,
         "file": lambda: _without_title((ROOT / argument).read_text(encoding="utf-8")),
     }
     if kind not in makers:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NoReturn, Union
 
 import hmi_marl
 from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
-from hmi_marl.names import HELP, unknown
+from hmi_marl.names import unknown
 
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 """Exit statuses; the last two are what the shell reports after SIGINT and SIGPIPE."""
@@ -57,7 +57,7 @@ def parse(arguments: Sequence[str]) -> Any:
     parts = [part.name for part in subcommand.parts]
     if parts and rest and not rest[0].startswith("-") and rest[0] not in parts:
         _refuse(unknown(f"subcommand of {name}", rest[0], parts, f"{prog} --help"))
-    return _understand(subcommand.load(), prog, rest)
+    return _understand(subcommand.load(), prog, rest, parts=parts)
 
 
 def _run(arguments: list[str]) -> None:
@@ -106,8 +106,22 @@ def _description() -> str:
     )
 
 
-def _understand(kind: Any, prog: str, arguments: list[str], description: str | None = None) -> Any:
-    """What tyro makes of the arguments, its errors in one line."""
+def _understand(
+    kind: Any,
+    prog: str,
+    arguments: list[str],
+    description: str | None = None,
+    parts: Sequence[str] = (),
+) -> Any:
+    """What tyro makes of the arguments, its errors in one line.
+
+    Args:
+        kind: dataclass to make of them.
+        prog: what is typed before them.
+        arguments: to parse.
+        description: in place of the dataclass's docstring.
+        parts: names of the subcommands that ``kind`` chooses among.
+    """
     import tyro
 
     def understood(arguments: list[str]) -> Any:
@@ -127,15 +141,25 @@ def _understand(kind: Any, prog: str, arguments: list[str], description: str | N
         if not stop.code:  # the help was printed
             sys.stderr.write(told.getvalue())
             raise
-    parts = [each for each in arguments[:1] if not each.startswith("-")]
-    lists = " ".join([prog, *parts, "--help"])
-    rows = re.findall(r"│ +((?:--?[\w.-]+(?:, )?)+)", _said(understood, [*parts, "--help"]))
+    return _refuse(_why(understood, prog, arguments, parts))
+
+
+def _why(
+    understood: Callable[[list[str]], object],
+    prog: str,
+    arguments: list[str],
+    parts: Sequence[str],
+) -> str:
+    """What is wrong with arguments that tyro refuses, in one line."""
+    part = [argument for argument in arguments if argument in parts][-1:]
+    lists = " ".join([prog, *part, "--help"])
+    rows = re.findall(r"│ +((?:--?[\w.-]+(?:, )?)+)", _said(understood, [*part, "--help"]))
     options = [option for row in rows for option in row.split(", ")]
     for argument in arguments:
         option = argument.partition("=")[0].replace("_", "-")
         if option.startswith("--") and option not in (*options, "--"):
-            _refuse(unknown("option", option, options, lists))
-    _refuse(_explained(_first_part(_said(understood, arguments)), lists))
+            return unknown("option", option, options, lists)
+    return _explained(_first_part(_said(understood, arguments)), lists)
 
 
 def _said(understood: Callable[[list[str]], object], arguments: list[str]) -> str:

@@ -29,11 +29,11 @@ def need(who: str, *modules: str) -> None:
         modules: names in :data:`EXTRAS`.
 
     Raises:
-        ModuleNotFoundError: one is missing; the message names the extra to install.
+        ModuleNotFoundError: some are missing; the message names the extras to install.
     """
-    for module in modules:
-        if not _is_installed(module):
-            raise _missing(who, module)
+    missing = [module for module in modules if not _is_installed(module)]
+    if missing:
+        raise _missing(who, *missing)
 
 
 @contextmanager
@@ -61,6 +61,9 @@ def _is_installed(module: str) -> bool:
         return True
 
 
-def _missing(who: str, module: str) -> ModuleNotFoundError:
-    advice = f"pip install 'hmi-marl[{_EXTRA_OF[module]}]'"
-    return ModuleNotFoundError(f"{who} needs {module}: {advice}", name=module)
+def _missing(who: str, *modules: str) -> ModuleNotFoundError:
+    firsts = {_EXTRA_OF[module]: module for module in reversed(modules)}  # one for each extra
+    extras = [extra for extra in EXTRAS if extra in firsts]
+    named = " and ".join(firsts[extra] for extra in extras)
+    advice = f"pip install 'hmi-marl[{','.join(extras)}]'"
+    return ModuleNotFoundError(f"{who} needs {named}: {advice}", name=modules[0])

@@ -86,6 +86,7 @@ def test_pages_made_from_the_code_say_what_the_code_says():
     headings = re.findall(r"^## (hmi-marl.*)", texts, re.MULTILINE)
     assert {"hmi-marl", "hmi-marl watch", "hmi-marl train two-stage"} <= set(headings)
     assert len(headings) == texts.count("usage: ")
+    assert "| `hmi-marl compare` | `train` |" in texts
     assert "## 0.1.0 " in TEXTS["changelog.md"]
     assert "make test" in TEXTS["contributing.md"]
 

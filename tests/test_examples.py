@@ -57,6 +57,19 @@ def test_the_benchmark_of_training_tells_where_time_goes(tmp_path):
     assert plain["ratio"] == 1
 
 
+def test_the_benchmark_of_startup_tells_ratios_to_numpy(tmp_path):
+    run_benchmark("startup", "--rounds 1 --only version watch", tmp_path)
+    written = json.loads((tmp_path / "runs" / "bench" / "startup.json").read_text())
+    assert [row["command"] for row in written["rows"]] == [
+        'python -c "import numpy"',
+        'python -c "import hmi_marl"',
+        "hmi-marl --version",
+        "hmi-marl watch --help",
+    ]
+    assert written["rows"][0]["ratio"] == 1.0
+    assert all(row["seconds"] > 0 and row["ratio"] > 0 for row in written["rows"])
+
+
 def run_benchmark(name, arguments, folder):
     command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *arguments.split()]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

@@ -34,6 +34,93 @@ def test_importing_and_running_an_environment_imports_no_torch():
     assert printed.strip().splitlines()[-1] == "[]"
 
 
+def test_importing_the_package_imports_none_of_its_modules():
+    printed = python(
+        "import sys, hmi_marl\n"
+        "print(sorted(m for m in sys.modules if m.startswith('hmi_marl.')))\n"
+        "print(hmi_marl.Driver is hmi_marl.DRIVERS['homer'].__class__, 'Scene' in dir(hmi_marl))"
+    )
+    assert printed.split("\n")[:2] == ["[]", "True True"]
+
+
+def test_a_name_that_is_not_public_is_no_attribute():
+    with pytest.raises(AttributeError, match="module 'hmi_marl' has no attribute 'drivr'"):
+        hmi_marl.drivr  # noqa: B018
+
+
+def test_every_public_name_is_imported_from_its_home():
+    assert set(hmi_marl._HOMES) == set(hmi_marl.__all__) - {"__version__"}
+    assert hmi_marl.merge_v0.__name__ == "hmi_marl.envs.merge_v0"
+    assert set(hmi_marl.__all__) <= set(dir(hmi_marl))
+
+
+IDS = ("hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0")
+
+
+def test_an_id_that_names_the_module_resolves_in_a_fresh_process():
+    for name in IDS:
+        printed = python(
+            f"import gymnasium\nenv = gymnasium.make('hmi_marl:{name}', duration=0.4)\n"
+            "env.reset(seed=0)\nprint(env.spec.id)"
+        )
+        assert printed.splitlines()[-1] == name
+
+
+@pytest.mark.parametrize("module", ["", "hmi_marl:"])
+def test_ids_resolve_in_spawned_workers(module, tmp_path):
+    script = tmp_path / "workers.py"
+    script.write_text(
+        "import gymnasium\n"
+        "if __name__ == '__main__':\n"
+        "    import hmi_marl  # here alone, not in the workers\n"
+        f"    envs = gymnasium.make_vec('{module}{IDS[1]}', num_envs=2, duration=0.4,\n"
+        "        vectorization_mode='async', vector_kwargs={'context': 'spawn'})\n"
+        "    print(envs.reset(seed=0)[0].shape[0])\n"
+        "    envs.close()\n"
+    )
+    run = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == "2"
+
+
+def test_the_entry_point_registers_and_registering_again_does_not_warn():
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+    assert groups == {"gymnasium.envs": {"__root__": "hmi_marl:register_envs"}}
+    printed = python(
+        "import sys, warnings\nwarnings.simplefilter('error')\n"
+        "from importlib.metadata import EntryPoint\n"
+        "plugin = EntryPoint('__root__', 'hmi_marl:register_envs', 'gymnasium.envs')\n"
+        "plugin.load()()\nplugin.load()()\n"
+        "import gymnasium, pettingzoo\n"
+        "print([name for name in gymnasium.registry if name.startswith('hmi_marl/')])\n"
+        "print('hmi_marl/merge-v0' in pettingzoo.aec_registry)\n"
+        "print('hmi_marl/merge-v0' in pettingzoo.parallel_registry)"
+    )
+    assert printed.splitlines() == [str(list(IDS)), "True", "True"]
+
+
+def test_a_plugin_loader_may_call_it_while_gymnasium_is_being_imported():
+    printed = python(  # as Gymnasium did up to 0.29, at the end of gymnasium.envs
+        "import importlib.abc, importlib.machinery, sys\n"
+        "class Loads(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name != 'gymnasium.envs':\n"
+        "            return None\n"
+        "        spec = importlib.machinery.PathFinder.find_spec(name, path)\n"
+        "        execute = spec.loader.exec_module\n"
+        "        def then(module):\n"
+        "            execute(module)\n"
+        "            import hmi_marl\n"
+        "            hmi_marl.register_envs()\n"
+        "        spec.loader.exec_module = then\n"
+        "        return spec\n"
+        "sys.meta_path.insert(0, Loads())\n"
+        "import gymnasium\n"
+        f"print(gymnasium.make('{IDS[1]}').spec.id)"
+    )
+    assert printed.splitlines()[-1] == IDS[1]
+
+
 def test_importing_the_package_imports_no_highway_env_and_opens_no_window():
     printed = python("import sys, hmi_marl; print('highway_env' in sys.modules)")
     assert printed.strip().splitlines()[-1] == "False"

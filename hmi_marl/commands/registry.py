@@ -1,7 +1,7 @@
 """The subcommands of ``hmi-marl``: names, one-line helps and the extras that each needs.
 
-A subcommand is one line here and a typed dataclass with ``run(typed)`` in a module of its own, which
-is imported only when the subcommand is asked for.
+A subcommand is an entry here and a typed dataclass with ``run(typed)`` in a module of its own,
+which is imported only when the subcommand is asked for.
 """
 
 from __future__ import annotations
@@ -145,19 +145,19 @@ SUBCOMMANDS = (
             ),
             Subcommand(
                 "adapt",
-                "Learn the encoder and the HMI conditioned on z for unknown drivers, and judge them.",
+                "Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.",
                 "commands.reproduce_adapt:ReproduceAdapt",
                 TRAINING,
             ),
             Subcommand(
                 "traits",
-                "Learn latent traits in the paper's three settings from demonstrations, and judge them.",
+                "Learn latent traits in the paper's three settings and judge what was learnt.",
                 "commands.reproduce:ReproduceTraits",
                 TRAINING + _PARQUET + _PROBES,
             ),
             Subcommand(
                 "graded",
-                "Compare learned HMIs with the exact optimum under graded alerts and alert fatigue.",
+                "Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.",
                 "commands.reproduce_graded:ReproduceGraded",
                 TRAINING,
             ),
@@ -171,7 +171,7 @@ SUBCOMMANDS = (
     ),
     Subcommand(
         "table",
-        "Compare HMIs (rows) for drivers (columns) over seeded episodes, on highway-env by default.",
+        "Compare HMIs (rows) for drivers (columns) over seeded episodes.",
         "commands.table:Table",
     ),
     Subcommand(
@@ -181,7 +181,7 @@ SUBCOMMANDS = (
         parts=(
             _protocol(
                 "two-stage",
-                "Two-stage, the paper's: a driver policy over the driver types, then an HMI for it.",
+                "Two-stage, the paper's: a driver policy over the driver types, then an HMI.",
                 "two_stage:TwoStage",
             ),
             _protocol(

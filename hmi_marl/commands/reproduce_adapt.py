@@ -14,7 +14,7 @@ from hmi_marl.workers import check_workers
 
 @dataclass(frozen=True)
 class ReproduceAdapt(AdaptReproduction):
-    """Learn the encoder and the HMI conditioned on z for unknown drivers, and judge them.
+    """Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.
 
     Goes on by itself where it was cut off.
 

@@ -14,7 +14,7 @@ from hmi_marl.workers import check_workers
 
 @dataclass(frozen=True)
 class ReproduceGraded:
-    """Compare learned HMIs with the exact optimum under graded alerts and alert fatigue.
+    """Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.
 
     Goes on by itself where it was cut off.
 

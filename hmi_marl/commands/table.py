@@ -16,9 +16,9 @@ from hmi_marl.workers import check_workers
 
 @dataclass(frozen=True)
 class Table:
-    """Compare HMIs (rows) for drivers (columns) over seeded episodes, on highway-env by default.
+    """Compare HMIs (rows) for drivers (columns) over seeded episodes.
 
-    Writes text, CSV, JSON and an HTML page with a figure and a clip.
+    On highway-env by default. Writes text, CSV, JSON and an HTML page with a figure and a clip.
 
     Example: hmi-marl table --hmis NoHMI AvgHMI own --drivers bart homer --episodes 20
     """

@@ -21,13 +21,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.cluster import KMeans
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.linear_model import LogisticRegression
-from sklearn.metrics import adjusted_rand_score, silhouette_score
-from sklearn.preprocessing import StandardScaler
 
 from hmi_marl.evaluation.statistics import Estimate, accuracy
+from hmi_marl.extras import needing
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -174,7 +170,15 @@ def separability(
     Raises:
         ValueError: as :func:`kl_matrix`; or different types or Z in training and held-out vectors;
             or groups that do not fit the vectors.
+        ModuleNotFoundError: scikit-learn is not installed.
     """
+    with needing("judging latent vectors"):
+        from sklearn.cluster import KMeans
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.linear_model import LogisticRegression
+        from sklearn.metrics import adjusted_rand_score, silhouette_score
+        from sklearn.preprocessing import StandardScaler
+
     fitted, known = checked_vectors(train_means, train_types, "training vectors")
     vectors, labels = checked_vectors(means, types)
     same_size(fitted, vectors)

@@ -13,14 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.kernel_approximation import Nystroem
-from sklearn.linear_model import Ridge
-from sklearn.model_selection import GridSearchCV, GroupKFold
-from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import StandardScaler
 
 from hmi_marl.evaluation.separability import Array, Labels, checked_means, same_size
 from hmi_marl.evaluation.statistics import CONFIDENCE, Estimate
+from hmi_marl.extras import needing
 
 _BOOTSTRAPS = 2000
 _FOLDS = 5
@@ -75,7 +71,15 @@ def trait_r2(
     Raises:
         ValueError: arrays that are not finite or do not fit each other, or fewer than two drivers
             to learn from.
+        ModuleNotFoundError: scikit-learn is not installed.
     """
+    with needing("judging latent vectors"):
+        from sklearn.kernel_approximation import Nystroem
+        from sklearn.linear_model import Ridge
+        from sklearn.model_selection import GridSearchCV, GroupKFold
+        from sklearn.pipeline import Pipeline
+        from sklearn.preprocessing import StandardScaler
+
     fitted, known = _checked_traits(train_means, train_traits, names, "training vectors")
     vectors, truth = _checked_traits(means, traits, names, "vectors")
     same_size(fitted, vectors)

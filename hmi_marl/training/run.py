@@ -13,8 +13,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-
 import hmi_marl
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned import CONTEXT_OF, LearnedPolicy, PolicyCard
@@ -25,25 +23,30 @@ from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.plain import plain
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.envs.vector import TeamVecEnv
+from hmi_marl.extras import needing
 from hmi_marl.files import make_folder, write_json
-from hmi_marl.training.batch import play_batch
-from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
 from hmi_marl.training.claim import SETTINGS, check_same, read_settings, told
 from hmi_marl.training.jobs import CURVE
-from hmi_marl.training.learner import Learner, PPOLearner, TwoLearners
-from hmi_marl.training.models import (
-    make_actor,
-    make_critic,
-    make_joint_actor,
-    weights_of,
-    weights_of_both,
-)
 from hmi_marl.training.phase import LEARNT, OTHER, TEAM, Phase
-from hmi_marl.training.processes import Processes, joined
 from hmi_marl.training.settings import TrainSettings
 from hmi_marl.training.telling import Telling
-from hmi_marl.training.views import Context, IntentShown, SeatView
+
+with needing("training"):
+    import torch
+
+    from hmi_marl.envs.vector import TeamVecEnv
+    from hmi_marl.training.batch import play_batch
+    from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
+    from hmi_marl.training.learner import Learner, PPOLearner, TwoLearners
+    from hmi_marl.training.models import (
+        make_actor,
+        make_critic,
+        make_joint_actor,
+        weights_of,
+        weights_of_both,
+    )
+    from hmi_marl.training.processes import Processes, joined
+    from hmi_marl.training.views import Context, IntentShown, SeatView
 
 _INITIAL_WEIGHTS = {DRIVER: 0, OTHER[DRIVER]: 1, TEAM: 2}
 

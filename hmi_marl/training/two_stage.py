@@ -14,7 +14,7 @@ POPULATION = "population"
 
 @dataclass(frozen=True)
 class TwoStage(TrainSettings):
-    """Two-stage, the paper's: a driver policy over the driver types, then an HMI for it.
+    """Two-stage, the paper's: a driver policy over the driver types, then an HMI.
 
     Example: hmi-marl train two-stage --hmi-for homer --out runs/homer
     """

@@ -93,8 +93,8 @@ def test_the_hmis_that_are_chosen_among_are_those_of_the_types(trained):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("adapt:guessing", "one of expected, choosing, conditioned, not 'guessing'"),
-        ("adapt:guessing:bayes", "one of expected, choosing, conditioned, not 'guessing'"),
+        ("adapt:guessing", "adaptive HMI 'guessing'; known: expected, choosing, conditioned"),
+        ("adapt:guessing:bayes", "adaptive HMI 'guessing'; known: expected, choosing, conditioned"),
         ("adapt:expected:choosing", r"adapt\[:KIND\]\[:bayes\] names one kind, not 'expected:ch"),
     ],
 )

@@ -99,7 +99,10 @@ def test_every_listed_name_can_be_made():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("hal", "unknown HMI 'hal'; known HMIs: never .*always .*random .*when-distracted"),
+        ("hal", "unknown HMI 'hal'; hmi-marl --help lists all$"),
+        ("when-distraced", r"unknown HMI .*; did you mean when-distracted\? hmi-marl --help lists"),
+        ("optmal:bart", r"unknown HMI 'optmal:bart'; did you mean optimal\?"),
+        ("noHM", r"unknown HMI 'noHM'; did you mean nohmi\?"),
         ("optimal:ned", "unknown driver 'ned'"),
         ("random:often", r"takes a number in \[0, 1\], not 'often'"),
         ("random:1.5", "rate lies in"),
@@ -116,8 +119,10 @@ def test_a_bad_hmi_is_refused(name, message):
 
 
 def test_a_bad_driver_policy_is_refused():
-    with pytest.raises(ValueError, match=r"unknown driver policy 'hal'; known: rule .*random"):
+    with pytest.raises(ValueError, match=r"unknown driver policy 'hal'; known: rule, random \("):
         make_driver_policy("hal", SEEN)
+    with pytest.raises(ValueError, match=r"policy 'ruel'; did you mean rule\? hmi-marl --help"):
+        make_driver_policy("ruel", SEEN)
 
 
 def test_the_own_optimum_of_a_population_is_refused():

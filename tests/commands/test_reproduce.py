@@ -4,7 +4,6 @@ from typing import Any
 import pytest
 
 from hmi_marl.cli import main
-from hmi_marl.commands import reproduce
 from hmi_marl.evaluation.full import QUICK, FullSettings
 from hmi_marl.evaluation.full_report import NUMBERS, PAGE
 from hmi_marl.evaluation.stages import Agent
@@ -19,7 +18,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         calls.append((settings, folder, *others))
         return folder / "index.html"
 
-    monkeypatch.setattr(reproduce, "reproduce_all", instead)
+    monkeypatch.setattr("hmi_marl.evaluation.full.reproduce_all", instead)
     return calls
 
 
@@ -64,7 +63,7 @@ def test_the_report_is_shipped_beside_the_agents(tmp_path: Path, monkeypatch, ca
     for name in (PAGE, NUMBERS):
         (run / name).write_text(name)
     copied = [Agent("homer", run / "vehicle_ai.json", "alerts homer")]
-    monkeypatch.setattr(reproduce, "ship", lambda *given: copied)
+    monkeypatch.setattr("hmi_marl.evaluation.shipping.ship", lambda *given: copied)
     command = ["reproduce", "ship", "--run", str(run), "--out", str(tmp_path / "out")]
     assert main(command) == 0
     assert capsys.readouterr().out.split() == ["homer", "alerts", "homer"]

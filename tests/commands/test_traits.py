@@ -121,7 +121,10 @@ def test_what_is_not_there_is_told_in_one_line(capsys: pytest.CaptureFixture[str
     [
         (["train", "--latent", "0"], "latent is at least 1"),
         (["train", "--teams", "3", "--pool", "2"], "teams is a multiple of pool = 2"),
-        (["train", "--supervision", "age"], "invalid choice"),
+        (
+            ["train", "--supervision", "age"],
+            "unknown value of --supervision 'age'; known: none, id, pref",
+        ),
         (["evaluate", "run", "--ranked", "1"], "two windows can be ranked"),
     ],
 )

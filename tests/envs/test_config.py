@@ -13,7 +13,7 @@ from hmi_marl.envs.scene import Scene
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"driver": "ned"}, "unknown driver 'ned'; known drivers: lisa"),
+        ({"driver": "ned"}, "unknown driver 'ned'; known: lisa"),
         ({"reward": "selfish"}, "reward= is one of"),
         ({"alert_window": 0}, "at least 1 step"),
         ({"duration": 0.0}, "positive number of seconds"),

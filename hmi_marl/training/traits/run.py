@@ -18,14 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 import hmi_marl
 from hmi_marl.agents.trait_files import save_traits
 from hmi_marl.envs.plain import plain
 from hmi_marl.envs.streams import Stream, mix
+from hmi_marl.extras import needing
 from hmi_marl.files import make_folder, write_json
-from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
 from hmi_marl.training.claim import SETTINGS, check_same, read_settings
 from hmi_marl.training.demonstration_files import (
     OBSERVED,
@@ -35,15 +34,20 @@ from hmi_marl.training.demonstration_files import (
 )
 from hmi_marl.training.demonstrations import Demonstrations
 from hmi_marl.training.jobs import CURVE
-from hmi_marl.training.processes import Processes
 from hmi_marl.training.telling import Telling
-from hmi_marl.training.traits.adversary import Adversary, Labelled
 from hmi_marl.training.traits.dataset import alert_rate, held_out, team_of
-from hmi_marl.training.traits.generator import Generator
 from hmi_marl.training.traits.labels import make_labels
-from hmi_marl.training.traits.model import weights_of_model
-from hmi_marl.training.traits.pools import Units, Windows
 from hmi_marl.training.traits.settings import TraitSettings
+
+with needing("training"):
+    import torch
+
+    from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
+    from hmi_marl.training.processes import Processes
+    from hmi_marl.training.traits.adversary import Adversary, Labelled
+    from hmi_marl.training.traits.generator import Generator
+    from hmi_marl.training.traits.model import weights_of_model
+    from hmi_marl.training.traits.pools import Units, Windows
 
 PREPARING_POOLS = 64
 """From which the encoder takes its units."""

@@ -1,0 +1,193 @@
+"""Commands import what they need when they run, and say which extra they lack before they begin."""
+
+import re
+import subprocess
+import sys
+import typing
+from pathlib import Path
+
+import pytest
+
+from hmi_marl.cli import parse
+from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS, extras_table
+from hmi_marl.extras import EXTRAS
+
+LEAVES = dict(leaf for each in SUBCOMMANDS for leaf in each.leaves())
+GROUPS = [each.name for each in SUBCOMMANDS if each.parts]
+SLOW = {
+    "highway_env", "imageio_ffmpeg", "llvmlite", "matplotlib", "numba", "pandas", "PIL", "pygame",
+    "scipy", *(module for modules in EXTRAS.values() for module in modules),
+}  # fmt: skip
+"""What no ``--help`` may import: slow, or of an extra."""
+HIDING = """
+import sys
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {hidden!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Hidden())
+from hmi_marl.cli import main
+"""
+ARGUMENTS = {
+    "export": ["--policy", "trained:homer"],
+    "reproduce ship": ["--out", "agents"],
+    "traits evaluate": ["runs/traits-id"],
+}
+"""Without which a command cannot be understood."""
+CHEAP = {
+    "adapt": None,  # minutes even with --quick: see test_nothing_of_an_extra_is_imported_to_adapt
+    "bench": "--teams 2 --threads 1 --rounds 1 --seconds 0.01 --scaling 1",
+    "oracle": "--horizon 3",
+    "reproduce ship": None,  # needs a finished reproduction
+    "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
+    "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2",
+    "watch": "--hmi trained:homer --policy trained:driver --duration 0.4 --out clip.gif",
+}
+"""Runs of the commands that need no extra."""
+OPTIONS = {
+    ("collect", "--minari"): ["--minari"],
+    ("watch", "--out clip.mp4"): ["--out", "folder/clip.mp4"],
+}
+
+
+def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def without(modules: list[str], arguments: list[str], folder: Path):
+    code = HIDING.format(hidden=set(modules)) + f"sys.exit(main({arguments!r}))"
+    return run(code, folder)
+
+
+@pytest.mark.parametrize("path", ["", *GROUPS, *LEAVES])
+def test_help_imports_nothing_slow_and_nothing_of_an_extra(path: str, tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom hmi_marl.cli import main\n"
+        f"try:\n    main({[*path.split(), '--help']!r})\nexcept SystemExit as stop:\n"
+        "    assert not stop.code\n"
+        f"print('imported:', *sorted({SLOW!r} & set(sys.modules)))"
+    )
+    done = run(code, tmp_path)
+    assert done.stderr == ""
+    assert f"usage: hmi-marl {path}".strip() in done.stdout
+    assert done.stdout.splitlines()[-1] == "imported:"
+
+
+def test_only_the_module_of_the_subcommand_is_imported(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom hmi_marl.cli import parse\nparse(['watch'])\n"
+        "print(*sorted(m for m in sys.modules if m.startswith('hmi_marl.commands.')))"
+    )
+    assert run(code, tmp_path).stdout.split() == [
+        "hmi_marl.commands.registry",
+        "hmi_marl.commands.watch",
+    ]
+
+
+def test_the_version_imports_no_parser_and_no_settings(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom hmi_marl.cli import main\nmain(['--version'])\n"
+        "print(*sorted(m for m in sys.modules if m == 'tyro' or m.startswith('hmi_marl.')))"
+    )
+    names = ("cli", "commands", "commands.registry", "extras", "names")
+    assert run(code, tmp_path).stdout.splitlines()[-1].split() == [
+        f"hmi_marl.{name}" for name in names
+    ]
+
+
+@pytest.mark.parametrize("path", [path for path, leaf in LEAVES.items() if leaf.needs])
+def test_a_missing_extra_is_named_before_anything_is_done(path: str, tmp_path: Path) -> None:
+    for extra, modules in EXTRAS.items():
+        missed = [module for module in modules if module in LEAVES[path].needs]
+        if not missed:
+            continue
+        done = without(modules, [*path.split(), *ARGUMENTS.get(path, [])], tmp_path)
+        assert done.returncode == 2
+        assert done.stdout == ""
+        who = re.escape(path)
+        told = rf"hmi-marl: {who} needs ({'|'.join(missed)}): pip install 'hmi-marl\[{extra}\]'\n"
+        assert re.fullmatch(told, done.stderr), done.stderr
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_an_option_that_needs_an_extra_says_so_before_anything_is_done(tmp_path: Path) -> None:
+    found = {(path, each.shown): each for path, leaf in LEAVES.items() for each in leaf.options}
+    assert set(found) == set(OPTIONS)
+    for (path, shown), option in found.items():
+        arguments = [*path.split(), *OPTIONS[path, shown]]
+        done = without(list(option.needs), arguments, tmp_path)
+        assert done.returncode == 2
+        told = rf"hmi-marl: {re.escape(f'{path} {shown}')} needs \w+: pip install 'hmi-marl\[\w+\]'"
+        assert re.fullmatch(told + "\n", done.stderr), done.stderr
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_without_extras_is_among_the_cheap_runs() -> None:
+    assert set(CHEAP) == {path for path, leaf in LEAVES.items() if not leaf.needs}
+
+
+@pytest.mark.parametrize("path", [path for path, words in CHEAP.items() if words])
+def test_a_command_that_needs_no_extra_runs_without_any(path: str, tmp_path: Path) -> None:
+    every = [module for modules in EXTRAS.values() for module in modules]
+    done = without(every, [*path.split(), *CHEAP[path].split()], tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "modules",
+    [
+        ["evaluation.adapt", "evaluation.adapt_report", "evaluation.adapt_clip"],
+        ["evaluation.full", "evaluation.full_report", "evaluation.shipping"],
+        ["evaluation.bench", "agents", "envs.merge_v0", "envs.render", "agents.partners"],
+    ],
+)
+def test_nothing_of_an_extra_is_imported_where_none_is_needed(modules, tmp_path: Path) -> None:
+    every = {module for modules in EXTRAS.values() for module in modules}
+    code = HIDING.format(hidden=every - {"pyarrow"})  # which pandas imports where it is there
+    done = run(code + "".join(f"import hmi_marl.{module}\n" for module in modules), tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("code", "extra"),
+    [
+        ("import hmi_marl; hmi_marl.make_vec(2)", "train"),
+        ("from hmi_marl.training.run import train", "train"),
+        ("from hmi_marl.training.traits.run import learn_traits", "train"),
+        ("from hmi_marl.training.evidence.run import learn_evidence", "train"),
+        ("from hmi_marl.agents.onnx_export import export_onnx", "train"),
+        ("from hmi_marl.training.demonstration_files import read_observed", "data"),
+        ("from hmi_marl.training.minari_export import export_minari", "data"),
+    ],
+)
+def test_the_python_interface_names_the_extra_too(code: str, extra: str, tmp_path: Path) -> None:
+    hidden = set(EXTRAS["train"]) | {"minari"} if extra == "train" else set(EXTRAS["data"])
+    done = run(HIDING.format(hidden=hidden) + code, tmp_path)
+    last = done.stderr.splitlines()[-1]
+    assert re.search(rf"needs \w+: pip install 'hmi-marl\[{extra}\]'$", last), done.stderr
+
+
+@pytest.mark.parametrize("path", LEAVES)
+def test_the_help_of_a_command_is_its_first_line(path: str) -> None:
+    leaf = LEAVES[path]
+    assert leaf.load().__doc__.splitlines()[0] == leaf.help
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_parts_are_those_that_the_class_chooses_among(group: str) -> None:
+    subcommand = BY_NAME[group]
+    assert subcommand.load().__doc__.splitlines()[0] == subcommand.help
+    chosen = typing.get_type_hints(subcommand.load())[subcommand.choice]
+    assert typing.get_args(chosen) == tuple(part.load() for part in subcommand.parts)
+    for part in subcommand.parts:
+        arguments = [group, part.name, *ARGUMENTS.get(f"{group} {part.name}", [])]
+        assert type(getattr(parse(arguments), subcommand.choice)) is part.load()
+
+
+def test_the_table_of_extras_has_a_row_for_every_command() -> None:
+    rows = extras_table().splitlines()
+    assert len(rows) == 2 + len(LEAVES)
+    assert "| `hmi-marl collect` | `data` | `--minari`: `data` |" in rows
+    assert "| `hmi-marl reproduce traits` | `train`, `data` |  |" in rows
+    assert "| `hmi-marl watch` | nothing more | `--out clip.mp4`: `video` |" in rows
