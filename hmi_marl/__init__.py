@@ -13,8 +13,8 @@ they are first used.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import pettingzoo
+from gymnasium.envs import registration
 
 if TYPE_CHECKING:
     from hmi_marl.agents.vectors import make_vec
@@ -74,8 +74,8 @@ def register_envs() -> None:
         pettingzoo.register("aec", merge, "hmi_marl.envs.merge_v0:env")
         pettingzoo.register("parallel", merge, "hmi_marl.envs.merge_v0:parallel_env")
     for seat, make in (("MergeDriver", "merge_driver"), ("MergeHMI", "merge_hmi")):
-        if f"hmi_marl/{seat}-v0" not in gymnasium.registry:
-            gymnasium.register(f"hmi_marl/{seat}-v0", f"hmi_marl.agents.partners:{make}")
+        if f"hmi_marl/{seat}-v0" not in registration.registry:
+            registration.register(f"hmi_marl/{seat}-v0", f"hmi_marl.agents.partners:{make}")
 
 
 def __getattr__(name: str) -> Any:

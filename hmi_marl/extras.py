@@ -16,8 +16,8 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """The modules that each extra of ``pyproject.toml`` installs, by the names they are imported by."""
-TRAINING = ("torch", "rsl_rl", "tensordict", "tensorboard")
-"""What it takes to train."""
+TRAINING = EXTRAS["train"]
+"""What it takes to train; rsl_rl imports onnx."""
 _EXTRA_OF = {module: extra for extra, modules in EXTRAS.items() for module in modules}
 
 

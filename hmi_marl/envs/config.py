@@ -175,9 +175,9 @@ def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
     def checked(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         for name in kwargs:
             if name not in known:
-                own = f"{function.__qualname__}()"
+                own = function.__qualname__
                 raise TypeError(
-                    f"{own} takes no keyword {name!r}; {suggest(name, known, f'help of {own}')}"
+                    f"{own}() takes no keyword {name!r}; {suggest(name, known, f'help({own})')}"
                 )
         return function(*args, **kwargs)
 

@@ -102,7 +102,7 @@ def test_every_listed_name_can_be_made():
         ("hal", "unknown HMI 'hal'; hmi-marl --help lists all$"),
         ("when-distraced", r"unknown HMI .*; did you mean when-distracted\? hmi-marl --help lists"),
         ("optmal:bart", r"unknown HMI 'optmal:bart'; did you mean optimal\?"),
-        ("noHM", r"unknown HMI 'noHM'; did you mean nohmi\?"),
+        ("noHM", r"unknown HMI 'noHM'; did you mean nohmi"),
         ("optimal:ned", "unknown driver 'ned'"),
         ("random:often", r"takes a number in \[0, 1\], not 'often'"),
         ("random:1.5", "rate lies in"),

@@ -201,7 +201,7 @@ def test_both_are_registered_with_pettingzoo():
     parallel = pettingzoo.make("parallel", "hmi_marl/merge_v0", driver="bart", **SMALL)
     assert aec.possible_agents == parallel.possible_agents == ["driver", "vehicle_ai"]
     assert aec.metadata["is_parallelizable"] is False
-    hmi_marl._register()  # a second time changes nothing and warns of nothing
+    hmi_marl.register_envs()  # a second time changes nothing and warns of nothing
 
 
 @pytest.mark.parametrize("action", [5, -1, 1.5, "left", None, [1, 2]])
@@ -272,7 +272,9 @@ def test_every_keyword_is_shown_and_a_typo_is_told_the_known_ones(make):
     shown = inspect.signature(make).parameters
     assert set(shown) == {"world", "render_mode", *(field.name for field in fields(TeamConfig))}
     assert shown["reward"].default == "team"
-    message = rf"{make.__name__}.* takes no keyword 'drvier'; it takes world, render_mode, driver,"
+    message = (
+        rf"{make.__name__}.* takes no keyword 'drvier'; did you mean driver\? help\(.*\) lists all"
+    )
     with pytest.raises(TypeError, match=message):
         make(drvier="bart")
 

@@ -318,7 +318,7 @@ def test_without_pyarrow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> 
     for name in [m for m in sys.modules if m.startswith("hmi_marl.training.demonstration_")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ModuleNotFoundError, match=r"kept by pyarrow: pip install .*\[data\]"):
+    with pytest.raises(ModuleNotFoundError, match=r"needs pyarrow: pip install .*\[data\]"):
         import hmi_marl.training.demonstration_files  # noqa: F401
 
 
