@@ -9,14 +9,7 @@ import pytest
 
 pytest.register_assert_rewrite("installed.checks")
 
-from installed.environments import (  # noqa: E402
-    PYTHONS,
-    Environment,
-    Spec,
-    build_wheel,
-    find_python,
-    installed,
-)
+from installed.environments import Environments, build_wheel  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -26,17 +19,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def environment(
-    request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Environment]:
-    """The environment of a spec, there as long as its tests run."""
-    spec: Spec = request.param
-    interpreter = find_python(spec.python)
-    if interpreter is None:
-        pytest.skip(
-            f"there is no Python {spec.python}: put python{spec.python} on the PATH, or name it "
-            f"in {PYTHONS}"
-        )
-    folder = tmp_path_factory.mktemp(f"with-{spec.name}") / "environment"
-    with installed(spec, interpreter, wheel, folder) as made:
-        yield made
+def environments(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Environments]:
+    """Environments with the wheel in them."""
+    kept = Environments(wheel, tmp_path_factory.mktemp("environments"))
+    yield kept
+    kept.close()

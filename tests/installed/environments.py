@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,6 +132,52 @@ def installed(spec: Spec, interpreter: Path, wheel: Path, folder: Path) -> Itera
         yield environment
     finally:
         shutil.rmtree(folder)  # with torch it is a gigabyte and more
+
+
+class MissingPythonError(RuntimeError):
+    """An interpreter that this machine does not have."""
+
+
+class Environments:
+    """One environment at a time, made when it is first asked for and kept until another is."""
+
+    def __init__(self, wheel: Path, folder: Path) -> None:
+        self._wheel, self._folder = wheel, folder
+        self._open = ExitStack()
+        self._spec: Spec | None = None
+        self._made: Environment | RuntimeError | None = None
+
+    def of(self, spec: Spec) -> Environment:
+        """The environment of a spec.
+
+        Raises:
+            MissingPythonError: there is no such Python.
+            RuntimeError: it cannot be installed. Both are raised again without another try.
+        """
+        if spec != self._spec:
+            self.close()
+            self._spec = spec
+            try:
+                self._made = self._open.enter_context(self._make(spec))
+            except RuntimeError as error:
+                self._made = error
+        if not isinstance(self._made, Environment):
+            raise self._made or RuntimeError(f"making {spec.name} was interrupted")
+        return self._made
+
+    def close(self) -> None:
+        """Remove what is there."""
+        self._spec = self._made = None
+        self._open.close()
+
+    def _make(self, spec: Spec) -> AbstractContextManager[Environment]:
+        interpreter = find_python(spec.python)
+        if interpreter is None:
+            raise MissingPythonError(
+                f"there is no Python {spec.python}: put python{spec.python} on the PATH, or name "
+                f"it in {PYTHONS}"
+            )
+        return installed(spec, interpreter, self._wheel, self._folder / spec.name)
 
 
 def build_wheel(folder: Path) -> Path:

@@ -6,7 +6,7 @@ a new subcommand, option, example, block of the README or page without a row fai
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,10 +32,10 @@ class Row:
     """Extras without which it does not run, and with which alone it does."""
     arguments: str = ""
     """Of its cheapest real run."""
-    before: tuple[str, ...] = ()
+    before: Sequence[str] = ()
     """Commands that leave what it reads."""
     dear: bool = False
-    """Takes half a minute: really run only where nothing is installed beyond what it needs."""
+    """Takes long: really run only where nothing is installed beyond what it needs."""
     not_run: str = ""
     """Why no real run is made."""
 
@@ -53,7 +53,7 @@ _JUDGED = "--drivers 2 --strangers 2 --repeats 1 --candidates 1 --changes 2"
 _COLLECT = "collect --drivers lisa homer --steps 6400 --teams 64"
 _LEARN = "--pool 2 --teams 8 --held-out 0.5 --steps 800 --imitation-updates 1"
 _ASSESS = "--windows 64 --episodes 2 --ranked 2"
-_TRAITS = f"traits train --supervision id {_LEARN} --out runs/traits-id"
+_TRAITS = f"traits train --supervision id {_LEARN}"
 
 
 def _prefixed(prefix: str, options: str) -> str:
@@ -135,7 +135,7 @@ OPTIONS = (
 """Options that need more than their subcommand does, or another part of an extra."""
 
 EXAMPLES = tuple(
-    Row("example", name, needs, " ".join(TINY[name][0]))
+    Row("example", name, needs, " ".join(TINY[name][0]), dear=name == "unknown_driver")
     for name, needs in {
         "turn_taking": CORE,
         "new_driver": CORE,
@@ -157,24 +157,23 @@ README_BLOCKS = (
 )
 """Every block of Python of the README, by words that are in it alone."""
 
-SITE_PAGES = (
-    Row("page", "adapting.md", CORE),
-    Row(
-        "page",
-        "demonstrations.md",
-        DATA,
-        before=("collect --drivers homer --steps 4802 --duration 0.4",),
-    ),
-    Row("page", "environment.md", CORE),
-    Row("page", "exact.md", CORE),
-    Row("page", "extending.md", CORE),
-    Row("page", "graded-alerts.md", CORE),
-    Row("page", "index.md", CORE),
-    Row("page", "own-trainers.md", TRAIN | INTEROP),
-    Row("page", "training.md", TRAIN),
-    Row("page", "traits.md", TRAIN | DATA, before=(_COLLECT, _TRAITS)),
+SITE_PAGES = tuple(
+    Row("page", name, needs, before=before, dear=True)
+    for name, (needs, *before) in {
+        "adapting.md": (CORE,),
+        "demonstrations.md": (DATA, "collect --drivers homer --steps 4802 --duration 0.4"),
+        "environment.md": (CORE,),
+        "exact.md": (CORE,),
+        "extending.md": (CORE,),
+        "graded-alerts.md": (CORE,),
+        "index.md": (CORE,),
+        "own-trainers.md": (TRAIN | INTEROP,),
+        "training.md": (TRAIN,),
+        "traits.md": (TRAIN | DATA, _COLLECT, f"{_TRAITS} --out runs/traits-id"),
+    }.items()
 )
-"""Every page with blocks of Python, which are one program from top to bottom."""
+"""Every page with blocks of Python, which are one program from top to bottom, and the commands
+that leave what it reads."""
 
 ROWS = (
     *COMMANDS,
