@@ -3,12 +3,13 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test test-slow parity soak docs lint format clean
+.PHONY: help run test test-slow wheel parity soak docs lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
 	@echo "make test       run the tests"
 	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
+	@echo "make wheel      install the wheel with each extra alone, and run everything it promises"
 	@echo "make parity     hold the batched world against highway-env, for hundreds of seeds"
 	@echo "make soak       ten million random team steps over random configurations"
 	@echo "make docs       the documentation site, in site/"
@@ -25,7 +26,10 @@ test: $(VENV)/.for-test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-fail-under=90
 
 test-slow: $(VENV)/.for-test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "slow or not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not wheel"
+
+wheel: $(VENV)/.for-test
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadgroup -m wheel tests/installed
 
 parity: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 2 -m "slow or not slow" -k follows_highway_env tests/envs/worlds

@@ -169,7 +169,7 @@ def _imports(path):
 
 def test_the_version_is_told_once_and_the_citation_agrees():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["dynamic"] == ["version"]
+    assert project["dynamic"] == ["readme", "version"]
     assert project["license"] == "MIT"
     assert f"version: {hmi_marl.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"## {hmi_marl.__version__} " in (ROOT / "CHANGELOG.md").read_text()

@@ -1,0 +1,141 @@
+"""What is checked of the wheel in an environment: rows that run, and rows that are refused."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from itertools import accumulate
+from pathlib import Path
+from subprocess import CompletedProcess
+
+from installed.environments import Environment, Spec
+from installed.table import COMMANDS, OPTIONS, ROWS, Row, page_programs, readme_block
+from pages import ROOT
+
+import hmi_marl
+
+Check = Callable[[Environment, Path], None]
+
+
+def succeeded(run: CompletedProcess[str]) -> str:
+    """What a command printed, which ended well."""
+    told = f"{shlex.join(map(str, run.args))}\n{run.stdout[-2000:]}\n{run.stderr[-6000:]}"
+    assert run.returncode == 0, told
+    assert "Traceback" not in run.stderr, told
+    return run.stdout
+
+
+def check_dependencies(environment: Environment, folder: Path) -> None:
+    succeeded(environment.python(["-m", "pip", "check"], folder))
+
+
+def check_origin(environment: Environment, folder: Path) -> None:
+    code = "import hmi_marl, sysconfig; print(hmi_marl.__file__, sysconfig.get_path('purelib'))"
+    place, site = succeeded(environment.python(["-c", code], folder)).split()
+    assert Path(site).is_relative_to(environment.folder)
+    assert Path(place) == Path(site) / "hmi_marl" / "__init__.py"
+
+
+def check_version(environment: Environment, folder: Path) -> None:
+    told = f"hmi-marl {hmi_marl.__version__}\n"
+    assert succeeded(environment.hmi_marl(["--version"], folder)) == told
+    assert succeeded(environment.python(["-m", "hmi_marl", "--version"], folder)) == told
+
+
+def check_help(words: str) -> Check:
+    def check(environment: Environment, folder: Path) -> None:
+        run = environment.hmi_marl([*words.split(), "--help"], folder)
+        assert succeeded(run).startswith("usage: hmi-marl")
+        assert run.stderr == ""
+        assert list(folder.iterdir()) == []
+
+    return check
+
+
+def check_row(row: Row) -> Check:
+    def check(environment: Environment, folder: Path) -> None:
+        for command in row.before:
+            succeeded(environment.hmi_marl(shlex.split(command), folder))
+        assert RUN[row.kind](row, environment, folder).strip()
+
+    return check
+
+
+def check_refusal(row: Row, missing: frozenset[str]) -> Check:
+    """A command whose extras are missing names them in one line, and does nothing."""
+
+    def check(environment: Environment, folder: Path) -> None:
+        run = environment.hmi_marl(typed(row), folder)
+        assert run.returncode == 2, run.stderr
+        assert run.stdout == ""
+        assert re.fullmatch(r"hmi-marl: [^\n]+\n", run.stderr), run.stderr
+        (named,) = re.findall(r"pip install 'hmi-marl\[([\w,-]+)\]'", run.stderr)
+        assert set(named.split(",")) == missing
+        assert list(folder.iterdir()) == []
+
+    return check
+
+
+def typed(row: Row) -> list[str]:
+    """The arguments of a row of the command line."""
+    words = row.name.split(" --")[0] if row.kind == "option" else row.name
+    return [*words.split(), *shlex.split(row.arguments)]
+
+
+def run_command(row: Row, environment: Environment, folder: Path) -> str:
+    return succeeded(environment.hmi_marl(typed(row), folder))
+
+
+def run_example(row: Row, environment: Environment, folder: Path) -> str:
+    script = ROOT / "examples" / f"{row.name}.py"
+    return succeeded(environment.python([script, *shlex.split(row.arguments)], folder))
+
+
+def run_readme(row: Row, environment: Environment, folder: Path) -> str:
+    return f"ran\n{run_program(readme_block(row), environment, folder)}"  # some print nothing
+
+
+def run_page(row: Row, environment: Environment, folder: Path) -> str:
+    return f"ran\n{run_program(dict(page_programs())[row.name], environment, folder)}"
+
+
+def run_program(text: str, environment: Environment, folder: Path) -> str:
+    program = folder / "program.py"
+    program.write_text(text, "utf-8")
+    return succeeded(environment.python([program], folder))
+
+
+def run_site(row: Row, environment: Environment, folder: Path) -> str:
+    where = ["--config-file", ROOT / "mkdocs.yml", "--site-dir", folder / "site"]
+    run = environment.python(["-m", *row.name.split(), *where], folder)
+    succeeded(run)
+    assert (folder / "site" / "index.html").is_file()
+    return run.stderr
+
+
+RUN: dict[str, Callable[[Row, Environment, Path], str]] = {
+    "command": run_command,
+    "option": run_command,
+    "example": run_example,
+    "readme": run_readme,
+    "page": run_page,
+    "site": run_site,
+}
+
+
+def checks(spec: Spec) -> Iterator[tuple[str, Check]]:
+    """All that is checked in an environment, by name."""
+    yield "pip check", check_dependencies
+    yield "imported from the wheel", check_origin
+    yield "version", check_version
+    paths = [accumulate(row.name.split(), "{} {}".format) for row in COMMANDS]
+    for words in dict.fromkeys(["", *(path for steps in paths for path in steps)]):
+        yield f"help {words}".strip(), check_help(words)
+    for row in ROWS:
+        if spec.runs(row):
+            yield str(row), check_row(row)
+    for row in (*COMMANDS, *OPTIONS):
+        missing = row.needs - spec.extras
+        if missing:
+            yield f"{row} refused", check_refusal(row, missing)

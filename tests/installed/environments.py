@@ -1,0 +1,223 @@
+"""Fresh virtual environments with nothing in them but the wheel and what it asks for."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from installed.table import ROWS, Row
+from pages import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+EXTRAS = tuple(extra for extra in PROJECT["optional-dependencies"] if extra != "dev")
+_MINOR = "Programming Language :: Python :: 3."
+VERSIONS = tuple(
+    classifier.removeprefix("Programming Language :: Python :: ")
+    for classifier in PROJECT["classifiers"]
+    if classifier.startswith(_MINOR)
+)
+"""The Pythons that the package says it runs on."""
+HERE = "{}.{}".format(*sys.version_info)
+"""The Python that runs the tests."""
+PYTHONS = "HMI_MARL_PYTHONS"
+"""Variable that names more interpreters, separated as in PATH."""
+_LIMIT = 600
+"""Longest that a command may take [s]; they take seconds."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What is installed."""
+
+    extras: frozenset[str]
+    python: str = HERE
+
+    @property
+    def name(self) -> str:
+        """For a test's name."""
+        extras = "+".join(extra for extra in EXTRAS if extra in self.extras) or "core"
+        return extras if self.python == HERE else f"{extras}-{self.python}"
+
+    def runs(self, row: Row) -> bool:
+        """Whether a row is really run here.
+
+        With one extra at most everything runs that can; several are there for what needs them all.
+        """
+        if row.not_run or not row.needs <= self.extras:
+            return False
+        return row.needs == self.extras or (len(self.extras) <= 1 and not row.dear)
+
+
+def _specs() -> Iterator[Spec]:
+    sets = dict.fromkeys([frozenset(), *(frozenset({extra}) for extra in EXTRAS)])
+    sets |= dict.fromkeys(row.needs for row in ROWS)
+    for extras in sets:
+        yield Spec(extras)
+    for version in VERSIONS:
+        if version != HERE:
+            yield Spec(frozenset(), version)
+
+
+SPECS = tuple(_specs())
+"""Core, every extra alone, what some rows need together, and core for the other Pythons."""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A virtual environment, and a home folder for what runs in it."""
+
+    folder: Path
+
+    @property
+    def bin(self) -> Path:
+        """Where its python and its hmi-marl lie."""
+        return self.folder / "venv" / "bin"
+
+    def python(
+        self, arguments: Sequence[str | Path], folder: Path
+    ) -> subprocess.CompletedProcess[str]:
+        """Run its Python in a folder, with nothing of the checkout in reach."""
+        return self._run([self.bin / "python", *arguments], folder)
+
+    def hmi_marl(self, arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+        """Run its hmi-marl command in a folder."""
+        return self._run([self.bin / "hmi-marl", *arguments], folder)
+
+    def _run(self, command: Sequence[str | Path], folder: Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            command,
+            cwd=folder,
+            env=self._variables(),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            timeout=_LIMIT,
+            check=False,
+        )
+
+    def _variables(self) -> dict[str, str]:
+        ours = {
+            "HOME": str(self.folder / "home"),  # no caches and settings of whoever runs this
+            "PATH": os.pathsep.join([str(self.bin), os.environ["PATH"]]),
+            "PYTHONNOUSERSITE": "1",
+            "PYTHONSAFEPATH": "1",  # neither the working folder nor that of a script
+        }
+        return clean(os.environ) | ours
+
+
+def clean(variables: os._Environ[str]) -> dict[str, str]:
+    """Variables without those that change what Python imports or where caches lie."""
+    prefixes = ("PYTHON", "VIRTUAL_ENV", "COV", "PYTEST", "XDG_", "NUMBA_", "MPL")
+    return {name: value for name, value in variables.items() if not name.startswith(prefixes)}
+
+
+@contextmanager
+def installed(spec: Spec, interpreter: Path, wheel: Path, folder: Path) -> Iterator[Environment]:
+    """Make an environment with the wheel and a spec's extras; remove it in the end."""
+    environment = Environment(folder)
+    try:
+        (folder / "home").mkdir(parents=True)
+        _call([interpreter, "-m", "venv", folder / "venv"])
+        extras = f"[{','.join(sorted(spec.extras))}]" if spec.extras else ""
+        wanted = ["-c", ROOT / "constraints.txt", f"{wheel}{extras}"]
+        _call([environment.bin / "python", *_PIP, "install", *wanted])
+        yield environment
+    finally:
+        shutil.rmtree(folder)  # with torch it is a gigabyte and more
+
+
+class MissingPythonError(RuntimeError):
+    """An interpreter that this machine does not have."""
+
+
+class Environments:
+    """One environment at a time, made when it is first asked for and kept until another is."""
+
+    def __init__(self, wheel: Path, folder: Path) -> None:
+        self._wheel, self._folder = wheel, folder
+        self._open = ExitStack()
+        self._spec: Spec | None = None
+        self._made: Environment | RuntimeError | None = None
+
+    def of(self, spec: Spec) -> Environment:
+        """The environment of a spec.
+
+        Raises:
+            MissingPythonError: there is no such Python.
+            RuntimeError: it cannot be installed. Both are raised again without another try.
+        """
+        if spec != self._spec:
+            self.close()
+            self._spec = spec
+            try:
+                self._made = self._open.enter_context(self._make(spec))
+            except RuntimeError as error:
+                self._made = error
+        if not isinstance(self._made, Environment):
+            raise self._made or RuntimeError(f"making {spec.name} was interrupted")
+        return self._made
+
+    def close(self) -> None:
+        """Remove what is there."""
+        self._spec = self._made = None
+        self._open.close()
+
+    def _make(self, spec: Spec) -> AbstractContextManager[Environment]:
+        interpreter = find_python(spec.python)
+        if interpreter is None:
+            raise MissingPythonError(
+                f"there is no Python {spec.python}: put python{spec.python} on the PATH, or name "
+                f"it in {PYTHONS}"
+            )
+        return installed(spec, interpreter, self._wheel, self._folder / spec.name)
+
+
+def build_wheel(folder: Path) -> Path:
+    """Build the wheel of the checkout into a folder."""
+    _call([sys.executable, *_PIP, "wheel", "--no-deps", "--wheel-dir", folder, ROOT])
+    (wheel,) = folder.glob("*.whl")
+    return wheel
+
+
+def find_python(version: str) -> Path | None:
+    """The first interpreter of a version: of those named, the one that runs this, on PATH."""
+    named = [name for name in os.environ.get(PYTHONS, "").split(os.pathsep) if name]
+    for candidate in (*named, sys.executable, f"python{version}"):
+        found = _ask(candidate, version)
+        if found is not None:
+            return found
+    return None
+
+
+def _ask(candidate: str, version: str) -> Path | None:
+    code = "import sys; print('{}.{}'.format(*sys.version_info), sys.executable, sep='\\n')"
+    try:
+        run = subprocess.run(
+            [candidate, "-c", code],
+            env=clean(os.environ) | {"PYENV_VERSION": version},  # whose commands ask for it
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    told = run.stdout.splitlines()
+    return Path(told[1]) if told[:1] == [version] else None
+
+
+_PIP = ("-m", "pip", "--quiet", "--disable-pip-version-check")
+
+
+def _call(command: Sequence[str | Path]) -> None:
+    variables = clean(os.environ) | {"PYTHONSAFEPATH": "1"}
+    run = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
+    if run.returncode:
+        raise RuntimeError(f"{' '.join(map(str, command))} failed:\n{run.stdout}{run.stderr}")

@@ -1,0 +1,206 @@
+"""What the wheel promises to run, and the extras that each needs: a row for everything.
+
+The arguments are those of the cheapest real run. ``test_table.py`` holds the rows against the code:
+a new subcommand, option, example, block of the README or page without a row fails there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from pages import PAGES, README, blocks, hook
+from test_examples import TINY
+
+Kind = Literal["command", "option", "example", "readme", "page", "site"]
+
+CORE: frozenset[str] = frozenset()
+VIDEO, TRAIN, INTEROP, DATA, DOCS = (
+    frozenset({extra}) for extra in ("video", "train", "interop", "data", "docs")
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Something to run."""
+
+    kind: Kind
+    name: str
+    """What is typed after hmi-marl, the example's stem, the page, or words in one README block."""
+    needs: frozenset[str]
+    """Extras without which it does not run, and with which alone it does."""
+    arguments: str = ""
+    """Of its cheapest real run."""
+    before: Sequence[str] = ()
+    """Commands that leave what it reads."""
+    dear: bool = False
+    """Takes long: really run only where nothing is installed beyond what it needs."""
+    not_run: str = ""
+    """Why no real run is made."""
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
+def _command(name: str, needs: frozenset[str], arguments: str = "", **others: object) -> Row:
+    return Row("command", name, needs, arguments, **others)  # type: ignore[arg-type]
+
+
+_SCENE = "--duration 2 --vehicles 1 3"
+_RUN = "--teams 16 --duration 2"
+_JUDGED = "--drivers 2 --strangers 2 --repeats 1 --candidates 1 --changes 2"
+_COLLECT = "collect --drivers lisa homer --steps 6400 --teams 64"
+_LEARN = "--pool 2 --teams 8 --held-out 0.5 --steps 800 --imitation-updates 1"
+_ASSESS = "--windows 64 --episodes 2 --ranked 2"
+_TRAITS = f"traits train --supervision id {_LEARN}"
+
+
+def _prefixed(prefix: str, options: str) -> str:
+    return options.replace("--", f"--{prefix}.")
+
+
+COMMANDS = (
+    _command("adapt", CORE, f"{_JUDGED} --workers 1 --no-clip", dear=True),
+    _command("bench", CORE, "--teams 1 --scaling 2 --seconds 0.05 --rounds 1 --threads 1"),
+    _command("collect", DATA, "--drivers homer --steps 100 --teams 1"),
+    _command(
+        "compare",
+        TRAIN,
+        "--protocols two-stage joint --steps 320 --seeds 1 --episodes 2 --drivers homer"
+        f" --no-crash-check --workers 1 {_RUN}",
+    ),
+    _command("export", TRAIN, "--policy trained:homer --out hmi.onnx"),
+    _command("oracle", CORE, "--horizon 5"),
+    _command("reproduce all", TRAIN | DATA, not_run="takes a quarter of an hour with --quick"),
+    _command(
+        "reproduce table",
+        TRAIN,
+        "--driver-steps 1600 --hmi-steps 1600 --episodes 2 --teams 16 --workers 1",
+        dear=True,
+    ),
+    _command("reproduce driver", TRAIN, "--steps 1600 --snapshots 1 --episodes 2 --teams 16"),
+    _command(
+        "reproduce hidden",
+        TRAIN,
+        "--driver-run trained:driver --hmi-steps 3200 --episodes 2 --teams 32 --workers 1",
+        dear=True,
+    ),
+    _command(
+        "reproduce adapt",
+        TRAIN,
+        "--drives 300 --updates 1 --hmi-steps 3200 --memory 2 --teams 32 --workers 1 "
+        + _prefixed("judge", _JUDGED),
+        dear=True,
+    ),
+    _command(
+        "reproduce traits",
+        TRAIN | DATA,
+        "--driver-run trained:driver --demonstrated 6400 --population 4 --workers 1 "
+        f"{_prefixed('learn', _LEARN)} {_prefixed('judge', _ASSESS)}",
+        dear=True,
+    ),
+    _command(
+        "reproduce graded",
+        TRAIN,
+        "--hmi-steps 1600 --episodes 2 --teams 16 --workers 1",
+        dear=True,
+    ),
+    _command(
+        "reproduce ship",
+        CORE,
+        "--out agents",
+        not_run="copies what a whole hmi-marl reproduce has learnt",
+    ),
+    _command("table", CORE, f"--drivers homer --hmis NoHMI own --episodes 2 --workers 1 {_SCENE}"),
+    _command("train two-stage", TRAIN, f"--driver-steps 160 --hmi-steps 160 {_RUN}"),
+    _command("train joint", TRAIN, f"--steps 160 {_RUN}"),
+    _command("train simultaneous", TRAIN, f"--steps 160 {_RUN}"),
+    _command("train alternating", TRAIN, f"--driver-steps 160 --hmi-steps 160 --rounds 1 {_RUN}"),
+    _command("traits train", TRAIN | DATA, f"--supervision id {_LEARN}", before=(_COLLECT,)),
+    _command(
+        "traits evaluate",
+        DATA,
+        f"trained:traits-id {_ASSESS}",
+        before=("collect --drivers lisa homer --steps 12800 --teams 64",),
+    ),
+    _command("watch", CORE, f"--out clip.gif {_SCENE}"),
+)
+"""Every subcommand that can be run, once."""
+
+OPTIONS = (
+    Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --teams 1 --minari"),
+    Row("option", "watch --out clip.mp4", VIDEO, f"--out clip.mp4 {_SCENE}"),
+)
+"""Options that need more than their subcommand does, or another part of an extra."""
+
+EXAMPLES = tuple(
+    Row("example", name, needs, " ".join(TINY[name][0]), dear=name == "unknown_driver")
+    for name, needs in {
+        "turn_taking": CORE,
+        "new_driver": CORE,
+        "unknown_driver": CORE,
+        "policy_gradient_hmi": TRAIN,
+        "latent_traits": TRAIN | DATA,
+        "supersuit_vector": INTEROP,
+        "sb3_parameter_sharing": INTEROP,
+    }.items()
+)
+"""Every example, at the size at which make test runs it."""
+
+README_BLOCKS = (
+    Row("readme", "agent_iter(", CORE),
+    Row("readme", 'layout("vehicle_ai")', CORE),
+    Row("readme", "hmi_marl/MergeHMI-v0", CORE),
+    Row("readme", "oracle.solve_alerts(", CORE),
+    Row("readme", "hmi_marl.make_vec(", TRAIN),
+)
+"""Every block of Python of the README, by words that are in it alone."""
+
+SITE_PAGES = tuple(
+    Row("page", name, needs, before=before, dear=True)
+    for name, (needs, *before) in {
+        "adapting.md": (CORE,),
+        "demonstrations.md": (DATA, "collect --drivers homer --steps 4802 --duration 0.4"),
+        "environment.md": (CORE,),
+        "exact.md": (CORE,),
+        "extending.md": (CORE,),
+        "graded-alerts.md": (CORE,),
+        "index.md": (CORE,),
+        "own-trainers.md": (TRAIN | INTEROP,),
+        "training.md": (TRAIN,),
+        "traits.md": (TRAIN | DATA, _COLLECT, f"{_TRAITS} --out runs/traits-id"),
+    }.items()
+)
+"""Every page with blocks of Python, which are one program from top to bottom, and the commands
+that leave what it reads."""
+
+ROWS = (
+    *COMMANDS,
+    *OPTIONS,
+    *EXAMPLES,
+    *README_BLOCKS,
+    *SITE_PAGES,
+    Row("site", "mkdocs build --strict", DOCS),
+)
+
+
+def readme_block(row: Row) -> str:
+    """The block of the README that a row names.
+
+    Raises:
+        ValueError: no block has the row's words, or several have them.
+    """
+    found = [block for block in blocks(README.read_text("utf-8"), "python") if row.name in block]
+    if len(found) != 1:
+        raise ValueError(f"{row.name!r} is in {len(found)} blocks of the README, not in one")
+    return found[0]
+
+
+def page_programs() -> Iterator[tuple[str, str]]:
+    """Name and program of every page that has blocks of Python."""
+    fill = hook().fill
+    for page in PAGES:
+        found = blocks(fill(page.read_text("utf-8")), "python")
+        if found:
+            yield page.name, "\n\n".join(found)
