@@ -13,6 +13,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.seats import Policy, takes_turns
 from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.worlds import World
 from hmi_marl.evaluation.alert_quality import AlertJudge, AlertQuality
 
 
@@ -57,7 +58,7 @@ class Episodes:
 
 
 def begin(
-    config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str
+    config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str | World
 ) -> Teaming:
     """Teams at the start of the episodes of these seeds, with both seats' policies reset."""
     teaming = Teaming(config, len(seeds), world)

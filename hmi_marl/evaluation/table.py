@@ -155,16 +155,19 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
     team = config.team(driver)
     settings, policy = exact_settings(team), make_hmi(hmi, team)
     best, rules = oracle.solve_alerts(**settings), ExactRules.of(team)
-    exact = same_steps = following = gained = None
+    exact = same_steps = following = lost = None
     rule = known_rule(policy, team)
     if rule is not None:
         returns = oracle.evaluate(rule, **settings)
         exact = returns.distraction_return
         same_steps = float(returns.return_after(episodes.length, ["distraction"]).mean())
+        if isinstance(policy, AttentionRule):  # which a learned HMI may have missed
+            lost = rules.optimum - returns.total_return
     if episodes.alerting is not None:
-        steps = int(episodes.length.sum())
-        following = float(episodes.alerting.followed.sum() / steps)
-        gained = rules.share_of_gain(float(episodes.alerting.lost.sum()) * team.horizon / steps)
+        played = int(episodes.length.sum())
+        following = float(episodes.alerting.followed.sum() / played)
+        if lost is None:
+            lost = float(episodes.alerting.lost.sum() / played * team.horizon)
     minutes = episodes.length / team.scene.policy_frequency / 60
     return Cell(
         driver=driver,
@@ -184,7 +187,7 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
         reachable_distraction_return=oracle.reachable(**settings),
         rule_shortfall=max(0.0, rules.optimum - rules.when_distracted),
         share_following_rule=following,
-        share_of_gain=gained,
+        share_of_gain=None if lost is None else rules.share_of_gain(lost),
         learned=isinstance(policy, LearnedPolicy),
     )
 
