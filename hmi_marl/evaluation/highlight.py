@@ -271,5 +271,5 @@ def record(
         holds={moment - shown.start: HOLD for moment in held_moments(found)},
     )
     who, seconds = moments[0][1].driver, [status.time for _, status in moments]
-    told = what_is_missing(found, len(searched)) + caption(found, who, seconds, shown)
-    return f"Episode {seed} with {hmi}. {told}"
+    text = what_is_missing(found, len(searched)) + caption(found, who, seconds, shown)
+    return f"Episode {seed} with {hmi}. {text}"

@@ -173,8 +173,8 @@ def _all_optimal(config: TableConfig, best: Sequence[Row], rows: Sequence[Row]) 
     short = {c.driver: c.rule_shortfall for c in best[0].cells if c.rule_shortfall > _ROUNDING}
     whom = f"all of {_listed(drivers)}" if len(drivers) > 1 else drivers[0]
     if short or not all(row.follows for row in best):
-        told = ", ".join(f"{driver} by {loss:.3g}" for driver, loss in short.items())
-        but = f', which "{rule}" falls short of for {told}' if short else ""
+        shown = ", ".join(f"{driver} by {loss:.3g}" for driver, loss in short.items())
+        but = f', which "{rule}" falls short of for {shown}' if short else ""
         return f"{names} come to the exact optimum for {whom}{but}."
     text = f'{names} do the same: "{rule}" is the exact optimum for {whom}'
     if any(row.learned for row in best):
@@ -272,15 +272,15 @@ def _best(config: TableConfig) -> str:
 
 def _by_driver(shares: Mapping[str, float], whole: str) -> str:
     """A percentage of ``whole`` for each driver, or one if all are the same; empty for none."""
-    told = {driver: _percent(share) for driver, share in shares.items()}
-    if not told:
+    shown = {driver: _percent(share) for driver, share in shares.items()}
+    if not shown:
         return ""
-    if len(set(told.values())) == 1:
-        every = " with every driver" if len(told) > 1 else ""
-        return f"{next(iter(told.values()))} of {whole}{every}"
-    if len(told) > _MANY:
+    if len(set(shown.values())) == 1:
+        every = " with every driver" if len(shown) > 1 else ""
+        return f"{next(iter(shown.values()))} of {whole}{every}"
+    if len(shown) > _MANY:
         return f"{_percent(min(shares.values()))} to {_percent(max(shares.values()))} of {whole}"
-    return ", ".join(f"{share} ({driver})" for driver, share in told.items()) + f" of {whole}"
+    return ", ".join(f"{share} ({driver})" for driver, share in shown.items()) + f" of {whole}"
 
 
 def _percent(share: float) -> str:
