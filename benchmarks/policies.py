@@ -1,7 +1,7 @@
 """Policies in NumPy and torch on the batched world: does one library's threads slow another's?
 
-OpenMP's and BLAS's threads wait actively for a while after a parallel loop, and may take the
-cores that the world's own threads need. Each policy (a network of two hidden layers) drives N teams in a
+OpenMP's and BLAS's threads wait actively for a while after a parallel loop, and may take the cores
+that the world's threads need. Each policy (a network of two hidden layers) drives N teams in a
 process of its own with one thread and with all; once as a user would start it, and once with
 OMP_WAIT_POLICY=PASSIVE, which lets OpenMP's threads sleep. All take turns, several rounds over. What
 counts is the median over rounds of the ratios within a round: ``passive`` is the speed relative to

@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from hmi_marl.agents.trait_files import load_traits
 from hmi_marl.evaluation.collect import CollectSettings, collect
@@ -15,18 +16,29 @@ from hmi_marl.training.traits.dataset import held_out
 from hmi_marl.training.traits.run import learn_traits
 from hmi_marl.training.traits.settings import TraitSettings
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--driver", default="rule", help="a trained run's folder, or rule")
-parser.add_argument("--windows", type=int, default=100, help="of 20 s, for each driver")
-parser.add_argument("--updates", type=int, default=60, help="before the policy drives")
-parser.add_argument("--steps", type=int, default=50_000, help="that the policy drives")
-parser.add_argument("--out", type=Path, default=Path("runs/latent-traits"))
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument(
+    "--driver", default="rule", help="trained:driver, a trained run's folder, or rule (default)"
+)
+parser.add_argument(
+    "--windows", type=int, default=100, help="of 20 s, for each driver (default: %(default)s)"
+)
+parser.add_argument(
+    "--updates", type=int, default=60, help="before the policy drives (default: %(default)s)"
+)
+parser.add_argument(
+    "--steps", type=int, default=50_000, help="that the policy drives (default: %(default)s)"
+)
+parser.add_argument("--out", type=Path, default=Path("runs/latent-traits"), help="folder")
 choices = parser.parse_args()
 
 # What could be observed of four drivers, the hidden truth apart from it.
 data = choices.out / "demonstrations"
 record = CollectSettings(driver_policy=choices.driver, steps=100 * choices.windows)
-write_demonstrations(data, collect(record))
+with tqdm(total=record.total_steps, unit=" steps", desc="driving") as bar:
+    write_demonstrations(data, collect(record, bar.update))
 
 # A fifth of the windows tells who drives; the rest is driving alone.
 settings = TraitSettings(
@@ -39,6 +51,7 @@ model = load_traits(choices.out / "traits")
 observed = read_observed(data)
 unseen = observed.take(held_out(observed, settings.held_out))
 hidden = model.encode(unseen.states, unseen.actions, unseen.alerts, unseen.length)
+print("the drivers in latent space, mean and standard deviation of z from unseen windows:")
 for who, name in enumerate(unseen.names):
     latent = model.latent(hidden[unseen.driver == who].mean(axis=0, keepdims=True))
     mean, spread = latent.mean[0], np.sqrt(latent.variance[0])

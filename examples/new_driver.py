@@ -1,14 +1,26 @@
 """A driver of one's own, and a population: what is the best HMI worth to each?
 
-Run: python examples/new_driver.py
+Run: python examples/new_driver.py --beta 0.4 --alpha 0.3 --eta 0.5
 """
+
+import argparse
 
 import numpy as np
 
 from hmi_marl import Driver, TraitDistributions, Uniform, merge_v0
 from hmi_marl.agents import oracle
 
-mona = Driver("mona", beta=0.4, alpha=0.3, eta=0.5, inflation=2.0)
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument(
+    "--beta", type=float, default=0.4, help="to be distracted (default: %(default)s)"
+)
+parser.add_argument("--alpha", type=float, default=0.3, help="to recover (default: %(default)s)")
+parser.add_argument("--eta", type=float, default=0.5, help="alerts help by (default: %(default)s)")
+args = parser.parse_args()
+
+mona = Driver("mona", args.beta, args.alpha, args.eta, inflation=2.0)
 without = oracle.evaluate(0.0, mona).distraction_return
 best = oracle.solve_alerts(mona)
 print(f"{mona.name} ({mona})")

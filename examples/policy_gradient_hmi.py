@@ -15,11 +15,15 @@ import torch
 import hmi_marl
 from hmi_marl.agents import oracle
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--driver", default="homer")
-parser.add_argument("--episodes", type=int, default=60)
-parser.add_argument("--duration", type=float, default=10.0, help="s")
-parser.add_argument("--seed", type=int, default=0)
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("--driver", default="homer", help="lisa, bart, ... (default: %(default)s)")
+parser.add_argument("--episodes", type=int, default=60, help="to learn from (default: %(default)s)")
+parser.add_argument("--duration", type=float, default=10.0, help="[s] (default: %(default)s)")
+parser.add_argument(
+    "--seed", type=int, default=0, help="of the first episode (default: %(default)s)"
+)
 args = parser.parse_args()
 
 torch.manual_seed(args.seed)

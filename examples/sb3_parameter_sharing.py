@@ -5,7 +5,7 @@ several cars' agents, which stable-baselines3 takes for so many cars with one ag
 agents act at once, so the AI sees what the driver wanted in the last step.
 Needs the interop extra: pip install 'hmi-marl[interop]'
 
-Run: python examples/sb3_parameter_sharing.py --driver homer --steps 40000
+Run: python examples/sb3_parameter_sharing.py --driver homer --steps 70000
 """
 
 import argparse
@@ -14,18 +14,32 @@ import numpy as np
 import supersuit
 from pettingzoo.utils import BaseParallelWrapper
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecMonitor
+from tqdm import tqdm
 
 from hmi_marl import merge_v0
+from hmi_marl.agents import make_driver_policy, make_hmi
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--driver", default="homer")
-parser.add_argument("--steps", type=int, default=40_000, help="of all cars together")
-parser.add_argument("--cars", type=int, default=8)
-parser.add_argument("--batch", type=int, default=256, help="steps of each car to learn from")
-parser.add_argument("--duration", type=float, default=20.0, help="of an episode [s]")
-parser.add_argument("--episodes", type=int, default=20, help="to evaluate on")
-parser.add_argument("--seed", type=int, default=0)
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("--driver", default="homer", help="lisa, bart, ... (default: %(default)s)")
+parser.add_argument(
+    "--steps", type=int, default=70_000, help="of all cars together (default: %(default)s)"
+)
+parser.add_argument("--cars", type=int, default=8, help="side by side (default: %(default)s)")
+parser.add_argument(
+    "--batch", type=int, default=256, help="steps of each car to learn from (default: %(default)s)"
+)
+parser.add_argument(
+    "--duration", type=float, default=20.0, help="of an episode [s] (default: %(default)s)"
+)
+parser.add_argument(
+    "--episodes", type=int, default=20, help="to evaluate on (default: %(default)s)"
+)
+parser.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
 args = parser.parse_args()
 
 
@@ -77,6 +91,7 @@ cars = supersuit.concat_vec_envs_v1(cars, args.cars, base_class="stable_baseline
 # each reset that follows goes on with it.
 set_random_seed(args.seed)
 cars.venv.reset(seed=args.seed)
+cars = VecMonitor(cars)  # keeps what the progress bar shows
 model = PPO(
     "MlpPolicy",
     cars,
@@ -90,30 +105,67 @@ model = PPO(
 )
 
 
-def act(observation: np.ndarray) -> int:
-    """An action of the shared policy, drawn as in learning, for the agent that sees this."""
-    return int(model.predict(observation)[0])
+def mean_returns(team, act) -> dict[str, float]:
+    """Mean return of each agent over episodes that nothing is learned from, always the same ones.
 
-
-def mean_returns() -> dict[str, float]:
-    """Of each agent, over episodes that nobody learns from, the same ones at each call."""
-    totals = dict.fromkeys(padded.possible_agents, 0.0)
+    ``act(agent, observation)`` chooses an action for an agent of ``team``, a parallel environment.
+    """
+    totals = dict.fromkeys(team.possible_agents, 0.0)
     for episode in range(args.episodes):
-        observations, _ = padded.reset(seed=10_000 + episode)
-        while padded.agents:
-            actions = {agent: unpadded(agent, act(seen)) for agent, seen in observations.items()}
-            observations, rewards, *_ = padded.step(actions)
+        observations, _ = team.reset(seed=10_000 + episode)
+        while team.agents:
+            actions = {agent: act(agent, seen) for agent, seen in observations.items()}
+            observations, rewards, *_ = team.step(actions)
             for agent, reward in rewards.items():
                 totals[agent] += reward / args.episodes
     return totals
 
 
-before = mean_returns()
-model.learn(2 * args.steps)  # stable-baselines3 counts each agent's step
-after = mean_returns()
+def learned(agent: str, observation: np.ndarray) -> int:
+    """An action of the shared policy, drawn as in learning."""
+    return unpadded(agent, int(model.predict(observation)[0]))
+
+
+def by_rule(hmi_name: str) -> dict[str, float]:
+    """Mean returns of the rule-based driver beside one of the HMIs that need no learning."""
+    config = env.unwrapped.config
+    seats = {
+        "driver": make_driver_policy("rule", config),
+        "vehicle_ai": make_hmi(hmi_name, config, taking_turns=False),
+    }
+    for policy in seats.values():
+        policy.reset(np.zeros(1, np.uint64))  # neither of them draws anything
+    return mean_returns(env, lambda agent, seen: int(seats[agent].act(seen[None])[0]))
+
+
+class Progress(BaseCallback):
+    """A bar with the mean return of the latest episodes of an agent, in the unit learned from."""
+
+    def _on_training_start(self) -> None:
+        batch = args.cars * args.batch  # whole batches are played
+        total = -(-args.steps // batch) * batch
+        self.bar = tqdm(total=total, unit=" car steps", desc="learning", mininterval=1.0)
+
+    def _on_step(self) -> bool:
+        self.bar.update(args.cars)
+        return True
+
+    def _on_rollout_end(self) -> None:
+        returns = [episode["r"] for episode in self.model.ep_info_buffer]
+        if returns:
+            self.bar.set_postfix({"return": f"{np.mean(returns):.1f}"})
+
+    def _on_training_end(self) -> None:
+        self.bar.close()
+
+
+rows = {"untrained": mean_returns(padded, learned)}
+model.learn(2 * args.steps, callback=Progress())  # stable-baselines3 counts each agent's step
+rows["learned"] = mean_returns(padded, learned)
+rows["rule, no HMI"] = by_rule("never")
+rows["rule, optimal HMI"] = by_rule("optimal")
 print(f"{args.driver}, mean return over {args.episodes} episodes")
-print(f"{'':<12}{'before':>10}{'after':>10}")
-for agent in padded.possible_agents:
-    print(f"{agent:<12}{before[agent]:>10.1f}{after[agent]:>10.1f}")
-print(f"{'together':<12}{sum(before.values()):>10.1f}{sum(after.values()):>10.1f}")
+print(f"{'':<20}{'driver':>10}{'vehicle_ai':>12}{'together':>10}")
+for name, row in rows.items():
+    print(f"{name:<20}{row['driver']:>10.1f}{row['vehicle_ai']:>12.1f}{sum(row.values()):>10.1f}")
 cars.close()

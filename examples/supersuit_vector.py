@@ -13,9 +13,11 @@ import supersuit
 
 from hmi_marl import merge_v0
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--cars", type=int, default=2)
-parser.add_argument("--steps", type=int, default=50)
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("--cars", type=int, default=2, help="side by side (default: %(default)s)")
+parser.add_argument("--steps", type=int, default=50, help="of each car (default: %(default)s)")
 args = parser.parse_args()
 
 env = merge_v0.parallel_env(driver=["lisa", "marge", "bart", "homer"])
@@ -32,5 +34,8 @@ for _ in range(args.steps):
     actions = rng.integers(vector.action_space.n, size=vector.num_envs)
     observations, rewards, terminated, truncated, _ = vector.step(actions)
     total += rewards
-print("mean reward a step:", np.round(total / args.steps, 2).tolist())
+rows = zip(range(vector.num_envs), total / args.steps, strict=True)
+print("mean reward of a step, random actions:")
+for row, reward in rows:
+    print(f"  car {row // 2}  {('driver', 'vehicle_ai')[row % 2]:<11}{reward:7.2f}")
 vector.close()

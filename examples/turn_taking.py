@@ -8,11 +8,13 @@ import argparse
 from hmi_marl import merge_v0
 from hmi_marl.agents import make_driver_policy, make_hmi
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--driver", default="homer")
-parser.add_argument("--hmi", default="optimal")
-parser.add_argument("--duration", type=float, default=20.0, help="s")
-parser.add_argument("--seed", type=int, default=0)
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("--driver", default="homer", help="lisa, bart, ... (default: %(default)s)")
+parser.add_argument("--hmi", default="optimal", help="never, always, ... (default: %(default)s)")
+parser.add_argument("--duration", type=float, default=20.0, help="[s] (default: %(default)s)")
+parser.add_argument("--seed", type=int, default=0, help="of the episode (default: %(default)s)")
 args = parser.parse_args()
 
 env = merge_v0.env(driver=args.driver, duration=args.duration, reward="individual")

@@ -1,7 +1,7 @@
-"""Somebody gets in: who is it, and what does the right help gain?
+"""An unknown driver gets in: who is it, and what does the right help gain?
 
-Trip after trip of one driver, with an HMI that gets to know them, beside AvgHMI and the HMI that
-knew them all along. Attention is hidden.
+Trip after trip of one driver with three HMIs: one made for the average driver, one that gets to
+know the driver, and one that knew them all along. Attention is hidden.
 
 Run: python examples/unknown_driver.py --driver bart --trips 3
 """
@@ -15,23 +15,40 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits, get_driver
 from hmi_marl.evaluation.trips import play_trips
 
-parser = argparse.ArgumentParser()
-parser.add_argument("--driver", default="bart")
-parser.add_argument("--trips", type=int, default=3)
-parser.add_argument("--drives", type=int, default=50, help="how often it is all repeated")
-parser.add_argument("--policy", default="trained:driver")
-parser.add_argument("--adaptive", default="adapt", help="or adapt:choosing, adapt:expected:bayes")
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("--driver", default="bart", help="lisa, homer, ... (default: %(default)s)")
+parser.add_argument(
+    "--trips", type=int, default=3, help="one after the other (default: %(default)s)"
+)
+parser.add_argument(
+    "--drives", type=int, default=50, help="how often it is all repeated (default: %(default)s)"
+)
+parser.add_argument("--policy", default="trained:driver", help="who steers (default: %(default)s)")
+parser.add_argument(
+    "--adaptive",
+    default="adapt",
+    help="or adapt:choosing, adapt:expected:bayes (default: %(default)s)",
+)
 options = parser.parse_args()
 
 driver = get_driver(options.driver)
 config = TeamConfig(driver=driver, ai_sees_attention=False)
 at_the_wheel = Traits.of([driver] * options.drives)
 seeds = np.arange(options.drives * options.trips, dtype=np.uint64).reshape(options.drives, -1)
+earned: list[float] = []
 for name in ("belief:average", options.adaptive, f"belief:{options.driver}"):
     hmi, policy = make_hmi(name, config), make_driver_policy(options.policy, config)
     trips = play_trips(config, policy, hmi, at_the_wheel, seeds, keep_beliefs=True)
+    earned.append(trips.returns[:, -1].mean())
     print(f"{name:<16} attention return of each trip: {trips.returns.mean(axis=0).round(1)}")
     if trips.probabilities is not None:
         named = hmi.estimator.belief.named()
         told = ", ".join(f"{who} {p.mean():.2f}" for who, p in named.items())
         print(f"{'':<16} believed in the end: {told}")
+
+average, adaptive, knowing = earned
+worth = knowing - average
+print(f"in the last trip, knowing {options.driver} is worth {worth:.0f}", end="")
+print(f"; {options.adaptive} earns {(adaptive - average) / worth:.0%} of it" if worth > 1 else "")

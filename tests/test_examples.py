@@ -1,4 +1,6 @@
+import ast
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -6,30 +8,64 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+SB3 = "sb3_parameter_sharing"
 TINY = {
     "turn_taking": (["--duration", "2"], "vehicle_ai  return"),
     "new_driver": ([], "with the optimal one"),
     "latent_traits": (["--windows", "10", "--updates", "1", "--steps", "1600"], "homer  z = ["),
     "unknown_driver": (
         ["--drives", "2", "--trips", "2", "--adaptive", "adapt:bayes"],
-        "believed in the end: lisa",
+        "in the last trip, knowing bart is worth",
     ),
-    "supersuit_vector": (["--cars", "2", "--steps", "5"], "2 cars, 4 agents"),
+    "supersuit_vector": (["--cars", "2", "--steps", "5"], "car 1  vehicle_ai "),
     "policy_gradient_hmi": (["--episodes", "2", "--duration", "1"], "attention return"),
     "sb3_parameter_sharing": (
         ["--steps", "64", "--cars", "2", "--batch", "16", "--duration", "2", "--episodes", "2"],
-        "vehicle_ai",
+        "rule, optimal HMI",
     ),
 }
 
 
-@pytest.mark.parametrize("name", TINY)
+def run_example(name, arguments, folder):
+    command = [sys.executable, str(ROOT / "examples" / f"{name}.py"), *arguments]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return run
+
+
+@pytest.mark.parametrize("name", [name for name in TINY if name != SB3])
 def test_an_example_runs(name, tmp_path):
     arguments, told = TINY[name]
-    command = [sys.executable, str(ROOT / "examples" / f"{name}.py"), *arguments]
-    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert told in run.stdout
+    assert told in run_example(name, arguments, tmp_path).stdout
+
+
+@pytest.mark.parametrize("name", TINY)
+def test_the_help_of_an_example_teaches(name, tmp_path):
+    run = run_example(name, ["--help"], tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    text = (ROOT / "examples" / f"{name}.py").read_text(encoding="utf-8")
+    docstring = ast.get_docstring(ast.parse(text))
+    assert docstring in run.stdout
+    assert f"Run: python examples/{name}.py" in docstring
+    options = re.split(r"\n  (?=-)", run.stdout.partition("options:")[2])[1:]
+    assert len(options) > 1
+    for option in options:
+        assert re.search(r"\s{2,}\S", option), f"{option} is not explained"
+
+
+def test_the_example_for_sb3_shows_how_far_it_is_and_compares(tmp_path):
+    run = run_example(SB3, TINY[SB3][0], tmp_path)
+    assert "64/64" in run.stderr
+    lines = run.stdout.splitlines()[2:]
+    rows = [re.split(r"\s{2,}", line) for line in lines]
+    assert [row[0] for row in rows] == [
+        "untrained",
+        "learned",
+        "rule, no HMI",
+        "rule, optimal HMI",
+    ]
+    for _, driver, vehicle_ai, together in rows:
+        assert float(driver) + float(vehicle_ai) == pytest.approx(float(together), abs=0.11)
 
 
 def test_every_example_is_run():

@@ -8,9 +8,13 @@ BLOCKS = blocks(TEXT, "python")
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.strip().splitlines()[-1][:40])
-def test_the_code_of_the_readme_runs(block, tmp_path, monkeypatch):
+def test_the_code_of_the_readme_runs_and_prints_something(block, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
+    lines = capsys.readouterr().out.splitlines()
+    assert 1 <= len(lines) <= 20, "a few lines, not a wall of numbers"
+    assert all(re.search("[a-z]{3}", line) for line in lines), "every number is named"
+    assert any(re.search("[0-9]", line) for line in lines)
 
 
 def test_there_is_code_to_run():

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
@@ -12,6 +12,9 @@ from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
 from hmi_marl.evaluation.table import TableConfig, TableSettings, make_table
 from hmi_marl.files import make_folder
 from hmi_marl.workers import check_workers
+
+if TYPE_CHECKING:
+    from hmi_marl.evaluation.clip import Pictures
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,8 @@ class Table:
     workers: int | None = None
     """Processes to share the episodes among; all cores by default. Does not change results."""
     clip: bool = True
-    """Record a clip for the page, of the last driver with the last HMI."""
+    """Record a clip for the page, of the last driver with the last HMI: the best part of the
+    episodes."""
     out: Path = Path("runs/table")
     """Folder for everything that is written."""
 
@@ -37,22 +41,37 @@ class Table:
         from tqdm import tqdm
 
         from hmi_marl.evaluation import report
+        from hmi_marl.evaluation.in_short import in_short
 
         config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
         make_folder(self.out)
         total = config.episodes * len(config.drivers) * len(config.hmis)
         with tqdm(total=total, unit=" episodes", desc="table") as bar:
             cells = make_table(config, workers, bar.update)
-        record = partial(_record, config) if self.clip else None
-        page = report.write_report(self.out, config, cells, record, typed)
-        print(report.as_text(config, cells))
-        print(f"\n{report.NOTE}\n\nthe page: {page.resolve().as_uri()}")
+        captions: list[str] = []
+
+        def record(path: Path) -> str:
+            captions.append(_record(config, path))
+            return captions[0]
+
+        page = report.write_report(self.out, config, cells, record if self.clip else None, typed)
+        print(f"{report.as_text(config, cells)}\n\n{report.NOTE}\n")
+        for remark in in_short(config, cells):
+            print(f"{remark.plain()}\n")
+        print(f"the page: {page.resolve().as_uri()}")
+        for caption in captions:
+            print(f"the clip: {page.parent / 'clip.gif'}\n  {caption}")
 
 
-def _record(config: TableConfig, path: Path) -> None:
-    from hmi_marl.evaluation import clip
+def _record(config: TableConfig, path: Path) -> str:
+    """Record the best part of the last driver's episodes with the last HMI; says what it shows."""
+    from tqdm import tqdm
 
-    team = config.team(config.drivers[-1])
-    # On highway-env itself, whatever world the table was played on.
-    moments = clip.episode(team, config.hmis[-1], config.driver_policy, config.seed, "highway")
-    clip.record(path, team, moments, CLIP_FRAMES_PER_STEP)
+    from hmi_marl.evaluation import highlight
+
+    def progress(pictures: Pictures, count: int) -> Pictures:
+        return iter(tqdm(pictures, total=count, unit=" frames", desc=path.name))
+
+    seeds = range(config.seed, config.seed + config.episodes)
+    team, hmi, policy = config.team(config.drivers[-1]), config.hmis[-1], config.driver_policy
+    return highlight.record(path, team, hmi, policy, seeds, CLIP_FRAMES_PER_STEP, progress)

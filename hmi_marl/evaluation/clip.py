@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ Pictures = Iterator[NDArray[np.uint8]]
 
 SUFFIXES = (".gif", ".mp4")
 GIF_COLOURS = 64
+NO_HOLDS: Mapping[int, float] = MappingProxyType({})
 
 
 def episode(
@@ -113,6 +115,7 @@ def record(
     per_step: int,
     perceived: bool = False,
     progress: Callable[[Pictures], Pictures] = iter,
+    holds: Mapping[int, float] = NO_HOLDS,
 ) -> None:
     """Write an episode as a clip.
 
@@ -123,10 +126,12 @@ def record(
         per_step: pictures for each policy step.
         perceived: draw the other objects' perceived sizes.
         progress: is handed the pictures and hands them on, one by one.
+        holds: seconds for which the clip stands still, by the number of the moment, 0 the first.
     """
     check_suffix(path)
     pictures = frames(moments, Viewer(config, perceived=perceived), per_step)
-    write_clip(path, progress(pictures), config.scene.policy_frequency * per_step)
+    still = {per_step * moment: seconds for moment, seconds in holds.items()}
+    write_clip(path, progress(pictures), config.scene.policy_frequency * per_step, still)
 
 
 def check_suffix(path: Path) -> Path:
@@ -141,22 +146,37 @@ def check_suffix(path: Path) -> Path:
     return path
 
 
-def write_clip(path: Path, pictures: Pictures, frequency: float) -> None:
-    """Write pictures of shape (height, width, 3) as GIF or MP4, by the file's suffix."""
+def write_clip(
+    path: Path, pictures: Pictures, frequency: float, holds: Mapping[int, float] = NO_HOLDS
+) -> None:
+    """Write pictures of shape (height, width, 3) as GIF or MP4, by the file's suffix.
+
+    Args:
+        path: of the file.
+        pictures: at least one.
+        frequency: pictures a second.
+        holds: seconds to show a picture for instead, by its number, 0 the first.
+    """
     write = _write_gif if check_suffix(path).suffix.lower() == ".gif" else _write_mp4
-    write_atomically(path, partial(write, pictures=pictures, frequency=frequency))
+    write_atomically(path, partial(write, pictures=pictures, frequency=frequency, holds=holds))
 
 
-def _write_gif(path: Path, pictures: Pictures, frequency: float) -> None:
+def _write_gif(
+    path: Path, pictures: Pictures, frequency: float, holds: Mapping[int, float]
+) -> None:
     first, *rest = (
         Image.fromarray(picture).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
         for picture in pictures
     )
-    pause = 10 * round(100 / frequency)  # GIF counts in hundredths of a second
-    first.save(path, save_all=True, append_images=rest, duration=pause, loop=0, optimize=True)
+    # GIF counts in hundredths of a second.
+    pauses = [10 * round(100 * holds.get(k, 1 / frequency)) for k in range(1 + len(rest))]
+    duration = pauses[0] if len(set(pauses)) == 1 else pauses
+    first.save(path, save_all=True, append_images=rest, duration=duration, loop=0, optimize=True)
 
 
-def _write_mp4(path: Path, pictures: Pictures, frequency: float) -> None:
+def _write_mp4(
+    path: Path, pictures: Pictures, frequency: float, holds: Mapping[int, float]
+) -> None:
     import imageio_ffmpeg
 
     first = next(pictures)
@@ -166,5 +186,6 @@ def _write_mp4(path: Path, pictures: Pictures, frequency: float) -> None:
     )
     with closing(writer):
         writer.send(None)
-        for picture in itertools.chain([first], pictures):
-            writer.send(np.ascontiguousarray(picture))
+        for k, picture in enumerate(itertools.chain([first], pictures)):
+            for _ in range(max(1, round(frequency * holds.get(k, 0.0)))):
+                writer.send(np.ascontiguousarray(picture))

@@ -6,6 +6,7 @@ import math
 from io import BytesIO
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -21,16 +22,25 @@ PANELS = (
 )
 
 
-def table_figure(config: TableConfig, cells: list[Cell]) -> bytes:
-    """Bars with 95 % intervals for each driver and HMI, the exact values marked. A PNG."""
-    figure = Figure(figsize=(11, 6.4), layout="constrained")
-    for axes, (name, title) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
-        _bars(axes, config, cells, name)
-        axes.set_title(title)
-    axes = figure.axes[1]  # the one that also has the exact marks
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=6)
-    image = BytesIO()
-    figure.savefig(image, format="png", dpi=110)
+def table_figure(config: TableConfig, cells: list[Cell], narrow: bool = False) -> bytes:
+    """Bars with 95 % intervals for each driver and HMI, the exact values marked. A PNG.
+
+    Args:
+        config: what is in the table.
+        cells: all of it.
+        narrow: for a telephone, panels one below the other and type that is still read there.
+    """
+    size, shape, columns = ((5.4, 12), (4, 1), 2) if narrow else ((11, 6.4), (2, 2), 6)
+    with rc_context({"font.size": 14} if narrow else {}):
+        figure = Figure(figsize=size, layout="constrained")
+        for axes, (name, title) in zip(figure.subplots(*shape).flat, PANELS, strict=True):
+            _bars(axes, config, cells, name)
+            axes.set_title(title)
+        axes = figure.axes[1]  # the one that also has the exact marks
+        handles = axes.get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=columns)
+        image = BytesIO()
+        figure.savefig(image, format="png", dpi=110)
     return image.getvalue()
 
 

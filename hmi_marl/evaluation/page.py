@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -22,13 +23,17 @@ _STYLE = """
          overflow-wrap: normal; }
  th, td { padding: .35rem .6rem; border-bottom: 1px solid var(--line); text-align: left;
           vertical-align: top; }
+ tr > :first-child { position: sticky; left: 0; background: var(--paper); }
+ .whole { white-space: nowrap; } .word { display: inline-block; max-width: 100%; }
  img { max-width: 100%; height: auto; background: #fff; border-radius: 4px; }
+ .clip { width: 100%; max-width: 880px; }
+ dt { font-weight: 600; margin-top: .75rem; } dd { margin: 0; }
  h2 { font-size: 1.25rem; margin-top: 2.5rem; } h3 { font-size: 1.05rem; margin-top: 1.75rem; }
  a { color: inherit; } code, .small { font-size: .85rem; color: var(--quiet); }
  .good { color: var(--good); } .bad { color: var(--bad); } .half { color: var(--half); }
  .good, .bad, .half { font-weight: 600; }
- @media (max-width: 40rem) { body { margin: 1rem auto; } th, td { padding: .3rem .4rem;
-   font-size: .85rem; } }
+ @media (max-width: 40rem) { body { margin: 1rem auto; } th, td { padding: .3rem .35rem;
+   font-size: .8rem; } .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; } }
 """
 
 
@@ -78,11 +83,42 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]], indent: str =
     )
 
 
-def image(kind: str, content: bytes, description: str) -> str:
-    """An image, within the page."""
-    data = base64.b64encode(content).decode("ascii")
-    return f'<img alt="{escape(description)}" src="data:image/{kind};base64,{data}">'
+def image(
+    kind: str, content: bytes, description: str, narrow: bytes | None = None, style: str = ""
+) -> str:
+    """An image, within the page.
+
+    Args:
+        kind: png or gif.
+        content: of the file.
+        description: for whoever does not see it.
+        narrow: what a narrow screen shows instead, of the same kind.
+        style: a class of the page's style.
+    """
+    named = f' class="{style}"' if style else ""
+    shown = f'<img{named} alt="{escape(description)}" src="{_data(kind, content)}">'
+    if narrow is None:
+        return shown
+    source = f'<source media="(max-width: 40rem)" srcset="{_data(kind, narrow)}">'
+    return f"<picture>{source}{shown}</picture>"
+
+
+def with_commands(text: str) -> str:
+    """A text as HTML in which commands stand between backticks; options are not broken in two."""
+    parts = text.split("`")
+    return "".join(_command(part) if k % 2 else escape(part) for k, part in enumerate(parts))
+
+
+def _command(text: str) -> str:
+    words = (f'<span class="word">{escape(word)}</span>' for word in text.split(" "))
+    return f"<code>{' '.join(words)}</code>"
+
+
+def _data(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def _entry(text: str) -> str:
-    return escape(text).replace("\n", "<br>")
+    """An entry of a table, whose intervals in brackets are not broken over lines."""
+    whole = re.sub(r"[\[(][^\])]{1,24}[\])]", r'<span class="whole">\g<0></span>', escape(text))
+    return whole.replace("\n", "<br>")

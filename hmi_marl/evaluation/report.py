@@ -13,7 +13,8 @@ from typing import Any
 
 import hmi_marl
 from hmi_marl.evaluation.figures import table_figure
-from hmi_marl.evaluation.page import html_table, image, page, text_table
+from hmi_marl.evaluation.in_short import in_short
+from hmi_marl.evaluation.page import html_table, image, page, text_table, with_commands
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.table import Cell, TableConfig
 from hmi_marl.files import write_bytes, write_json, write_text
@@ -36,7 +37,7 @@ NOTE = (
     "All cells play the same seeds, so their luck is shared. "
     "The exact distraction return is the expectation of the attention chain under that HMI, over "
     "as many steps as the episodes had; a crash may end an episode before its time. "
-    "A shortest headway is of the episodes in which somebody was ahead."
+    "A shortest headway is of the episodes in which another vehicle was ahead."
 )
 
 
@@ -71,11 +72,13 @@ def as_text(config: TableConfig, cells: list[Cell]) -> str:
     return "\n\n".join(blocks)
 
 
-def as_json(config: TableConfig, cells: list[Cell]) -> dict[str, Any]:
+def as_json(config: TableConfig, cells: list[Cell], caption: str = "") -> dict[str, Any]:
     """Everything that the table knows, with what it takes to make it again."""
     return {
         "hmi_marl_version": hmi_marl.__version__,
         "config": asdict(config),
+        "in_short": [asdict(remark) for remark in in_short(config, cells)],
+        "clip": caption,
         "cells": [cell.as_json() for cell in cells],
     }
 
@@ -106,7 +109,13 @@ def as_csv(cells: list[Cell]) -> str:
 
 
 def as_html(
-    config: TableConfig, cells: list[Cell], figure: bytes, clip: bytes | None, command: str
+    config: TableConfig,
+    cells: list[Cell],
+    figure: bytes,
+    clip: bytes | None,
+    command: str,
+    caption: str = "",
+    narrow_figure: bytes | None = None,
 ) -> str:
     """One page that needs nothing besides itself.
 
@@ -116,16 +125,29 @@ def as_html(
         figure: a PNG.
         clip: a GIF, if there is one.
         command: that makes the page again.
+        caption: what is to be seen in the clip, and when.
+        narrow_figure: the PNG that a narrow screen shows instead.
     """
+    remarks = "".join(
+        f"<dt>{escape(remark.title)}</dt><dd>{with_commands(remark.text)}</dd>"
+        for remark in in_short(config, cells)
+    )
     tables = "".join(
         f"<h2>{escape(title)}</h2>"
         + html_table(["", *config.drivers], _rows(config, cells, metric, form))
         for metric, title, form in METRICS
     )
-    moving = f"<h2>One episode</h2>{image('gif', clip, 'clip of one episode')}" if clip else ""
-    body = f"""<p>{len(cells)} cells of {config.episodes} episodes each. {escape(NOTE)}</p>
-{image("png", figure, "bars of each metric by driver and HMI")}
-{moving}{tables}"""
+    moving = ""
+    if clip:
+        shown = image("gif", clip, caption or "clip of one episode", style="clip")
+        moving = f"<h2>One episode</h2>{shown}<p>{escape(caption)}</p>"
+    bars = image("png", figure, "bars of each metric by driver and HMI", narrow_figure)
+    body = f"""<dl>{remarks}</dl>
+{moving}
+<h2>Drivers and HMIs</h2>
+{bars}
+<p class="small">{len(cells)} cells of {config.episodes} episodes each. {escape(NOTE)}</p>
+{tables}"""
     return page("HMIs and drivers", body, command, asdict(config))
 
 
@@ -133,7 +155,7 @@ def write_report(
     out: Path,
     config: TableConfig,
     cells: list[Cell],
-    record_clip: Callable[[Path], None] | None,
+    record_clip: Callable[[Path], str | None] | None,
     command: str,
 ) -> Path:
     """Write table.txt, table.csv, table.json, table.png, clip.gif and index.html into ``out``.
@@ -142,24 +164,25 @@ def write_report(
         out: the folder.
         config: what is in the table.
         cells: all of it.
-        record_clip: writes a GIF to the path it is given; None for a page without a clip, which
-            also removes a clip that an earlier table left in the folder.
+        record_clip: writes a GIF to the path it is given, and returns what is to be seen in it;
+            None for a page without a clip, which also removes a clip that an earlier table left
+            in the folder.
         command: that makes the page again.
 
     Returns:
         The page's path.
     """
-    figure = table_figure(config, cells)
+    figure, narrow = (table_figure(config, cells, narrow) for narrow in (False, True))
     write_text(out / "table.txt", as_text(config, cells) + "\n")
     write_text(out / "table.csv", as_csv(cells))
-    write_json(out / "table.json", as_json(config, cells))
     write_bytes(out / "table.png", figure)
-    clip_path, clip = out / "clip.gif", None
+    clip_path, clip, caption = out / "clip.gif", None, ""
     if record_clip is None:
         clip_path.unlink(missing_ok=True)
     else:
-        record_clip(clip_path)
+        caption = record_clip(clip_path) or ""
         clip = clip_path.read_bytes()
+    write_json(out / "table.json", as_json(config, cells, caption))
     page = out / "index.html"
-    write_text(page, as_html(config, cells, figure, clip, command))
+    write_text(page, as_html(config, cells, figure, clip, command, caption, narrow))
     return page

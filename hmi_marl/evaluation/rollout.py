@@ -13,6 +13,8 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.seats import Policy, takes_turns
 from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.worlds import World
+from hmi_marl.evaluation.alert_quality import AlertJudge, AlertQuality
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Episodes:
     """[s], over the steps in which somebody was ahead; inf if nobody ever was."""
     returns: dict[str, NDArray[np.float64]]
     """Sum of each reward term."""
+    alerting: AlertQuality | None = None
+    """How good the alerts were, where a judge was there."""
 
     def attention_return(self) -> NDArray[np.float64]:
         """Distraction, alert and accept-alert terms together."""
@@ -43,16 +47,18 @@ class Episodes:
         joined: dict[str, Any] = {
             field.name: np.concatenate([getattr(episodes, field.name) for episodes in several])
             for field in fields(cls)
-            if field.name != "returns"
+            if field.name not in ("returns", "alerting")
         }
         returns = {
             name: np.concatenate([episodes.returns[name] for episodes in several]) for name in TERMS
         }
-        return cls(**joined, returns=returns)
+        judged = [episodes.alerting for episodes in several if episodes.alerting is not None]
+        alerting = AlertQuality.join(judged) if len(judged) == len(several) else None
+        return cls(**joined, returns=returns, alerting=alerting)
 
 
 def begin(
-    config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str
+    config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str | World
 ) -> Teaming:
     """Teams at the start of the episodes of these seeds, with both seats' policies reset."""
     teaming = Teaming(config, len(seeds), world)
@@ -80,6 +86,7 @@ def play(
     hmi: Policy,
     seeds: ArrayLike,
     world: str = "highway",
+    judge: AlertJudge | None = None,
 ) -> Episodes:
     """Play one episode for each seed, side by side until the last has ended.
 
@@ -89,6 +96,7 @@ def play(
         hmi: policy for the vehicle AI's seat.
         seeds: shape (E,).
         world: which world to drive in.
+        judge: of the alerts; none by default.
     """
     seeds = np.asarray(seeds, np.uint64)
     teaming = begin(config, driver, hmi, seeds, world)
@@ -96,10 +104,13 @@ def play(
     returns = {name: np.zeros(count) for name in TERMS}
     alerts, distracted = np.zeros((2, count), np.int64)
     headways = np.full((config.horizon, count), np.inf)
+    alerting = None if judge is None else AlertQuality.nothing_yet(count)
     step = 0
     while not teaming.over.all():
-        active = ~teaming.over
+        active, before = ~teaming.over, teaming.attention
         result = turn(teaming, driver, hmi)
+        if judge is not None and alerting is not None:
+            alerting = alerting.add(judge.judge(step, before, teaming.alerted), active)
         for name, values in result.terms.items():
             returns[name] += values
         alerts += active & (teaming.alerted > 0)
@@ -115,6 +126,7 @@ def play(
         headways.min(axis=0),
         _medians(headways),
         returns,
+        alerting,
     )
 
 

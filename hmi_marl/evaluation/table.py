@@ -18,12 +18,13 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import AttentionRule, OptimalAlert
 from hmi_marl.agents.learned import LearnedPolicy
 from hmi_marl.envs.config import TeamConfig, TeamSettings
-from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, get_driver
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.plain import plain
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
+from hmi_marl.evaluation.alert_quality import AlertJudge, ExactRules, exact_settings
 from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.workers import check_workers, results
@@ -121,6 +122,16 @@ class Cell:
     """Of the exact alert optimum for this driver, attention seen."""
     reachable_distraction_return: oracle.Reachable
     """Least and most that any alert policy can reach."""
+    rule_shortfall: float
+    """What "the strongest alert exactly when distracted" loses to the exact optimum for this driver
+    in an episode that runs its whole time, in attention return; 0 where it is the optimum."""
+    share_following_rule: float | None = None
+    """Share of steps in which the HMI did what that rule does; None if nothing judged them."""
+    share_of_gain: float | None = None
+    """Of what the best alerts, attention seen, gain over none, by exact values in every step: 1
+    the optimum, 0 no alerts; None if alerts can gain nothing or nothing judged them."""
+    learned: bool = False
+    """Whether the HMI is a learned policy."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain JSON content: ``alerts`` and ``crash_rate`` as numbers with ``*_interval``."""
@@ -142,20 +153,21 @@ class Cell:
 def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:
     """Sum up the episodes of one cell, beside what is known exactly."""
     team = config.team(driver)
-    settings: dict[str, Any] = {
-        "driver": get_driver(driver),
-        "window": team.alert_window,
-        "horizon": team.horizon,
-        "strengths": team.alert_strengths,
-        "fatigue": team.fatigue,
-    }
-    best = oracle.solve_alerts(**settings)
-    exact = same_steps = None
-    rule = known_rule(make_hmi(hmi, team), team)
+    settings, policy = exact_settings(team), make_hmi(hmi, team)
+    best, rules = oracle.solve_alerts(**settings), ExactRules.of(team)
+    exact = same_steps = following = lost = None
+    rule = known_rule(policy, team)
     if rule is not None:
         returns = oracle.evaluate(rule, **settings)
         exact = returns.distraction_return
         same_steps = float(returns.return_after(episodes.length, ["distraction"]).mean())
+        if isinstance(policy, AttentionRule):  # which a learned HMI may have missed
+            lost = rules.optimum - returns.total_return
+    if episodes.alerting is not None:
+        played = int(episodes.length.sum())
+        following = float(episodes.alerting.followed.sum() / played)
+        if lost is None:
+            lost = float(episodes.alerting.lost.sum() / played * team.horizon)
     minutes = episodes.length / team.scene.policy_frequency / 60
     return Cell(
         driver=driver,
@@ -173,6 +185,10 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
         optimal_attention_return_same_steps=float(best.return_after(episodes.length).mean()),
         optimal_distraction_return=best.distraction_return,
         reachable_distraction_return=oracle.reachable(**settings),
+        rule_shortfall=max(0.0, rules.optimum - rules.when_distracted),
+        share_following_rule=following,
+        share_of_gain=None if lost is None else rules.share_of_gain(lost),
+        learned=isinstance(policy, LearnedPolicy),
     )
 
 
@@ -207,7 +223,7 @@ def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episo
     """Some of the episodes of one cell."""
     team = config.team(driver)
     seats = make_driver_policy(config.driver_policy, team), make_hmi(hmi, team)
-    return play(team, *seats, np.array(seeds, np.uint64), config.world)
+    return play(team, *seats, np.array(seeds, np.uint64), config.world, AlertJudge(team))
 
 
 def make_table(

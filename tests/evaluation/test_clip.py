@@ -169,6 +169,22 @@ def test_an_mp4_has_every_frame_at_its_size(tmp_path: Path, moments: list[Moment
     reader.close()
 
 
+def test_a_gif_stands_still_where_it_is_asked_to(tmp_path: Path, moments: list[Moment]) -> None:
+    path = tmp_path / "episode.gif"
+    clip.record(path, CONFIG, iter(moments), per_step=2, holds={3: 1.5, 4: 0.7})
+    with Image.open(path) as image:
+        pauses = [frame.info["duration"] for frame in ImageSequence.Iterator(image)]
+    wanted = [100] * (2 * STEPS + 1)
+    wanted[6], wanted[8] = 1500, 700
+    assert pauses == wanted
+
+
+def test_an_mp4_stands_still_where_it_is_asked_to(tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    clip.write_clip(tmp_path / "clip.mp4", pictures(5), 10.0, holds={2: 1.0})
+    assert ffmpeg.count_frames_and_secs(str(tmp_path / "clip.mp4"))[0] == 4 + 10
+
+
 def test_recording_goes_through_progress_picture_by_picture(
     tmp_path: Path, moments: list[Moment]
 ) -> None:

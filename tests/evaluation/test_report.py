@@ -15,6 +15,7 @@ import hmi_marl
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.evaluation import report
 from hmi_marl.evaluation.figures import table_figure
+from hmi_marl.evaluation.in_short import in_short
 from hmi_marl.evaluation.rollout import Episodes
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.table import Cell, TableConfig, make_cell
@@ -146,13 +147,49 @@ def test_the_page_needs_nothing_besides_itself(
     path = report.write_report(tmp_path, config, cells, record_clip, COMMAND)
     html = path.read_text("utf-8")
     page = Page(html)
-    assert len(page.links) == 2
+    assert len(page.links) == 3
     assert all(link.startswith("data:image/") for link in page.links)
     assert not {"script", "link", "iframe"} & set(page.tags)
     assert "@import" not in html
     assert "url(" not in html
-    assert embedded(page, "png") == [(tmp_path / "table.png").read_bytes()]
+    narrow, wide = embedded(page, "png")
+    assert wide == (tmp_path / "table.png").read_bytes()
+    assert png_size(narrow)[0] < png_size(narrow)[1], "panels stand one below the other"
     assert embedded(page, "gif") == [CLIP]
+
+
+def test_the_page_begins_with_what_came_out(config: TableConfig, cells: list[Cell]) -> None:
+    html = report.as_html(config, cells, b"png", CLIP, COMMAND, "4.0 to 8.0 s: homer drives.")
+    page = Page(html)
+    remarks = in_short(config, cells)
+    assert remarks
+    for remark in remarks:
+        assert remark.title in page.text
+        assert remark.text.replace("`", "") in page.text
+    assert page.text.index(remarks[-1].title) < page.text.index("4.0 to 8.0 s: homer drives.")
+    assert page.text.index("4.0 to 8.0 s") < page.text.index(report.METRICS[0][1])
+    assert html.count("<code>") == 2, "the command to try next, and the one that made the page"
+
+
+def test_json_has_the_sentences_and_the_caption(
+    tmp_path: Path, config: TableConfig, cells: list[Cell]
+) -> None:
+    def record(path: Path) -> str:
+        record_clip(path)
+        return "4.0 to 8.0 s: homer drives."
+
+    page = report.write_report(tmp_path, config, cells, record, COMMAND)
+    content = json.loads((tmp_path / "table.json").read_text("utf-8"))
+    assert content["clip"] == "4.0 to 8.0 s: homer drives."
+    assert content["clip"] in Page(page.read_text("utf-8")).text
+    assert content["in_short"] == [vars(remark) for remark in in_short(config, cells)]
+
+
+def test_a_page_is_made_for_telephones(config: TableConfig, cells: list[Cell]) -> None:
+    html = report.as_html(config, cells, b"png", None, COMMAND)
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in html
+    tables = html.count("<table>")
+    assert tables == html.count('<div class="wide"><table>') == len(report.METRICS)
 
 
 def test_the_page_tells_how_it_was_made(config: TableConfig, cells: list[Cell]) -> None:
