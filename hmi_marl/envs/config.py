@@ -175,8 +175,9 @@ def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
         for name in kwargs:
             if name not in known:
                 raise TypeError(
-                    f"{function.__qualname__}() takes no keyword {name!r}; it takes "
-                    f"{', '.join(known)}"
+                    # Python's own words: TorchRL and others try keywords and look for them.
+                    f"{function.__qualname__}() got an unexpected keyword argument {name!r}; "
+                    f"it takes {', '.join(known)}"
                 )
         return function(*args, **kwargs)
 
