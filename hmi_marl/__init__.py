@@ -47,7 +47,8 @@ __all__ = [
 
 def _register() -> None:
     merge = "hmi_marl/merge-v0"
-    if merge not in pettingzoo.aec_registry:
+    # register() came with PettingZoo 1.27; AgileRL wants an older one.
+    if hasattr(pettingzoo, "register") and merge not in pettingzoo.aec_registry:
         pettingzoo.register("aec", merge, "hmi_marl.envs.merge_v0:env")
         pettingzoo.register("parallel", merge, "hmi_marl.envs.merge_v0:parallel_env")
     for seat, make in (("MergeDriver", "merge_driver"), ("MergeHMI", "merge_hmi")):
