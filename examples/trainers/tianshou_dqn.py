@@ -81,4 +81,6 @@ if __name__ == "__main__":
     team = both()
     learners = [dqn(team.observation_space, team.action_space) for _ in team.agents]
     algorithm = MultiAgentOffPolicyAlgorithm(algorithms=learners, env=team)
-    print("both seats", train(algorithm, DummyVectorEnv([both for _ in range(args.cars)])).train_step)
+    print(
+        "both seats", train(algorithm, DummyVectorEnv([both for _ in range(args.cars)])).train_step
+    )

@@ -140,7 +140,9 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
         return divergence(old_params[0], new_params[0]) + (old_params[0].exp() * of_alert).sum(-1)
 
     def _split(self, logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return logits[..., :INTENTS], logits[..., INTENTS:].unflatten(-1, (INTENTS, self.alerts))
+        return logits[..., :INTENTS], torch.unflatten(
+            logits[..., INTENTS:], -1, (INTENTS, self.alerts)
+        )
 
 
 class LikeliestAction(torch.nn.Module):
@@ -162,7 +164,7 @@ class LikeliestPair(torch.nn.Module):
     def forward(self, logits: torch.Tensor) -> torch.Tensor:
         """Indices as floats, shape (..., 2), for logits of shape (..., intents + intents A)."""
         intent = logits[..., : self.intents].argmax(dim=-1, keepdim=True)
-        alerts = logits[..., self.intents :].unflatten(-1, (self.intents, self.alerts))
+        alerts = torch.unflatten(logits[..., self.intents :], -1, (self.intents, self.alerts))
         alert = _row(alerts, intent).argmax(dim=-1, keepdim=True)
         return torch.cat([intent, alert], dim=-1).to(logits.dtype)
 

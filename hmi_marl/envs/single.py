@@ -48,15 +48,23 @@ class SingleTeam:
         """The seed of the present episode."""
         return int(self.teaming.seeds[0])
 
-    def reset(self, seed: int | None) -> None:
-        """Begin the episode of ``seed``, or without one the next episode of the series."""
+    def reset(self, seed: int | None, of_episode: bool = False) -> None:
+        """Begin the episode of ``seed``, or without one the next episode of the series.
+
+        Args:
+            seed: of a series, whose first episode begins.
+            of_episode: the seed is that of an episode itself, as :attr:`seed` says it.
+        """
         if seed is not None:
             self._seed, self._episode = check_seed(seed), 0
         elif self._seed is None:
             self._seed, self._episode = int(np.random.SeedSequence().generate_state(1)[0]), 0
         else:
             self._episode += 1
-        self.teaming.reset(episode_seed([self._seed], self._episode))
+        this = episode_seed([self._seed], self._episode)
+        if of_episode and seed is not None:
+            this = np.array([self._seed], np.uint64)
+        self.teaming.reset(this)
         self.result = None
         self.show()
 

@@ -60,7 +60,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin the episode of this seed, or the next one; ``options`` are not used."""
         super().reset(seed=seed)
-        self.team.reset(seed)
+        self._begin(seed)
         self.partner.reset(self.team.teaming.seeds)
         self._before_observing()
         return self._observation(), self._info()
@@ -78,6 +78,9 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
             self._before_observing()
         reward = float(result.rewards[self.seat][0])
         return self._observation(), reward, terminated, truncated, self._info()
+
+    def _begin(self, seed: int | None) -> None:
+        self.team.reset(seed)
 
     @abstractmethod
     def _act(self, action: Any) -> None:
