@@ -189,6 +189,7 @@ def test_the_pair_with_three_strengths_equals_the_sum_over_all_twenty_pairs():
     assert head.deterministic_output(certain).tolist() == head.sample().tolist()
 
 
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
 @pytest.mark.parametrize("alerts", [2, 4])
 def test_greedy_output_as_a_module_is_the_same_and_can_be_scripted(alerts):
     for head, columns in (
