@@ -3,12 +3,13 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test test-slow parity soak docs lint format clean
+.PHONY: help run test test-slow trainers parity soak docs lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
 	@echo "make test       run the tests"
 	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
+	@echo "make trainers   test RLlib, TorchRL, Tianshou and AgileRL, each in an environment of its own"
 	@echo "make parity     hold the batched world against highway-env, for hundreds of seeds"
 	@echo "make soak       ten million random team steps over random configurations"
 	@echo "make docs       the documentation site, in site/"
@@ -26,6 +27,9 @@ test: $(VENV)/.for-test
 
 test-slow: $(VENV)/.for-test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "slow or not slow"
+
+trainers: $(BIN)/python
+	OMP_NUM_THREADS=1 $(BIN)/python tests/trainers/run.py
 
 parity: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 2 -m "slow or not slow" -k follows_highway_env tests/envs/worlds
