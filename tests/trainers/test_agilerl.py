@@ -35,6 +35,6 @@ def test_processes_give_what_one_gives(world: str) -> None:
 
 @pytest.mark.parametrize("world", ["highway", "batched"])
 def test_the_example_learns(world: str) -> None:
-    size = "--steps 40 --cars 2 --batch 10 --duration 2".split()
+    size = ["--steps", "40", "--cars", "2", "--batch", "10", "--duration", "2"]
     printed = run_example("agilerl_ippo", "--world", world, *size)
     assert "return of each agent: [{'driver':" in printed

@@ -34,7 +34,7 @@ def test_processes_give_what_one_gives(world: str, seat: str) -> None:
 @pytest.mark.parametrize("seat", ["MergeDriver", "MergeHMI"])
 def test_cleanrls_manner(seat: str, world: str, vector: str) -> None:
     pytest.importorskip("torch")
-    size = "--cars 2 --batch 16 --steps 64 --duration 2".split()
+    size = ["--cars", "2", "--batch", "16", "--steps", "64", "--duration", "2"]
     printed = run_example(
         "cleanrl_ppo", "--seat", seat, "--world", world, "--vector", vector, *size
     )

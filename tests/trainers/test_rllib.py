@@ -6,7 +6,7 @@ from fresh import run_example
 
 pytest.importorskip("ray.rllib")
 
-from hmi_marl import merge_v0  # noqa: E402
+from hmi_marl import merge_v0
 
 pytestmark = pytest.mark.filterwarnings("default")
 SETTINGS = {"driver": "homer", "world": "batched", "duration": 2.0}

@@ -7,7 +7,7 @@ from fresh import run_example
 
 pytest.importorskip("tianshou")
 
-import hmi_marl  # noqa: E402, F401
+import hmi_marl  # noqa: F401
 
 pytestmark = pytest.mark.filterwarnings("default")
 SETTINGS = {"driver": "homer", "world": "batched", "duration": 2.0}
@@ -34,7 +34,7 @@ def test_a_vector_is_its_environments(seat: str) -> None:
 @pytest.mark.parametrize("processes", [False, True])
 @pytest.mark.parametrize("world", ["highway", "batched"])
 def test_the_example_learns(world: str, processes: bool) -> None:
-    size = "--steps 20 --cars 2 --duration 2".split()
+    size = ["--steps", "20", "--cars", "2", "--duration", "2"]
     printed = run_example("tianshou_dqn", "--world", world, *size, *["--processes"] * processes)
     assert "one seat 20" in printed
     assert "both seats 20" in printed
