@@ -3,13 +3,14 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test test-slow wheel parity soak docs lint format clean
+.PHONY: help run test test-slow wheel trainers parity soak docs lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
 	@echo "make test       run the tests"
 	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
 	@echo "make wheel      install the wheel with each extra alone, and run everything it promises"
+	@echo "make trainers   test RLlib, TorchRL, Tianshou and AgileRL, each in an environment of its own"
 	@echo "make parity     hold the batched world against highway-env, for hundreds of seeds"
 	@echo "make soak       ten million random team steps over random configurations"
 	@echo "make docs       the documentation site, in site/"
@@ -30,6 +31,9 @@ test-slow: $(VENV)/.for-test
 
 wheel: $(VENV)/.for-test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadgroup -m wheel tests/installed
+
+trainers: $(BIN)/python
+	OMP_NUM_THREADS=1 $(BIN)/python tests/trainers/run.py
 
 parity: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 2 -m "slow or not slow" -k follows_highway_env tests/envs/worlds

@@ -30,7 +30,9 @@ from hmi_marl.envs.observations import (
 )
 
 ROOT = Path(__file__).parents[1]
-_PART = re.compile(r"^<!-- made: ([\w .-]+) -->\n(?:.*?\n)?<!-- end -->$", re.MULTILINE | re.DOTALL)
+_PART = re.compile(
+    r"^<!-- made: ([\w .-]+) -->\n(?:.*?\n)??<!-- end -->$", re.MULTILINE | re.DOTALL
+)
 _WIDTH = "96"
 """Of the texts of help, in columns."""
 
@@ -53,6 +55,7 @@ def _make(name: str) -> str:
         "layouts": layouts,
         "commands": commands,
         "extras": extras_table,
+        "example": lambda: example(argument),
         "file": lambda: _without_title((ROOT / argument).read_text(encoding="utf-8")),
     }
     if kind not in makers:
@@ -85,6 +88,17 @@ def _table(layout: Layout) -> str:
         bounds = f"{part.low:g} to {part.high:g}"
         rows.append(f"| {where.start}:{where.stop} | `{part.name}` | {bounds} | {part.meaning} |")
     return "\n".join(rows)
+
+
+def example(name: str) -> str:
+    """The code of an example for another trainer, without its title.
+
+    Its fence is ``py``: code in ``python`` fences is run where the site is made, and a trainer of
+    its own environment is not installed there. The tests of trainers run these.
+    """
+    code = (ROOT / "examples" / "trainers" / f"{name}.py").read_text(encoding="utf-8")
+    _, _, body = code.removeprefix('"""').partition('"""\n\n')
+    return f"`examples/trainers/{name}.py`:\n\n```py\n{body.strip()}\n```"
 
 
 def commands() -> str:

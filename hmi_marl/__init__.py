@@ -70,7 +70,8 @@ def register_envs() -> None:
     Also the entry point of the group ``gymnasium.envs``, for programs that load such plugins.
     """
     merge = "hmi_marl/merge-v0"
-    if merge not in pettingzoo.aec_registry:
+    # register() came with PettingZoo 1.27; AgileRL wants an older one.
+    if hasattr(pettingzoo, "register") and merge not in pettingzoo.aec_registry:
         pettingzoo.register("aec", merge, "hmi_marl.envs.merge_v0:env")
         pettingzoo.register("parallel", merge, "hmi_marl.envs.merge_v0:parallel_env")
     for seat, make in (("MergeDriver", "merge_driver"), ("MergeHMI", "merge_hmi")):

@@ -91,6 +91,39 @@ def test_pages_made_from_the_code_say_what_the_code_says():
     assert "make test" in TEXTS["contributing.md"]
 
 
+def test_the_page_of_trainers_shows_the_examples_that_their_tests_run():
+    page = TEXTS["own-trainers.md"]
+    tests = "".join(test.read_text() for test in (ROOT / "tests" / "trainers").glob("test_*.py"))
+    examples = sorted((ROOT / "examples" / "trainers").glob("*.py"))
+    assert len(blocks(page, "py")) == len(examples) > 0
+    for example in examples:
+        assert f"examples/trainers/{example.name}" in page
+        assert f'"{example.stem}"' in tests
+        assert any(block in example.read_text() for block in blocks(page, "py"))
+
+
+def test_the_page_of_trainers_names_the_versions_that_are_tested():
+    page = TEXTS["own-trainers.md"]
+    pinned = [(ROOT / "constraints.txt").read_text()]
+    pinned += [pins.read_text() for pins in (ROOT / "tests" / "trainers" / "pins").glob("*.txt")]
+    versions = dict(re.findall(r"^([\w-]+)==(\S+)$", "\n".join(reversed(pinned)), re.MULTILINE))
+    of = {"Stable-Baselines3": "stable_baselines3", "rsl_rl": "rsl-rl-lib", "RLlib": "ray"}
+    rows = re.findall(r"^\| ([^|]+) \| ([\d.]+) \| (?:ours|own) \|", page, re.MULTILINE)
+    assert len(rows) == 8
+    for name, version in rows:
+        package = of.get(name, name)
+        package = "gymnasium" if name.startswith("Gymnasium") else package
+        known = {key.lower(): value for key, value in versions.items()}
+        assert known[package.lower()] == version, name
+
+
+def test_an_empty_made_part_ends_at_its_own_end():
+    part = "<!-- made: example rllib_ppo -->\n<!-- end -->\n"
+    page = HOOK.fill(f"{part}\nbetween\n\n{part}")
+    assert page.count("import ray") == 2
+    assert "\nbetween\n" in page
+
+
 @pytest.mark.parametrize(
     "wrong", ["<!-- made: nothing -->\n<!-- end -->", "<!-- made: layouts -->\n", "<!-- made: -->"]
 )

@@ -33,7 +33,11 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
         """The likeliest action, shape (..., 1)."""
-        return mlp_output.argmax(dim=-1, keepdim=True).to(mlp_output.dtype)
+        return self.as_deterministic_output_module()(mlp_output)
+
+    def as_deterministic_output_module(self) -> torch.nn.Module:
+        """The same as a module, for rsl_rl's exports to TorchScript and ONNX."""
+        return LikeliestAction()
 
     @property
     def mean(self) -> torch.Tensor:
@@ -96,10 +100,11 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
         """The likeliest a^H, and the likeliest a^A given that, shape (..., 2)."""
-        intents, alerts = self._split(mlp_output)
-        intent = intents.argmax(dim=-1, keepdim=True)
-        alert = _row(alerts, intent).argmax(dim=-1, keepdim=True)
-        return torch.cat([intent, alert], dim=-1).to(mlp_output.dtype)
+        return self.as_deterministic_output_module()(mlp_output)
+
+    def as_deterministic_output_module(self) -> torch.nn.Module:
+        """The same as a module, for rsl_rl's exports to TorchScript and ONNX."""
+        return LikeliestPair(INTENTS, self.alerts)
 
     @property
     def mean(self) -> torch.Tensor:
@@ -135,9 +140,33 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
         return divergence(old_params[0], new_params[0]) + (old_params[0].exp() * of_alert).sum(-1)
 
     def _split(self, logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return logits[..., :INTENTS], logits[..., INTENTS:].reshape(
-            *logits.shape[:-1], INTENTS, self.alerts
+        return logits[..., :INTENTS], torch.unflatten(
+            logits[..., INTENTS:], -1, (INTENTS, self.alerts)
         )
+
+
+class LikeliestAction(torch.nn.Module):
+    """The likeliest action from its logits; TorchScript and ONNX can hold it."""
+
+    def forward(self, logits: torch.Tensor) -> torch.Tensor:
+        """An index as a float, shape (..., 1), for logits of shape (..., choices)."""
+        return logits.argmax(dim=-1, keepdim=True).to(logits.dtype)
+
+
+class LikeliestPair(torch.nn.Module):
+    """The likeliest a^H, and the likeliest a^A given that; TorchScript and ONNX can hold it."""
+
+    def __init__(self, intents: int, alerts: int) -> None:
+        super().__init__()
+        self.intents = intents
+        self.alerts = alerts
+
+    def forward(self, logits: torch.Tensor) -> torch.Tensor:
+        """Indices as floats, shape (..., 2), for logits of shape (..., intents + intents A)."""
+        intent = logits[..., : self.intents].argmax(dim=-1, keepdim=True)
+        alerts = torch.unflatten(logits[..., self.intents :], -1, (self.intents, self.alerts))
+        alert = _row(alerts, intent).argmax(dim=-1, keepdim=True)
+        return torch.cat([intent, alert], dim=-1).to(logits.dtype)
 
 
 def draw(log_probs: torch.Tensor) -> torch.Tensor:
@@ -165,5 +194,4 @@ def divergence(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
 
 def _row(table: torch.Tensor, intent: torch.Tensor) -> torch.Tensor:
     """The row of a^H, shape (..., A), out of (..., 5, A)."""
-    index = intent.long().unsqueeze(-1).expand(*intent.shape, table.shape[-1])
-    return table.gather(-2, index).squeeze(-2)
+    return torch.take_along_dim(table, intent.long().unsqueeze(-1), dim=-2).squeeze(-2)

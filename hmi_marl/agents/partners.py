@@ -15,6 +15,7 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.envs.config import TeamConfig, takes_team_settings
 from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.single import as_scalar
 from hmi_marl.envs.views import MergeDriver, MergeHMI
 
 Partner = str | Policy | Callable[[NDArray[np.float32]], Any]
@@ -28,7 +29,7 @@ class FunctionPolicy(Memoryless):
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
         """See :meth:`hmi_marl.envs.seats.Policy.act`; the seat checks what the function gave."""
-        return np.array([self._function(one) for one in observations]).reshape(-1)
+        return np.array([as_scalar(self._function(one)) for one in observations]).reshape(-1)
 
 
 def _as_policy(

@@ -177,7 +177,9 @@ def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
             if name not in known:
                 own = function.__qualname__
                 raise TypeError(
-                    f"{own}() takes no keyword {name!r}; {suggest(name, known, f'help({own})')}"
+                    # Python's own words: TorchRL and others try keywords and look for them.
+                    f"{own}() got an unexpected keyword argument {name!r}; "
+                    f"{suggest(name, known, f'help({own})')}"
                 )
         return function(*args, **kwargs)
 

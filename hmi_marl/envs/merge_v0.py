@@ -105,6 +105,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import wrappers
@@ -113,7 +114,6 @@ from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig, takes_t
 from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam
-from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 _OVER = "the episode is over: call reset() before stepping again"
 
@@ -152,12 +152,24 @@ class _TwoSeats:
         self.observation_spaces = {
             agent: layout.space() for agent, layout in self.team.teaming.layouts.items()
         }
-        self.action_spaces = {
-            DRIVER: spaces.Discrete(len(VEHICLE_ACTIONS)),
-            VEHICLE_AI: spaces.Discrete(self.config.alerts.choices),
-        }
+        self.action_spaces = self.team.action_spaces
         self.state_space = self.team.teaming.state_layout.space()
         self._begun = False
+        self._np_random: np.random.Generator | None = None
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random numbers for wrappers, such as SuperSuit's; seeded by ``reset(seed=...)``.
+
+        The environment itself draws nothing from it.
+        """
+        if self._np_random is None:
+            self._np_random, _ = seeding.np_random()
+        return self._np_random
+
+    @np_random.setter
+    def np_random(self, generator: np.random.Generator) -> None:
+        self._np_random = generator
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The same space object at each call."""
@@ -183,6 +195,8 @@ class _TwoSeats:
 
     def _begin(self, seed: int | None) -> None:
         self.team.reset(seed)
+        if seed is not None:
+            self._np_random, _ = seeding.np_random(int(seed))
         self._begun = True
 
     def _need_reset(self) -> None:
@@ -246,6 +260,7 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             return
+        action = self.team.check(agent, action)  # before anything changes
         self._cumulative_rewards[agent] = 0.0
         if agent == DRIVER:
             self.team.intend(action)
@@ -308,7 +323,7 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
             return {}, {}, {}, {}, {}
         if set(actions) != set(AGENTS):
             raise ValueError(f"actions are needed for {AGENTS}, but got {tuple(actions)}")
-        self.team.check_alert(actions[VEHICLE_AI])  # before the driver's counts as taken
+        self.team.check(VEHICLE_AI, actions[VEHICLE_AI])  # before the driver's counts as taken
         self.team.intend(actions[DRIVER])
         result = self.team.alert(actions[VEHICLE_AI])
         self.team.show()

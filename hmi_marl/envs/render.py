@@ -1,7 +1,11 @@
-"""Pictures of a team: highway-env's viewer, with the driver's attention and the HMI below it.
+"""Pictures of a team: highway-env's road and cars, the driver's attention and the HMI below.
 
 A picture is made from a :class:`Snapshot`, so that any world's teams can be drawn, one of
 thousands as well as a single one.
+
+Pictures are drawn on surfaces in memory and leave the process as it was: highway-env's own
+viewer would start SDL's display, rename its window and show nothing under SDL's dummy driver, so
+only the parts of it that draw are used. A window starts the display, as every window must.
 """
 
 from __future__ import annotations
@@ -12,8 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pygame
-from highway_env.envs.common.graphics import EnvViewer
-from highway_env.road.graphics import WorldSurface
+from highway_env.road.graphics import RoadGraphics, WorldSurface
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
@@ -103,6 +106,7 @@ class Viewer:
 
     A window that was closed, by its button or by :meth:`close`, stays closed; what is drawn then
     is not shown. Pygame may be quit in between, as any highway-env environment does when it closes.
+    Events that are not about closing are left to the program's other windows, if it has any.
 
     Args:
         config: of the teams.
@@ -127,20 +131,13 @@ class Viewer:
         self._stage = MergeScene(config.scene)
         road_height = int((config.scene.lanes * LANE_WIDTH + 16.0) * PIXELS_PER_METRE) // 2 * 2
         self._size = (width // 2 * 2, road_height + PANEL_HEIGHT)
-        middle = (config.scene.lanes + 1) * LANE_WIDTH / 2
-        self._stage.config.update(
-            screen_width=self._size[0],
-            screen_height=road_height,
-            scaling=PIXELS_PER_METRE,
-            centering_position=[0.35, 0.5],
-            offscreen_rendering=True,
-        )
-        self._across = middle
-        if not has_display():
-            os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or SDL complains on stderr
-        self._viewer = EnvViewer(self._stage)
-        self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver
-        self._canvas = pygame.Surface(self._size)
+        self._across = (config.scene.lanes + 1) * LANE_WIDTH / 2
+        # Of a depth of their own: a window that others have opened may have another.
+        size = (self._size[0], road_height)
+        self._road = WorldSurface(size, 0, pygame.Surface(size, depth=32))
+        self._road.scaling = PIXELS_PER_METRE
+        self._road.centering_position = [0.35, 0.5]
+        self._canvas = pygame.Surface(self._size, depth=32)
         self._clock = pygame.time.Clock()
         self._frequency = config.scene.policy_frequency
         self._window = self._open_window() if window else None
@@ -156,8 +153,8 @@ class Viewer:
             frames: pictures made for each policy step, which paces a window.
         """
         self._place(snapshot, status)
-        self._viewer.display()
-        road = self._viewer.sim_surface
+        road = self._road
+        self._draw_road(road, snapshot)
         if self._perceived and status.inflation > 1:
             self._draw_perceived(road, status.inflation)
         self._canvas.blit(road, (0, 0))
@@ -192,7 +189,8 @@ class Viewer:
             surface = window.get_surface()
         surface.blit(self._canvas, (0, 0))
         window.flip()
-        for event in pygame.event.get():
+        alone = pygame.display.get_surface() is None
+        for event in pygame.event.get(None if alone else (pygame.QUIT, pygame.WINDOWCLOSE)):
             for viewer in list(_windowed):
                 if viewer.asked_to_close(event):
                     viewer.close()
@@ -209,10 +207,15 @@ class Viewer:
         driven = road.vehicles[0]
         if not driven.crashed:
             driven.color = AMBER if status.distracted else GREEN
-        self._stage.vehicle = driven
         road.objects = [Obstacle(None, position) for position in snapshot.obstacles]
-        focus = Vehicle(None, [driven.position[0], self._across])
-        self._viewer.observer_vehicle = focus  # follow along the road, not across it
+
+    def _draw_road(self, surface: WorldSurface, snapshot: Snapshot) -> None:
+        """The road with what is on it, following the driven car along the road, not across it."""
+        road = self._stage.road
+        surface.move_display_window_to(np.array([snapshot.position[0, 0], self._across]))
+        RoadGraphics.display(road, surface)
+        RoadGraphics.display_road_objects(road, surface, offscreen=True)
+        RoadGraphics.display_traffic(road, surface, offscreen=True)
 
     def _draw_perceived(self, road: WorldSurface, inflation: float) -> None:
         ghosts = pygame.Surface(road.get_size(), pygame.SRCALPHA)

@@ -6,6 +6,7 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
@@ -26,6 +27,11 @@ class SingleTeam:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode is None or one of {RENDER_MODES}, not {render_mode!r}")
         self.teaming = Teaming(config, 1, world)
+        self.action_spaces = {
+            DRIVER: spaces.Discrete(len(VEHICLE_ACTIONS)),
+            VEHICLE_AI: spaces.Discrete(config.alerts.choices),
+        }
+        """By agent; the same objects at each look."""
         self.result: StepResult | None = None
         """Of the last step, None before the first."""
         self._render_mode = render_mode
@@ -42,29 +48,37 @@ class SingleTeam:
         """The seed of the present episode."""
         return int(self.teaming.seeds[0])
 
-    def reset(self, seed: int | None) -> None:
-        """Begin the episode of ``seed``, or without one the next episode of the series."""
+    def reset(self, seed: int | None, of_episode: bool = False) -> None:
+        """Begin the episode of ``seed``, or without one the next episode of the series.
+
+        Args:
+            seed: of a series, whose first episode begins.
+            of_episode: the seed is that of an episode itself, as :attr:`seed` says it.
+        """
         if seed is not None:
             self._seed, self._episode = check_seed(seed), 0
         elif self._seed is None:
             self._seed, self._episode = int(np.random.SeedSequence().generate_state(1)[0]), 0
         else:
             self._episode += 1
-        self.teaming.reset(episode_seed([self._seed], self._episode))
+        this = episode_seed([self._seed], self._episode)
+        if of_episode and seed is not None:
+            this = np.array([self._seed], np.uint64)
+        self.teaming.reset(this)
         self.result = None
         self.show()
 
+    def check(self, agent: str, action: Any) -> int:
+        """Return the agent's action as an int, or raise; see :func:`action_index`."""
+        return action_index(action, self.action_spaces[agent], agent)
+
     def intend(self, action: Any) -> None:
         """a^H, checked."""
-        self.teaming.intend([_index(action, len(VEHICLE_ACTIONS), DRIVER)])
-
-    def check_alert(self, action: Any) -> int:
-        """Return a^A as an int, or raise."""
-        return _index(action, self.teaming.alerts.choices, VEHICLE_AI)
+        self.teaming.intend([self.check(DRIVER, action)])
 
     def alert(self, action: Any) -> StepResult:
         """a^A, checked; takes the step."""
-        self.result = self.teaming.step([self.check_alert(action)])
+        self.result = self.teaming.step([self.check(VEHICLE_AI, action)])
         return self.result
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -86,7 +100,7 @@ class SingleTeam:
                 window = False
             self._viewer = Viewer(self.teaming.config, window)
         if self._viewer.closed:
-            return None  # somebody closed the window
+            return None  # the window was closed
         picture = self._viewer.draw(self.teaming.world.snapshot(0), team_status(self.teaming, 0))
         return picture if self._render_mode == "rgb_array" else None
 
@@ -102,12 +116,35 @@ class SingleTeam:
             self._viewer = None
 
 
-def _index(action: Any, count: int, agent: str) -> int:
-    """``action`` as an int in 0 .. count - 1, or an error that names the agent."""
-    given = np.asarray(action)
-    if given.size != 1 or not np.issubdtype(given.dtype, np.integer):
-        raise ValueError(f"the action of {agent} is an integer, 0 to {count - 1}, not {action!r}")
-    index = int(given.reshape(()))
-    if not 0 <= index < count:
-        raise ValueError(f"action {index} of {agent} is out of range: it is 0 to {count - 1}")
-    return index
+def action_index(action: Any, space: spaces.Discrete, agent: str) -> int:
+    """Return an action as an int, or raise.
+
+    Args:
+        action: what ``space`` contains (an int, ``True``, a NumPy integer, a zero-dimensional
+            array of one), or a zero-dimensional tensor whose ``item()`` it contains.
+        space: of the agent's actions.
+        agent: whose action it is, for the message.
+
+    Raises:
+        ValueError: the space does not contain it.
+    """
+    given = as_scalar(action)
+    try:
+        contained = space.contains(given)
+    except OverflowError:  # some Gymnasiums, for an int of more than 64 bits
+        contained = False
+    if contained:
+        return int(given)
+    last = int(space.n) - 1
+    if isinstance(given, (int, np.integer)) and not 0 <= given <= last:
+        raise ValueError(f"action {given} of {agent} is out of range: it is 0 to {last}")
+    raise ValueError(f"the action of {agent} is an integer, 0 to {last}, not {action!r}")
+
+
+def as_scalar(action: Any) -> Any:
+    """A bool, a zero-dimensional array or tensor as a number; others as they are."""
+    if isinstance(action, np.ndarray) and action.shape == ():
+        return action[()]
+    if not isinstance(action, np.generic) and getattr(action, "shape", None) == ():
+        action = action.item()  # a tensor of torch or jax, on any device
+    return int(action) if isinstance(action, bool) else action

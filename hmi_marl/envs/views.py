@@ -26,7 +26,6 @@ from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.seats import Policy, check_policy, takes_turns
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam
-from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 
 class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
@@ -49,8 +48,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.render_mode = render_mode
         self.metadata = self.metadata | {"render_fps": config.scene.policy_frequency}
         self.observation_space: spaces.Box = self.layout.space()  # type: ignore[assignment]
-        self._sizes = {DRIVER: len(VEHICLE_ACTIONS), VEHICLE_AI: config.alerts.choices}
-        self.action_space = spaces.Discrete(self._sizes[self.seat])
+        self.action_space = self.team.action_spaces[self.seat]
 
     @property
     def layout(self) -> Layout:
@@ -62,7 +60,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin the episode of this seed, or the next one; ``options`` are not used."""
         super().reset(seed=seed)
-        self.team.reset(seed)
+        self._begin(seed)
         self.partner.reset(self.team.teaming.seeds)
         self._before_observing()
         return self._observation(), self._info()
@@ -81,6 +79,9 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         reward = float(result.rewards[self.seat][0])
         return self._observation(), reward, terminated, truncated, self._info()
 
+    def _begin(self, seed: int | None) -> None:
+        self.team.reset(seed)
+
     @abstractmethod
     def _act(self, action: Any) -> None:
         """Take the step, with the partner's action where it is due."""
@@ -90,7 +91,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def _partner_action(self) -> int:
         answer = np.asarray(self.partner.act(self.team.teaming.observe(self.other_seat)))
-        count = self._sizes[self.other_seat]
+        count = int(self.team.action_spaces[self.other_seat].n)
         if (
             answer.shape != (1,)
             or not np.issubdtype(answer.dtype, np.integer)
@@ -123,6 +124,7 @@ class MergeDriver(_OneSeat):
     seat, other_seat = DRIVER, VEHICLE_AI
 
     def _act(self, action: Any) -> None:
+        action = self.team.check(self.seat, action)  # before a partner is asked
         at_once = None if takes_turns(self.partner) else self._partner_action()
         self.team.intend(action)
         try:
@@ -139,6 +141,7 @@ class MergeHMI(_OneSeat):
     seat, other_seat = VEHICLE_AI, DRIVER
 
     def _act(self, action: Any) -> None:
+        action = self.team.check(self.seat, action)  # before a partner is asked
         if not self.team.teaming.intent_given.all():
             self._before_observing()  # the partner failed when it was asked first
         self.team.alert(action)

@@ -1,9 +1,13 @@
 """Demonstrations as a Minari dataset: observed data only, in HDF5.
 
 An episode's ``observations`` are its states, ``actions`` the applied actions that lead from each to
-the next; the last action of a window leads to no recorded state and is left out. Rewards are zeros:
-nobody observes them. ``infos["alert"]`` holds a^A for every state, and ``options["driver"]`` of an
-episode's metadata who drove, where that is known.
+the next. It ends at the crash, if there is one, as a termination; what a crashed car records while
+it stands is left out. (After a crash in the last step of a window no state is recorded: the last
+one stands for it.) Otherwise the window's end is a truncation, and its last action, which leads to
+no recorded state, is left out. Rewards are zeros, since they are not observed. ``infos["alert"]``
+holds a^A for every state, and ``options["driver"]`` of an episode's metadata who drove, where that
+is known. ``recover_environment()`` gives :mod:`hmi_marl.training.demonstration_env`, if the
+demonstrations come from one.
 
 Needs minari with h5py, which come with the ``data`` extra.
 """
@@ -23,6 +27,7 @@ from gymnasium import spaces
 
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.extras import needing
+from hmi_marl.training.demonstration_env import env_spec
 from hmi_marl.training.demonstrations import Observed
 
 with needing("exporting to Minari"):
@@ -54,23 +59,24 @@ def export_minari(observed: Observed, folder: Path) -> Path:
     """Write a Minari dataset; returns its folder.
 
     Args:
-        observed: episodes of at least two steps.
+        observed: episodes of at least two steps, or of one that ends by a crash.
         folder: of the demonstrations, which names the dataset.
 
     Raises:
         FileExistsError: see :func:`minari_place`.
-        ValueError: an episode of a single step, which holds no transition.
+        ValueError: an episode of a single step without a crash, which holds no transition.
     """
     place = minari_place(folder)
-    if observed.length.min() < 2:
+    if (observed.length[~observed.crashed] < 2).any():
         raise ValueError("a window of a single step holds no transition for Minari")
     buffers = [_buffer(observed, k) for k in range(len(observed))]
     layout = [f"{part.name}: {part.size}" for part in observed.layout.parts]
     with _datasets_at(place.parent), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*env", UserWarning)  # people are no environment
+        warnings.filterwarnings("ignore", ".*env", UserWarning)  # recordings may have none
         minari.create_dataset_from_buffers(
             place.name,
             buffers,
+            env=env_spec(observed),
             observation_space=observed.layout.space(),
             action_space=spaces.Discrete(len(VEHICLE_ACTIONS)),
             description=f"Columns: {', '.join(layout)}. Made as {json.dumps(observed.about)}",
@@ -84,20 +90,21 @@ def export_minari(observed: Observed, folder: Path) -> Path:
 
 
 def _buffer(observed: Observed, k: int) -> EpisodeBuffer:
-    steps = int(observed.length[k])
+    crashed, length = bool(observed.crashed[k]), int(observed.length[k])
+    actions = int(observed.crash_step[k]) + 1 if crashed else length - 1
+    states = np.minimum(np.arange(actions + 1), length - 1)  # after the last step: the last one
     label = observed.labels()[k]
-    ends = np.zeros(steps - 1, np.bool_)
-    ends[-1] = True
+    ends = np.arange(actions) == actions - 1
     return EpisodeBuffer(
         id=k,
         seed=None if observed.seeds is None else int(observed.seeds[k]),
         options=None if label is None else {"driver": label},
-        observations=observed.states[k, :steps],
-        actions=observed.actions[k, : steps - 1],
-        rewards=np.zeros(steps - 1),
-        terminations=np.zeros(steps - 1, np.bool_),
-        truncations=ends,
-        infos={"alert": observed.alerts[k, :steps]},
+        observations=observed.states[k, states],
+        actions=observed.actions[k, :actions],
+        rewards=np.zeros(actions),
+        terminations=ends & crashed,
+        truncations=ends & (not crashed),
+        infos={"alert": observed.alerts[k, states]},
     )
 
 

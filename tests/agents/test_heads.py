@@ -187,3 +187,26 @@ def test_the_pair_with_three_strengths_equals_the_sum_over_all_twenty_pairs():
     head.update(certain)
     assert head.sample().tolist() == [[row, row % 4] for row in range(5)]
     assert head.deterministic_output(certain).tolist() == head.sample().tolist()
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
+@pytest.mark.parametrize("alerts", [2, 4])
+def test_greedy_output_as_a_module_is_the_same_and_can_be_scripted(alerts):
+    for head, columns in (
+        (OneAction(1, 5), 5),
+        (IntentThenAlert(2, alerts), 5 + 5 * alerts),
+    ):
+        logits = drawn(3, 6, columns, dtype=torch.float32)
+        expected = head.deterministic_output(logits)
+        module = head.as_deterministic_output_module()
+        assert not list(module.parameters())
+        torch.testing.assert_close(module(logits), expected, rtol=0, atol=0)
+        torch.testing.assert_close(torch.jit.script(module)(logits), expected, rtol=0, atol=0)
+
+
+def test_the_greedy_alert_is_that_of_the_greedy_intent():
+    logits = drawn(50, 5 + 5 * 3, dtype=torch.float32)
+    pairs = IntentThenAlert(2, 3).deterministic_output(logits)
+    for row, (intent, alert) in zip(logits, pairs.long().tolist(), strict=True):
+        assert intent == int(row[:5].argmax())
+        assert alert == int(row[5 + 3 * intent : 8 + 3 * intent].argmax())

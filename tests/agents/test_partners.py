@@ -146,7 +146,7 @@ def test_after_a_bad_action_the_driver_is_asked_again(answer):
     np.testing.assert_array_equal(failing.team.teaming.state(), sound.team.teaming.state())
 
 
-@pytest.mark.parametrize("answer", [0.9, [1, 0], True, 9, -1, None, "1"], ids=str)
+@pytest.mark.parametrize("answer", [0.9, [1, 0], 9, -1, None, "1"], ids=str)
 @pytest.mark.parametrize("seat", SEATS)
 def test_what_a_function_answers_is_not_made_to_fit(seat, answer):
     env = gymnasium.make(seat, partner=lambda _: answer, **SMALL).unwrapped
@@ -154,7 +154,9 @@ def test_what_a_function_answers_is_not_made_to_fit(seat, answer):
         begin(env)
 
 
-@pytest.mark.parametrize("answer", [1, np.int64(1), np.array(1), np.array([1], np.uint8), [1]])
+@pytest.mark.parametrize(
+    "answer", [1, np.int64(1), np.array(1), np.array([1], np.uint8), [1], True]
+)
 def test_any_single_integer_is_an_answer(answer):
     env = gymnasium.make(SEATS[0], partner=lambda _: answer, **SMALL)
     env.reset(seed=0)
@@ -171,7 +173,8 @@ def test_a_policy_class_is_no_partner():
 
 @pytest.mark.parametrize("seat", SEATS)
 def test_a_typo_is_told_the_known_keywords(seat):
-    with pytest.raises(TypeError, match=r"no keyword 'drvier'; it takes partner, world,.* driver,"):
+    message = r"got an unexpected keyword argument 'drvier'; it takes partner, world,.* driver,"
+    with pytest.raises(TypeError, match=message):
         gymnasium.make(seat, drvier="bart")
 
 

@@ -273,7 +273,8 @@ def test_every_keyword_is_shown_and_a_typo_is_told_the_known_ones(make):
     assert set(shown) == {"world", "render_mode", *(field.name for field in fields(TeamConfig))}
     assert shown["reward"].default == "team"
     message = (
-        rf"{make.__name__}.* takes no keyword 'drvier'; did you mean driver\? help\(.*\) lists all"
+        rf"{make.__name__}.* got an unexpected keyword argument 'drvier'; "
+        r"did you mean driver\? help\(.*\) lists all"
     )
     with pytest.raises(TypeError, match=message):
         make(drvier="bart")
@@ -291,6 +292,45 @@ def test_bad_keywords_are_refused(settings, message):
     for make in (merge_v0.env, merge_v0.raw_env, merge_v0.parallel_env):
         with pytest.raises(ValueError, match=message):
             make(**settings)
+
+
+@pytest.mark.parametrize("make", [merge_v0.env, merge_v0.raw_env, merge_v0.parallel_env])
+def test_random_numbers_for_wrappers_follow_the_seed(make):
+    env, other = make(**SMALL), make(**SMALL)
+    assert env.unwrapped.np_random is env.unwrapped.np_random
+    assert env.unwrapped.np_random.random() != other.unwrapped.np_random.random()
+    drawn = []
+    for seed in (1, 1, 2):
+        env.reset(seed=seed)
+        drawn.append(env.unwrapped.np_random.random())
+    assert drawn[0] == drawn[1] != drawn[2]
+    assert drawn[0] == np.random.default_rng(1).random()
+    env.reset()
+    assert env.unwrapped.np_random.random() not in drawn, "it goes on, as the episodes do"
+
+
+def test_random_numbers_for_wrappers_change_no_episode():
+    env = merge_v0.parallel_env(**SMALL)
+    states = []
+    for draws in (0, 3):
+        env.reset(seed=1)
+        env.np_random.random(draws)
+        env.step({"driver": 1, "vehicle_ai": 0})
+        env.reset()
+        states.append(env.state())
+    np.testing.assert_array_equal(*states)
+
+
+def test_a_refused_action_keeps_the_rewards_that_wait():
+    env = merge_v0.env(**SMALL)
+    env.reset(seed=0)
+    env.step(1)
+    env.step(0)
+    before = env.last()[1]
+    assert before != 0.0
+    with pytest.raises(ValueError, match="out of range"):
+        env.step(9)
+    assert env.last()[1] == before
 
 
 def test_pictures():

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
+from hmi_marl.training.demonstration_env import team_config
 from hmi_marl.training.demonstrations import Observed, observed_layout
 
 
@@ -21,12 +19,10 @@ def team_of(observed: Observed) -> TeamConfig:
     Raises:
         ValueError: the states are not as such a team would see them.
     """
-    told = dict(observed.about.get("team", {}))
-    scene = Scene(**{name: _tuples(value) for name, value in told.pop("scene", {}).items()})
-    weights = RewardWeights(**told.pop("weights", {}))
-    told.setdefault("duration", observed.actions.shape[1] / scene.policy_frequency)
-    told.setdefault("end_at_crash", False)
-    config = TeamConfig(scene=scene, weights=weights, **told)
+    team = dict(observed.about.get("team", {}))
+    frequency = team.get("scene", {}).get("policy_frequency", Scene().policy_frequency)
+    duration = observed.actions.shape[1] / frequency
+    config = team_config(team, duration=duration, end_at_crash=False)
     if observed_layout(config) != observed.layout:
         raise ValueError("the demonstrations' states are not laid out as their scene would be seen")
     if config.horizon < observed.actions.shape[1]:
@@ -49,7 +45,3 @@ def held_out(observed: Observed, share: float) -> NDArray[np.bool_]:
         theirs = observed.driver == who
         out[theirs] = number[theirs] >= round((1.0 - share) * theirs.sum())
     return out
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value

@@ -1,0 +1,65 @@
+"""Stable-Baselines3: its check, its vectors, and PPO over them."""
+
+import gymnasium
+import numpy as np
+import pytest
+from fresh import run
+
+import hmi_marl  # noqa: F401
+
+pytest.importorskip("stable_baselines3")
+
+SEATS = ("hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0")
+FORKED = """
+import gymnasium, hmi_marl
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import SubprocVecEnv
+
+if __name__ == "__main__":
+    settings = {{"driver": "homer", "world": {world!r}, "duration": 2.0}}
+    here = gymnasium.make({seat!r}, **settings)  # what a process did before it forked
+    here.reset(seed=0)
+    here.step(1)
+    cars = make_vec_env(
+        "hmi_marl:" + {seat!r},  # the module to import in a process of its own
+        n_envs=2,
+        seed=0,
+        env_kwargs=settings,
+        vec_env_cls=SubprocVecEnv,
+        vec_env_kwargs={{"start_method": {method!r}}},
+    )
+    model = PPO("MlpPolicy", cars, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0)
+    model.learn(64)
+    action, _ = model.predict(here.reset(seed=1)[0])
+    here.step(action)
+    cars.close()
+    print(model.num_timesteps)
+"""
+
+
+@pytest.mark.parametrize("seat", SEATS)
+@pytest.mark.parametrize("world", ["highway", "batched"])
+def test_its_own_check(world: str, seat: str) -> None:
+    from stable_baselines3.common.env_checker import check_env
+
+    check_env(gymnasium.make(seat, world=world, duration=2.0).unwrapped)
+
+
+@pytest.mark.parametrize("seat", SEATS)
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("world", ["highway", "batched"])
+def test_ppo_in_processes(world: str, method: str, seat: str) -> None:
+    assert run("-c", FORKED.format(world=world, seat=seat, method=method)) == "64\n"
+
+
+@pytest.mark.parametrize("seat", SEATS)
+def test_what_a_policy_predicts_is_taken(seat: str) -> None:
+    from stable_baselines3 import DQN
+
+    env = gymnasium.make(seat, world="batched", duration=2.0)
+    model = DQN("MlpPolicy", env, device="cpu", seed=0, learning_starts=10, buffer_size=100)
+    model.learn(30)
+    action, _ = model.predict(env.reset(seed=0)[0], deterministic=True)
+    assert np.shape(action) == ()
+    env.step(action)
