@@ -4,8 +4,8 @@ OpenMP's and BLAS's threads wait actively for a while after a parallel loop, and
 that the world's threads need. Each policy (a network of two hidden layers) drives N teams in a
 process of its own with one thread and with all: once as a user would start it, and once with
 OMP_WAIT_POLICY=PASSIVE, which lets OpenMP's threads sleep. They take turns for several rounds, and
-the median over rounds of the ratios within a round counts: "to passive" is the speed relative to the
-same run under OMP_WAIT_POLICY=PASSIVE, "to one thread" relative to one thread.
+the median over rounds of the ratios within a round counts: "to passive" is the speed relative to
+the same run under OMP_WAIT_POLICY=PASSIVE, "to one thread" relative to one thread.
 
 ``small product`` is a loop of one matrix product in NumPy and one step of a world.
 
