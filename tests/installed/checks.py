@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from itertools import accumulate
 from pathlib import Path
@@ -55,6 +57,8 @@ def check_help(words: str) -> Check:
 
 def check_row(row: Row) -> Check:
     def check(environment: Environment, folder: Path) -> None:
+        for command in row.prepared:
+            succeeded(prepare(command, folder))
         for command in row.before:
             succeeded(environment.hmi_marl(shlex.split(command), folder))
         assert RUN[row.kind](row, environment, folder).strip()
@@ -112,6 +116,12 @@ def run_site(row: Row, environment: Environment, folder: Path) -> str:
     succeeded(run)
     assert (folder / "site" / "index.html").is_file()
     return run.stderr
+
+
+def prepare(command: str, folder: Path) -> CompletedProcess[str]:
+    """Run a command as the tests' own Python has it."""
+    words = [sys.executable, "-m", "hmi_marl", *shlex.split(command)]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
 
 
 RUN: dict[str, Callable[[Row, Environment, Path], str]] = {

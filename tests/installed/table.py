@@ -34,6 +34,8 @@ class Row:
     """Of its cheapest real run."""
     before: Sequence[str] = ()
     """Commands that leave what it reads."""
+    prepared: Sequence[str] = ()
+    """The same of commands that need more than it does: the Python of the tests runs them."""
     dear: bool = False
     """Takes long: really run only where nothing is installed beyond what it needs."""
     not_run: str = ""
@@ -121,8 +123,8 @@ COMMANDS = (
     _command(
         "traits evaluate",
         DATA,
-        f"trained:traits-id {_ASSESS}",
-        before=("collect --drivers lisa homer --steps 12800 --teams 64",),
+        f"runs/traits-id {_ASSESS}",
+        prepared=(_COLLECT, _TRAITS),
     ),
     _command("watch", CORE, f"--out clip.gif {_SCENE}"),
 )
@@ -158,8 +160,8 @@ README_BLOCKS = (
 """Every block of Python of the README, by words that are in it alone."""
 
 SITE_PAGES = tuple(
-    Row("page", name, needs, before=before, dear=True)
-    for name, (needs, *before) in {
+    Row("page", name, needs, prepared=prepared, dear=True)
+    for name, (needs, *prepared) in {
         "adapting.md": (CORE,),
         "demonstrations.md": (DATA, "collect --drivers homer --steps 4802 --duration 0.4"),
         "environment.md": (CORE,),
@@ -169,7 +171,7 @@ SITE_PAGES = tuple(
         "index.md": (CORE,),
         "own-trainers.md": (TRAIN | INTEROP,),
         "training.md": (TRAIN,),
-        "traits.md": (TRAIN | DATA, _COLLECT, f"{_TRAITS} --out runs/traits-id"),
+        "traits.md": (DATA, _COLLECT, _TRAITS),
     }.items()
 )
 """Every page with blocks of Python, which are one program from top to bottom, and the commands

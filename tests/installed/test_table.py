@@ -59,7 +59,7 @@ def test_every_option_that_needs_an_extra_is_in_the_table_once() -> None:
 @pytest.mark.parametrize("row", [*COMMANDS, *OPTIONS], ids=str)
 def test_the_arguments_of_a_row_are_understood(row: Row) -> None:
     parse(typed(row))  # exits where it does not understand
-    for command in row.before:
+    for command in (*row.prepared, *row.before):
         parse(command.split())
 
 
