@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import reduce
 from typing import Literal, get_args
 
 import numpy as np
@@ -145,7 +146,8 @@ def share(
     alert and accept to the AI. ``driving``: the five driving terms to both. ``attention``:
     distraction, alert and accept to both.
     """
+    # One after the other: NumPy's sum adds a single team's terms in another order than many teams'.
     driver, vehicle_ai = (
-        np.sum([terms[name] for name in names], axis=0) for names in _SHARES[sharing]
+        reduce(np.add, [terms[name] for name in names]) for names in _SHARES[sharing]
     )
     return driver, vehicle_ai

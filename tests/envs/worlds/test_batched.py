@@ -79,7 +79,7 @@ def test_a_whole_episode_equals_the_highway_worlds(driver, end_at_crash):
 
 
 def drive(count, which, threads):
-    """States of teams ``which`` out of seeds 0 .. count - 1, at every step of three seconds."""
+    """States and rewards of teams ``which`` out of seeds 0 .. count - 1, over three seconds."""
     config = TeamConfig(driver=["lisa", "homer"], duration=3.0)
     world = BatchedWorld(config.scene, len(which), threads)
     teams = Teaming(config, len(which), world)
@@ -88,8 +88,9 @@ def drive(count, which, threads):
     states = []
     for step in range(15):
         teams.intend(actions[step, which])
-        teams.step(actions[step, which] % 2)
-        states.append(teams.state())
+        result = teams.step(actions[step, which] % 2)
+        rewards = np.stack(list(result.rewards.values()), axis=1)
+        states.append(np.concatenate([teams.state().astype(np.float64), rewards], axis=1))
     return np.array(states)
 
 

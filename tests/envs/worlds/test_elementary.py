@@ -16,9 +16,9 @@ sine, cosine = njit(lambda x: sin_cos(x)[0]), njit(lambda x: sin_cos(x)[1])
 COUNT = 1000
 
 FUNCTIONS = {
-    "sin": (sine, mpmath.sin, 1e5, 0.7),
-    "cos": (cosine, mpmath.cos, 1e5, 0.7),
-    "tan": (elementary.tan, mpmath.tan, math.pi / 2, 0.75),
+    "sin": (sine, mpmath.sin, 1e5, 0.8),
+    "cos": (cosine, mpmath.cos, 1e5, 0.8),
+    "tan": (elementary.tan, mpmath.tan, math.pi / 2, 0.9),
     "arcsin": (elementary.arcsin, mpmath.asin, 1.0, 0.52),
     "arctan": (elementary.arctan, mpmath.atan, 1e12, 0.52),
     "fourth_power": (elementary.fourth_power, lambda x: x**4, 1e70, 0.51),
@@ -37,7 +37,8 @@ def arguments(largest, seed):
         for place in (1 / 32, 1 / 16, 3 / 16, 15 / 16, 1.0, math.pi / 4, math.pi / 2)
         for side in (-np.inf, place, np.inf)
     ]
-    edges = np.array([place for place in near if place <= largest])
+    diagonal = math.pi / 4 * (1 + rng.choice([-1, 1], COUNT) * 10 ** rng.uniform(-8, -1, COUNT))
+    edges = np.array([place for place in (*near, *diagonal) if place <= largest])
     return np.concatenate([even, unit, sizes, edges, -edges, [0.0]])
 
 

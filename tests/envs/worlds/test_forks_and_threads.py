@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from hmi_marl.envs.worlds.batched.threads import available
+
 LIMIT = 120
 """Seconds after which a process counts as stuck; each takes a few."""
 
@@ -28,12 +30,18 @@ def drive(teams, steps=3, threads=None):
 """Drives teams; many of them in all the threads that there are."""
 
 
+def environment(more):
+    """Environment variables as a user has them, without what limits threads."""
+    limits = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
+    return {name: value for name, value in os.environ.items() if name not in limits} | more
+
+
 def run(code, **env):
     """Run code in a fresh process; returns what it printed."""
     full = MANY + "\nif __name__ == '__main__':\n" + "\n".join(f"    {x}" for x in code.split("\n"))
     ended = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", full],
-        env=os.environ | env,
+        env=environment(env),
         capture_output=True,
         text=True,
         check=False,
@@ -50,7 +58,7 @@ def run_file(code, folder, **env):
     path.write_text(MANY + "\n" + code)
     ended = subprocess.run(
         [sys.executable, "-W", "ignore", str(path)],
-        env=os.environ | env,
+        env=environment(env),
         capture_output=True,
         text=True,
         check=False,
@@ -158,6 +166,7 @@ def test_thread_counts_of_numba_and_torch_stay_as_they_were():
     assert printed.split() == ["True", "True"]
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_openmp_is_never_started():
     printed = run(
         "drive(512)\n"
@@ -175,7 +184,7 @@ def test_one_world_and_one_thread_start_no_threads():
     )
     alone, many = map(int, printed.split())
     assert alone == 1
-    assert many == min(os.cpu_count(), len(os.sched_getaffinity(0)), 32)
+    assert many == min(available(), 32)  # 512 teams are worth no more
 
 
 def test_training_with_one_thread_learns_on_one_thread_in_a_cold_process(tmp_path):
@@ -201,7 +210,7 @@ def test_training_with_one_thread_learns_on_one_thread_in_a_cold_process(tmp_pat
 
 def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
     path = str(tmp_path / "env.pickle")
-    if (os.cpu_count() or 1) < 2:
+    if available() < 2:
         pytest.skip("needs two cores")
     before = run(
         "import pickle\n"
@@ -221,3 +230,71 @@ def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
         NUMBA_NUM_THREADS="1",
     )
     assert after == before
+
+
+def test_joblib_hands_large_worlds_to_its_workers(tmp_path):
+    pytest.importorskip("joblib")
+    printed = run_file(
+        "def look(world):\n"
+        "    world.step(np.ones(600, np.int64), np.ones(600, bool))\n"
+        "    return world.lidar(True).sum(), world.lidar(False).sum()\n"
+        "\n"
+        "if __name__ == '__main__':\n"
+        "    import joblib\n"
+        "    world = make_world('batched', TeamConfig(duration=1.0).scene, 600, 2)\n"
+        "    results = joblib.Parallel(n_jobs=2)(joblib.delayed(look)(world) for _ in range(2))\n"
+        "    print(results == [look(world)] * 2)",
+        tmp_path,
+    )
+    assert printed == "True"
+
+
+def test_an_interrupt_leaves_no_helper_at_work():
+    printed = run(
+        "import signal, time\n"
+        "def interrupt(*_): raise KeyboardInterrupt\n"
+        "signal.signal(signal.SIGALRM, interrupt)\n"
+        "config = TeamConfig(duration=20.0)\n"
+        "world = make_world('batched', config.scene, 4096)\n"
+        "everywhere, keep, changed, interrupted = np.ones(4096, bool), np.ones(4096, int), 0, 0\n"
+        "for k in range(60):\n"
+        "    signal.setitimer(signal.ITIMER_REAL, 0.001 + 0.0002 * k)\n"
+        "    try:\n"
+        "        for _ in range(20): world.step(keep, everywhere)\n"
+        "    except KeyboardInterrupt: interrupted += 1\n"
+        "    before = world._floats.copy(); time.sleep(0.02)\n"
+        "    changed += not np.array_equal(before, world._floats, equal_nan=True)\n"
+        "print(interrupted > 30, changed)"
+    )
+    assert printed == "True 0"
+
+
+def test_what_a_loop_raises_in_a_helper_reaches_the_caller():
+    printed = run(
+        "import threading\n"
+        "from hmi_marl.envs.worlds.batched.threads import share, take\n"
+        "main = threading.current_thread()\n"
+        "ready = threading.Event()\n"
+        "def loop(progress):\n"
+        "    if threading.current_thread() is not main:\n"
+        "        take(progress, 0, 64); ready.set(); raise MemoryError('in a helper')\n"
+        "    ready.wait()\n"
+        "    first, last = take(progress, 0, 64)\n"
+        "    while first < last: first, last = take(progress, last - first, 64)\n"
+        "for _ in range(2):\n"
+        "    ready.clear()\n"
+        "    try: share(loop, 64, 2)\n"
+        "    except MemoryError as error: print(error)"
+    )
+    assert printed.splitlines() == ["in a helper"] * 2
+
+
+def test_where_no_thread_can_be_started_the_caller_drives_alone():
+    printed = run(
+        "import threading\n"
+        "alone = drive(256, threads=1)\n"
+        'def start(self): raise RuntimeError("can\'t start new thread")\n'
+        "threading.Thread.start = start\n"
+        "print(drive(256) == alone)"
+    )
+    assert printed == "True"

@@ -27,6 +27,14 @@ caching.CacheImpl._locator_classes = (
     [] if "no folder" in sys.argv
     else [caching.UserProvidedCacheLocator, caching.UserWideCacheLocator]
 )
+if "no locks" in sys.argv:
+    import fcntl
+    def flock(*_):
+        raise OSError(37, "No locks available")
+    fcntl.flock = flock
+if "impatient" in sys.argv:
+    from hmi_marl.envs.worlds.batched import kept_code
+    kept_code._PATIENCE = 1.0
 if "full disk" in sys.argv:
     def write_bytes(self, data):
         self.touch()
@@ -167,11 +175,41 @@ def test_a_full_disk_costs_a_line_and_leaves_no_part_of_a_file(program, tmp_path
     assert not [path for path in (tmp_path / "code").rglob("*") if path.suffix in (".nbc", ".part")]
 
 
+def test_where_files_cannot_be_locked_it_compiles_all_the_same(program, tmp_path):
+    assert run(program, tmp_path, "no locks")[0] == 2
+
+
+def test_it_waits_for_a_process_that_compiles_but_not_for_ever(program, tmp_path):
+    fcntl = pytest.importorskip("fcntl")
+    run(program, tmp_path)
+    lock = next(tmp_path.rglob("*.lock"))
+    for path in kept(tmp_path):
+        path.unlink()
+    with lock.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        compiled, said = run(program, tmp_path, "impatient")
+    assert compiled == 2
+    assert sum("waiting for another process" in line for line in said) == 1
+
+
+def test_parts_of_files_that_killed_processes_left_are_removed_when_old(program, tmp_path):
+    run(program, tmp_path)
+    victim = kept(tmp_path)[0]
+    old, new = (victim.with_suffix(f".{number}.part") for number in (1, 2))
+    for part in (old, new):
+        part.write_bytes(b"half")
+    os.utime(old, (1, 1))
+    victim.unlink()
+    assert run(program, tmp_path)[0] == 1
+    assert not old.exists()
+    assert new.exists()
+
+
 def test_processes_that_start_together_compile_once(program, tmp_path):
     processes = [start(program, tmp_path) for _ in range(3)]
     ended = [process.communicate(timeout=120) for process in processes]
     assert sorted(int(out.split()[1]) for out, _ in ended) == [0, 0, 2]
-    assert sum("compiling" in err for _, err in ended) == 1
+    assert sum("compiling the batched world (" in err for _, err in ended) == 1
 
 
 def test_the_real_world_is_compiled_at_most_once_on_a_machine():

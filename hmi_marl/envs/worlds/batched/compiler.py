@@ -1,4 +1,4 @@
-"""How the functions of the batched world are compiled."""
+"""Compilation of the batched world's functions."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def kernel(loop: Callable[..., None]) -> Any:
 def prepare(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
     """Compile kernels for the types of the arguments that they will be called with.
 
-    All of them at once, so that a user waits for the compiler, and is told so, only once.
+    All of them at once, so that a user waits for the compiler, and reads about it, only once.
 
     Args:
         calls: pairs of a kernel and an example of its arguments.

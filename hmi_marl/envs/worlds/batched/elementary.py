@@ -12,12 +12,12 @@ Largest errors, in units of the last place; 0.5 is the rounding of the result it
 =====================  ====================  =====
 function               range                 error
 =====================  ====================  =====
-:func:`sin_cos`        -1e5 to 1e5 rad       0.7
-:func:`tan`            -π/2 to π/2 rad       0.75
-:func:`arcsin`         -1 to 1               0.52
-:func:`arctan`         finite numbers        0.52
-:func:`arctan2`        finite numbers        0.52
-:func:`fourth_power`   -1e70 to 1e70         0.51
+:func:`sin_cos`        up to 1e5 rad         0.8
+:func:`tan`            up to π/2 rad         0.9
+:func:`arcsin`         up to 1               0.52
+:func:`arctan`         up to 1e300           0.52
+:func:`arctan2`        1e-290 to 1e300, 0    0.52
+:func:`fourth_power`   1e-70 to 1e70, 0      0.51
 =====================  ====================  =====
 """
 

@@ -15,11 +15,12 @@ import hashlib
 import os
 import pickle
 import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numba
 from numba.core import caching
@@ -31,11 +32,18 @@ except ImportError:  # on Windows, processes that start together may compile the
     fcntl = None  # type: ignore[assignment]
 
 _DIGEST_SIZE = hashlib.sha256().digest_size
+_PATIENCE = 180.0
+"""Longest wait for another process that compiles [s]."""
+_ABANDONED = 3600.0
+"""Age from which a half-written file is one of a process that was killed [s]."""
 
 
 @contextmanager
 def one_process_at_a_time() -> Iterator[None]:
-    """Wait while another process compiles, so that what it has kept can be taken."""
+    """Wait while another process compiles, so that what it has kept can be taken.
+
+    The lock ends with its process. Where files cannot be locked, nobody waits.
+    """
     folder = _folder()
     if folder is None or fcntl is None:
         yield
@@ -47,8 +55,26 @@ def one_process_at_a_time() -> Iterator[None]:
         yield
         return
     with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+        _wait_for(lock)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                fcntl.flock(lock, fcntl.LOCK_UN)  # for children that were forked meanwhile too
+
+
+def _wait_for(lock: IO[str]) -> None:
+    """Take the lock; after a while, or where there are no locks, go on without."""
+    until = time.monotonic() + _PATIENCE
+    while time.monotonic() < until:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            _say_once("waiting for another process that compiles the batched world ...")
+            time.sleep(0.1)
+        except OSError:
+            return
 
 
 class KeptCode(caching._Cache):  # what numba asks for when it has to compile
@@ -56,18 +82,22 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
 
     def __init__(self, function: Callable[..., None]) -> None:
         self._name = function.__name__
+        self._stamp = source_stamp()[:16]  # of the sources as they are while they are imported
 
     @property
     def cache_path(self) -> str | None:
-        """The folder, None if none can be written."""
+        """Folder of the files, or None."""
         folder = _folder()
         return None if folder is None else str(folder)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled code for these types of arguments, or None if it must be compiled."""
         target.refresh()
-        path = self._path(signature, target.codegen())
-        if path is not None and path.exists():
+        name = self._name_of_file(signature, target.codegen())
+        for folder in _folders_to_read():
+            path = folder / name
+            if not path.exists():
+                continue
             try:
                 content = path.read_bytes()
                 code = content[_DIGEST_SIZE:]
@@ -76,29 +106,30 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
                 return CompileResult._rebuild(target, *pickle.loads(code))
             except Exception as error:  # whatever is wrong with it, it can be made again
                 _say_once(f"cannot use {path} ({_reason(error)}); compiling again")
-        where = "" if path is None else f", kept in {path.parent}"
+        folder_to_write = _folder()
+        where = "" if folder_to_write is None else f", kept in {folder_to_write}"
         _say_once(f"compiling the batched world (some 20 s{where}) ...")
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep what was compiled; without a folder it lasts as long as the process."""
-        path = self._path(signature, result.codegen)
-        if path is None:
+        folder = _folder()
+        if folder is None:
             return
-        code = pickle.dumps(result._reduce())
+        path = folder / self._name_of_file(signature, result.codegen)
         part = path.with_suffix(f".{os.getpid()}.part")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            code = pickle.dumps(result._reduce())
+            folder.mkdir(parents=True, exist_ok=True)
             part.write_bytes(_checksum(path, code) + code)
             part.replace(path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            _say_once(f"cannot keep compiled code in {path.parent} ({_reason(error)})")
+        except Exception as error:  # the compiled code is there all the same
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+            _say_once(f"cannot keep compiled code in {folder} ({_reason(error)})")
             return
-        machine, _, _ = path.stem.rpartition("-")
-        for stale in path.parent.glob(f"{machine}-*.nbc"):
-            if stale != path:
-                stale.unlink(missing_ok=True)
+        with suppress(OSError):
+            _tidy(path)
 
     def enable(self) -> None:
         """Do nothing: kept code is always on."""
@@ -109,13 +140,19 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
     def flush(self) -> None:
         """Do nothing: names of files tell what is current."""
 
-    def _path(self, signature: Any, codegen: Any) -> Path | None:
-        folder = _folder()
-        if folder is None:
-            return None
+    def _name_of_file(self, signature: Any, codegen: Any) -> str:
         versions = (numba.__version__, sys.version_info[:2], codegen.magic_tuple(), str(signature))
         machine = hashlib.sha256(repr(versions).encode()).hexdigest()[:16]
-        return folder / f"hmi_marl-{self._name}-{machine}-{source_stamp()[:16]}.nbc"
+        return f"hmi_marl-{self._name}-{machine}-{self._stamp}.nbc"
+
+
+def _tidy(path: Path) -> None:
+    """Remove what this file replaces: code of the same kernel from earlier sources, old parts."""
+    machine, _, _ = path.stem.rpartition("-")
+    for stale in path.parent.glob(f"{machine}-*"):
+        old = time.time() - stale.stat().st_mtime > _ABANDONED
+        if stale != path and (stale.suffix == ".nbc" or old):
+            stale.unlink(missing_ok=True)
 
 
 def _checksum(path: Path, code: bytes) -> bytes:
@@ -139,6 +176,16 @@ def _folder() -> Path | None:
     if wanted and not isinstance(locator, caching.UserProvidedCacheLocator):
         _say_once(f"cannot write to NUMBA_CACHE_DIR={wanted}; compiled code is kept in {folder}")
     return folder
+
+
+def _folders_to_read() -> list[Path]:
+    """Folders that may hold kept code; the one next to the sources may be read-only."""
+    own, written = Path(__file__).parent / "__pycache__", _folder()
+    if written is None:
+        return [own]
+    if numba.config.CACHE_DIR:  # type: ignore[attr-defined]
+        return [written]
+    return list(dict.fromkeys([written, own]))
 
 
 @cache

@@ -12,6 +12,7 @@ import numpy as np
 from hmi_marl.envs.worlds.batched.collisions import collide
 from hmi_marl.envs.worlds.batched.compiler import compiled, kernel
 from hmi_marl.envs.worlds.batched.control import act_driven, act_traffic, command
+from hmi_marl.envs.worlds.batched.elementary import sin_cos
 from hmi_marl.envs.worlds.batched.lanes import lateral
 from hmi_marl.envs.worlds.batched.lidar import trace
 from hmi_marl.envs.worlds.batched.memory import (
@@ -50,7 +51,7 @@ def advance(f, i, world, lanes, table, rows, speeds, action, substeps, dt):
 
 
 EGO_SPEED = 3
-"""Where read_ego puts the speed."""
+"""Place of the speed among the readings."""
 
 
 @compiled
@@ -75,9 +76,9 @@ def read_ego(f, i, world, lanes, table, rows, ego, flags):
 
 
 @kernel
-def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, room, told):
+def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, room, readings):
     """Begin the episodes of the marked worlds; see :func:`spawn.begin`."""
-    ego, flags = told
+    ego, flags = readings
     floats, integers, worlds = blocks
     lanes, table = road
     draws, lane, start = room
@@ -95,9 +96,9 @@ def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, 
 
 
 @kernel
-def step_worlds(progress, blocks, road, rows, speeds, actions, which, substeps, dt, told):
+def step_worlds(progress, blocks, road, rows, speeds, actions, which, substeps, dt, readings):
     """Take one policy step in the marked worlds; see :func:`advance`."""
-    ego, flags = told
+    ego, flags = readings
     floats, integers, worlds = blocks
     lanes, table = road
     first, last = take(progress, 0, len(which))
@@ -120,3 +121,15 @@ def look_around(progress, blocks, which, inflation, directions, maximum_range, g
             if which[k]:
                 trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])
         first, last = take(progress, last - first, len(which))
+
+
+@kernel
+def fill_directions(progress, directions):
+    """Fill in the unit vectors of evenly spread lidar rays, shape (cells, 2)."""
+    cells = len(directions)
+    first, last = take(progress, 0, cells)
+    while first < last:
+        for cell in range(first, last):
+            sine, cosine = sin_cos(2 * np.pi / cells * cell)
+            directions[cell, 0], directions[cell, 1] = cosine, sine
+        first, last = take(progress, last - first, cells)

@@ -67,6 +67,12 @@ def take(progress, finished, count):
 
 
 @compiled
+def _stop(progress, count):
+    """Leave no world to take; returns how many had been taken, or more."""
+    return _add(progress, 0, count)
+
+
+@compiled
 def _finished(progress):
     return _add(progress, 1, 0)
 
@@ -84,14 +90,23 @@ class _Helpers:
         self._started = 0
         self._starting = threading.Lock()
 
-    def submit(self, work: Callable[[], None], helpers: int) -> None:
-        """Let each of so many threads do ``work`` as soon as it gets to it."""
+    def submit(self, work: Callable[[], None], helpers: int) -> int:
+        """Let up to so many threads do ``work`` as soon as they get to it; returns how many.
+
+        There are fewer where the system allows no more threads.
+        """
         with self._starting:
             while self._started < helpers:
-                threading.Thread(target=self._serve, name="hmi-marl", daemon=True).start()
+                thread = threading.Thread(target=self._serve, name="hmi-marl", daemon=True)
+                try:
+                    thread.start()
+                except RuntimeError:  # the process may have no more
+                    helpers = self._started
+                    break
                 self._started += 1
         for _ in range(helpers):
             self._work.put(work)
+        return helpers
 
     def _serve(self) -> None:
         while True:
@@ -114,23 +129,40 @@ def share(loop: Callable[..., None], count: int, threads: int, *arguments: Any) 
     """Run ``loop(progress, *arguments)`` over ``count`` worlds in up to ``threads`` threads.
 
     Args:
-        loop: asks :func:`take` for worlds until there are none left. Compiled code, which raises
-            nothing.
+        loop: asks :func:`take` for worlds until there are none left.
         count: of worlds.
         threads: at most, the caller's included.
+
+    Raises:
+        BaseException: an interrupt, or what a loop raised. No thread touches the worlds any more.
     """
     progress = np.zeros(2, np.int64)
     helpers = min(threads, count // WORTH_A_THREAD) - 1
     if helpers < 1 or _WITHOUT_COMPILER:
         loop(progress, *arguments)
         return
-    ended: SimpleQueue[None] = SimpleQueue()
+    ended: SimpleQueue[BaseException | None] = SimpleQueue()
 
     def help_out() -> None:
-        loop(progress, *arguments)
-        ended.put(None)
+        error = None
+        try:
+            loop(progress, *arguments)
+        except BaseException as caught:
+            error = caught
+        ended.put(error)
 
-    _helpers.submit(help_out, helpers)
-    loop(progress, *arguments)
-    while _finished(progress) < count:
-        ended.get()
+    waiting = helpers
+    try:
+        waiting = _helpers.submit(help_out, helpers)
+        loop(progress, *arguments)
+        while _finished(progress) < count:
+            error = ended.get()
+            waiting -= 1
+            if error is not None:
+                raise error
+    except BaseException:  # an interrupt, mostly: helpers finish the parts that they have begun
+        begun = min(_stop(progress, count), count)
+        while waiting and _finished(progress) < begun:
+            ended.get()
+            waiting -= 1
+        raise

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from hmi_marl.envs.scene import Scene, number_of_draws
 from hmi_marl.envs.worlds.base import Ego, Snapshot
 from hmi_marl.envs.worlds.batched.compiler import prepare
-from hmi_marl.envs.worlds.batched.elementary import sin_cos
 from hmi_marl.envs.worlds.batched.kernels import (
     EGO_SPEED,
     begin_worlds,
+    fill_directions,
     look_around,
     step_worlds,
 )
@@ -32,7 +32,7 @@ from hmi_marl.envs.worlds.batched.memory import (
 from hmi_marl.envs.worlds.batched.threads import available, share
 
 _CARRAY: tuple[Literal["C", "W"], ...] = ("C", "W")
-"""What the compiled loops take: arrays in one piece that can be written to."""
+"""Requirements of the compiled loops: arrays in one piece that can be written to."""
 
 
 class BatchedWorld:
@@ -65,31 +65,24 @@ class BatchedWorld:
             np.zeros((num_worlds, 2, high)),
         )
         """For drawing a scene: the draws, the lanes, the places and speeds."""
-        self._told = np.zeros((num_worlds, 8)), np.zeros((num_worlds, 2), np.int64)
-        """Of the driven cars, as read_ego fills it in."""
+        self._readings = np.zeros((num_worlds, 8)), np.zeros((num_worlds, 2), np.int64)
+        """Readings of the driven cars, which read_ego fills in."""
         self._inflation = np.ones(num_worlds)
         self._steps = np.zeros(num_worlds, np.int64)
-        angles = 2 * np.pi / scene.lidar_cells * np.arange(scene.lidar_cells)
-        self._directions = np.array([sin_cos(angle)[::-1] for angle in angles])
+        self._directions = np.zeros((scene.lidar_cells, 2))
         cells = (num_worlds, scene.lidar_cells, 2)
         self._seen = {inflated: np.zeros(cells, np.float32) for inflated in (False, True)}
         self._stale = {inflated: np.ones(num_worlds, np.bool_) for inflated in (False, True)}
         none, everywhere = np.zeros(num_worlds, np.uint64), np.ones(num_worlds, np.bool_)
-        progress = np.zeros(2, np.int64)
-        prepare(
-            [
-                (begin_worlds, (progress, *self._begin_arguments(none, everywhere))),
-                (step_worlds, (progress, *self._step_arguments(none.astype(np.int64), everywhere))),
-                (look_around, (progress, *self._look_arguments(inflated=True))),
-            ]
-        )
+        self._prepare()
+        share(fill_directions, scene.lidar_cells, 1, self._directions)
         self.reset(none, self._inflation, everywhere)
 
     @property
     def bytes_per_world(self) -> int:
         """Memory that each world takes, besides what it hands out."""
         seen = (*self._seen.values(), *self._stale.values(), self._inflation, self._steps)
-        blocks: tuple[NDArray[Any], ...] = (*self._blocks, *self._room, *self._told, *seen)
+        blocks: tuple[NDArray[Any], ...] = (*self._blocks, *self._room, *self._readings, *seen)
         return sum(block.nbytes for block in blocks) // self.num_worlds
 
     def reset(
@@ -117,7 +110,7 @@ class BatchedWorld:
     def halt(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`World.halt`."""
         self._floats[which, SPEED, 0] = 0.0
-        self._told[0][which, EGO_SPEED] = 0.0
+        self._readings[0][which, EGO_SPEED] = 0.0
         self._moved(which)
 
     def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
@@ -127,7 +120,7 @@ class BatchedWorld:
 
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
-        numbers, flags = self._told[0].copy(), self._told[1].copy()
+        numbers, flags = self._readings[0].copy(), self._readings[1].copy()
         x, y, heading, speed, target_speed, lateral, gap, slowness = numbers.T
         return Ego(
             x=x,
@@ -176,7 +169,7 @@ class BatchedWorld:
         scene, speeds = self.scene, self._speeds
         low, high = scene.vehicle_range
         place = self._blocks, self._road, scene.lanes, speeds
-        return *place, seeds, which, low, high, self._room, self._told
+        return *place, seeds, which, low, high, self._room, self._readings
 
     def _step_arguments(
         self, actions: NDArray[np.int64], which: NDArray[np.bool_]
@@ -185,7 +178,7 @@ class BatchedWorld:
         substeps = scene.simulation_frequency // scene.policy_frequency
         dt = 1 / scene.simulation_frequency
         place = self._blocks, self._road, scene.lanes, speeds
-        return *place, actions, which, substeps, dt, self._told
+        return *place, actions, which, substeps, dt, self._readings
 
     def _look_arguments(self, inflated: bool) -> tuple[Any, ...]:
         inflation = self._inflation if inflated else np.ones(self.num_worlds)
@@ -193,7 +186,39 @@ class BatchedWorld:
         stale = self._stale[inflated]
         return self._blocks, stale, inflation, self._directions, reach, seen
 
+    def _prepare(self) -> None:
+        """Compile the loops, or load them."""
+        none, everywhere = np.zeros(self.num_worlds, np.int64), np.ones(self.num_worlds, np.bool_)
+        progress = np.zeros(2, np.int64)
+        prepare(
+            [
+                (
+                    begin_worlds,
+                    (progress, *self._begin_arguments(none.view(np.uint64), everywhere)),
+                ),
+                (step_worlds, (progress, *self._step_arguments(none, everywhere))),
+                (look_around, (progress, *self._look_arguments(inflated=True))),
+                (fill_directions, (progress, self._directions)),
+            ]
+        )
+
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Load a copy; where fewer threads are allowed than it was made with, it takes fewer."""
-        self.__dict__.update(state)
+        """Load a copy, with fewer threads where fewer are allowed, and arrays of its own.
+
+        joblib hands large arrays to its workers as read-only memory maps.
+        """
+        self.__dict__.update({name: _writeable(value) for name, value in state.items()})
+        self._blocks = self._floats, self._integers, self._worlds
         self.threads = min(self.threads, available())
+        self._prepare()
+
+
+def _writeable(value: Any) -> Any:
+    """``value`` with copies in place of arrays that cannot be written to."""
+    if isinstance(value, np.ndarray):
+        return value if value.flags.writeable else value.copy()
+    if type(value) is tuple:
+        return tuple(_writeable(each) for each in value)
+    if type(value) is dict:
+        return {name: _writeable(each) for name, each in value.items()}
+    return value
