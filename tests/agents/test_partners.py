@@ -173,7 +173,7 @@ def test_a_policy_class_is_no_partner():
 
 @pytest.mark.parametrize("seat", SEATS)
 def test_a_typo_is_told_the_known_keywords(seat):
-    message = r"got an unexpected keyword argument 'drvier'; it takes partner, world,.* driver,"
+    message = r"got an unexpected keyword argument 'drvier'; did you mean driver\?"
     with pytest.raises(TypeError, match=message):
         gymnasium.make(seat, drvier="bart")
 
@@ -191,7 +191,7 @@ def test_gymnasium_collects_pictures_in_a_list(seat):
 
 @pytest.mark.parametrize("seat", SEATS)
 def test_bad_partners_and_actions_are_refused(seat):
-    with pytest.raises(ValueError, match=r"unknown .*known"):
+    with pytest.raises(ValueError, match=r"unknown .* 'hal'; .*hmi-marl --help"):
         gymnasium.make(seat, partner="hal")
     with pytest.raises(TypeError, match="partner= takes"):
         gymnasium.make(seat, partner=3)

@@ -91,7 +91,7 @@ def test_the_hmi_of_an_episode_is_the_one_asked_for() -> None:
 @pytest.mark.parametrize(
     ("hmi", "policy", "seed", "message"),
     [
-        ("siren", "rule", 0, "unknown HMI 'siren'; known HMIs: never"),
+        ("siren", "rule", 0, "unknown HMI 'siren'; hmi-marl --help lists all"),
         ("own", "autopilot", 0, "unknown driver policy 'autopilot'; known: rule"),
         ("own", "rule", -1, "a seed lies in"),
     ],

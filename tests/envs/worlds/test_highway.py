@@ -151,5 +151,5 @@ def test_a_snapshot_shows_everybody_and_the_end_of_the_ramp():
 
 
 def test_an_unknown_world_is_told_the_known_ones():
-    with pytest.raises(ValueError, match="unknown world 'moon'; known worlds: highway"):
+    with pytest.raises(ValueError, match="unknown world 'moon'; known: highway"):
         make_world("moon", Scene().fitted(2.0), 1)
