@@ -79,7 +79,7 @@ def test_play_ends_when_the_last_episode_has_ended():
 
 
 def test_the_order_of_moves_is_written_once():
-    """Outside the environments only the turn loop lets a driver move, and a benchmark of the step."""
+    """Outside the environments only the turn loop lets a driver move, and a benchmark."""
     where = {
         path.relative_to(ROOT / "hmi_marl").as_posix()
         for path in (ROOT / "hmi_marl").rglob("*.py")
