@@ -9,11 +9,11 @@ import numpy as np
 
 from hmi_marl.agents.adaptive_catalogue import EXPECTED, Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
+from hmi_marl.agents.rollout import begin
 from hmi_marl.envs.drivers import Traits, get_driver
 from hmi_marl.evaluation import clip
 from hmi_marl.evaluation.adapt import TEAM
 from hmi_marl.evaluation.adapt_settings import AdaptSettings
-from hmi_marl.evaluation.rollout import begin
 
 FIRST, SECOND = "bart", "homer"
 SEED = 4

@@ -16,9 +16,9 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.evaluation import statistics
+from hmi_marl.evaluation.episodes import play_episodes
 from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.reproduction import spec
-from hmi_marl.evaluation.rollout import play
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.settings import check_count
@@ -96,7 +96,7 @@ def assess(policy: Path, steps: int, driver: Driver, episodes: int, seed: int) -
     team = TeamConfig(driver=driver)
     seats = make_driver_policy(str(policy), team), make_hmi("never", team)
     seeds = np.arange(seed, seed + episodes, dtype=np.uint64)
-    played = play(team, *seats, seeds, world="batched")
+    played = play_episodes(team, *seats, seeds, world="batched")
     headways = played.median_time_headway
     return Driving(
         driver=driver.name,

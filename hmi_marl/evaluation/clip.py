@@ -16,6 +16,7 @@ from PIL import Image
 
 from hmi_marl.agents.adaptive import AdaptiveHMI
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.rollout import Observer, begin, turns
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.render import TeamStatus, Viewer, between, team_status
@@ -23,7 +24,6 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import Snapshot
-from hmi_marl.evaluation.rollout import begin, turn
 from hmi_marl.extras import need
 from hmi_marl.files import write_atomically
 
@@ -66,11 +66,20 @@ def moments(
         hand_over: before which step another driver takes the wheel, and their traits.
     """
     yield _moment(teaming, ai)
-    while not teaming.over[0]:
-        if hand_over is not None and teaming.steps[0] == hand_over[0]:
-            teaming.hand_over(hand_over[1])
-        turn(teaming, driver, ai)
+    for _ in turns(teaming, driver, ai, [] if hand_over is None else [_NewDriver(*hand_over)]):
         yield _moment(teaming, ai)
+
+
+class _NewDriver(Observer):
+    """Let another driver take the wheel before a step."""
+
+    def __init__(self, step: int, traits: Traits) -> None:
+        self._step, self._traits = step, traits
+
+    def before(self, teaming: Teaming) -> None:
+        """Hand over when it is time."""
+        if teaming.steps[0] == self._step:
+            teaming.hand_over(self._traits)
 
 
 def _moment(teaming: Teaming, ai: Policy) -> tuple[Snapshot, TeamStatus]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned import LearnedPolicy
 from hmi_marl.agents.policy_files import find_policy
+from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import (
@@ -30,7 +31,7 @@ from hmi_marl.envs.drivers import (
 from hmi_marl.envs.plain import plain
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream, check_seed, episode_seed, mix
-from hmi_marl.evaluation.rollout import begin, turn
+from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.training.demonstrations import (
     NOBODY,
     Demonstrations,
@@ -216,38 +217,71 @@ def _play(
     config = settings.team(_Placed(traits))
     driver, hmi = settings.make_driver(config), settings.make_hmi(config)
     teaming = begin(config, driver, hmi, seeds, "batched")
-    layout, seen = observed_layout(config), teaming.layouts[VEHICLE_AI]
-    columns = seen.columns(part.name for part in layout.parts)
-    shape = len(seeds), config.horizon
-    states = np.zeros((*shape, layout.size), np.float32)
-    alerts, distracted, accepted, counter = np.zeros((4, *shape), np.int64)
-    actions, intended = np.full((2, *shape), NOBODY)
-    crash_step = np.full(len(seeds), NOBODY)
-    for t in range(config.horizon):
-        on = ~teaming.over
-        states[on, t] = teaming.observe(VEHICLE_AI)[:, columns][on]
-        turn(teaming, driver, hmi)
-        attention = teaming.attention
+    recorder = _Recorder(config, teaming, progress)
+    play(teaming, driver, hmi, [recorder])
+    names = tuple(driver.name for driver in cast)
+    length, crash_step = teaming.steps.copy(), recorder.crash_step
+    observed = Observed(
+        recorder.layout,
+        recorder.states,
+        recorder.applied,
+        recorder.alerts,
+        length,
+        crash_step,
+        who,
+        names,
+        seeds,
+        about[0],
+    )
+    truth = Truth(
+        recorder.distracted,
+        recorder.accepted,
+        recorder.counter,
+        recorder.intended,
+        traits.as_array(),
+        about[1],
+    )
+    return Demonstrations(observed, truth)
+
+
+class _Recorder(Observer):
+    """Keep what could be observed of each step, and the truth apart."""
+
+    def __init__(
+        self, config: TeamConfig, teaming: Teaming, progress: Callable[[int], Any]
+    ) -> None:
+        self.layout = observed_layout(config)
+        seen = teaming.layouts[VEHICLE_AI]
+        self._columns = seen.columns(part.name for part in self.layout.parts)
+        shape = teaming.num_teams, config.horizon
+        self.states = np.zeros((*shape, self.layout.size), np.float32)
+        self.alerts, self.distracted, self.accepted, self.counter = np.zeros((4, *shape), np.int64)
+        self.applied, self.intended = np.full((2, *shape), NOBODY)
+        self.crash_step = np.full(teaming.num_teams, NOBODY)
+        self._progress = progress
+        self._step = 0
+
+    def before(self, teaming: Teaming) -> None:
+        """Keep the state in which the driver acts."""
+        self._on = ~teaming.over
+        seen = teaming.observe(VEHICLE_AI)[:, self._columns]
+        self.states[self._on, self._step] = seen[self._on]
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        """Keep what was done, and the attention that nobody sees."""
+        on, t, attention = self._on, self._step, teaming.attention
         for rows, values in (
-            (actions, teaming.applied),
-            (alerts, teaming.alerted),
-            (intended, teaming.intended),
-            (distracted, attention.distracted),
-            (accepted, attention.accepted),
-            (counter, attention.counter),
+            (self.applied, teaming.applied),
+            (self.alerts, teaming.alerted),
+            (self.intended, teaming.intended),
+            (self.distracted, attention.distracted),
+            (self.accepted, attention.accepted),
+            (self.counter, attention.counter),
         ):
             rows[on, t] = values[on]
-        crash_step[on & teaming.ego.crashed & (crash_step == NOBODY)] = t
-        progress(int(on.sum()))
-        if teaming.over.all():
-            break
-    names = tuple(driver.name for driver in cast)
-    length = teaming.steps.copy()
-    observed = Observed(
-        layout, states, actions, alerts, length, crash_step, who, names, seeds, about[0]
-    )
-    truth = Truth(distracted, accepted, counter, intended, traits.as_array(), about[1])
-    return Demonstrations(observed, truth)
+        self.crash_step[on & teaming.ego.crashed & (self.crash_step == NOBODY)] = t
+        self._progress(int(on.sum()))
+        self._step += 1
 
 
 @dataclass

@@ -16,8 +16,8 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.evaluation.compare import EVERYBODY, CompareSettings, Pair
+from hmi_marl.evaluation.episodes import Episodes, play_episodes
 from hmi_marl.evaluation.reproduction import EVALUATION_SEED
-from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.workers import results
 
 
@@ -109,7 +109,7 @@ def play_pair(settings: CompareSettings, folder: Path, pair: Pair) -> dict[str, 
     driver, hmi = (str(folder / name) if name in runs else name for name in (pair.driver, pair.hmi))
     seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + settings.episodes, dtype=np.uint64)
     seats = make_driver_policy(driver, team), make_hmi(hmi, team)
-    episodes = play(team, *seats, seeds, world="batched")
+    episodes = play_episodes(team, *seats, seeds, world="batched")
     drawn = team.population.draw(seeds).as_array()
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
     sums = {EVERYBODY: add(np.ones(len(seeds), np.bool_))}

@@ -22,9 +22,9 @@ from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.evaluation import statistics
+from hmi_marl.evaluation.episodes import play_episodes
 from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.reproduction import EVALUATION_SEED
-from hmi_marl.evaluation.rollout import play
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.settings import PPOSettings, check_count
@@ -186,7 +186,7 @@ def assess(settings: GradedSettings, case: Case, folder: Path) -> GradedRow:
     played = {}
     for name in (str(folder / case.name), "optimal"):
         seats = make_driver_policy("rule", team), make_hmi(name, team)
-        played[name] = play(team, *seats, seeds, world="batched")
+        played[name] = play_episodes(team, *seats, seeds, world="batched")
     learned, optimal = played.values()
     problem: dict[str, Any] = {
         "driver": get_driver(case.driver),

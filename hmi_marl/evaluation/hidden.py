@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.belief import solve_belief
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
+from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.evaluation import statistics
+from hmi_marl.evaluation.episodes import play_episodes
 from hmi_marl.evaluation.page import text_table
 from hmi_marl.evaluation.reproduction import EVALUATION_SEED, driver_job
-from hmi_marl.evaluation.rollout import begin, play, turn
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
 from hmi_marl.training.jobs import Job
@@ -121,14 +123,24 @@ class HiddenRow:
 def revealing_share(team: TeamConfig, driver_run: Path, seeds: NDArray[np.uint64]) -> float:
     """How often what a learned driver does shows whether they are distracted."""
     driver, hmi = make_driver_policy(str(driver_run), team), make_hmi("belief", team)
-    teaming = begin(team, driver, hmi, seeds, "batched")
+    reveals = _Reveals()
+    play(begin(team, driver, hmi, seeds, "batched"), driver, hmi, [reveals])
+    return reveals.shown / reveals.steps
+
+
+class _Reveals(Observer):
+    """Count the steps, after the first, in which a^H differs from the last applied action."""
+
     shown = steps = 0
-    while not teaming.over.all():
-        before, counts = teaming.applied, ~teaming.over & (teaming.steps > 0)
-        turn(teaming, driver, hmi)
-        shown += int((counts & (teaming.intended != before)).sum())
-        steps += int(counts.sum())
-    return shown / steps
+
+    def before(self, teaming: Teaming) -> None:
+        """Note the last applied actions."""
+        self._last, self._counts = teaming.applied, ~teaming.over & (teaming.steps > 0)
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        """Compare the intents with them."""
+        self.shown += int((self._counts & (teaming.intended != self._last)).sum())
+        self.steps += int(self._counts.sum())
 
 
 def compare_hidden(
@@ -153,7 +165,7 @@ def compare_hidden(
         returns = {}
         for label, hmi in hmis.items():
             seats = make_driver_policy(str(driver_run), team), make_hmi(hmi, team)
-            returns[label] = play(team, *seats, seeds, world="batched").attention_return()
+            returns[label] = play_episodes(team, *seats, seeds, world="batched").attention_return()
         exact = solve_belief(DRIVERS[name], team.alert_window, team.horizon, team.weights, share)
         rows.append(
             HiddenRow(

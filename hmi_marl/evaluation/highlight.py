@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.render import TeamStatus, team_status
+from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import Snapshot, make_world
 from hmi_marl.evaluation import clip
-from hmi_marl.evaluation.rollout import begin, turn
 
 MOST_SEEDS = 64
 """Episodes that are searched at most."""
@@ -155,19 +156,31 @@ def best_seed(config: TeamConfig, hmi: str, driver_policy: str, seeds: Sequence[
     # One thread: with so few worlds more of them only get into the way of the policies' products.
     world = make_world("batched", config.scene, len(wanted), threads=1)
     teaming = begin(config, driver, ai, wanted, world)
-
-    def beat(team: int) -> Beat:
-        return Beat.of(teaming.world.snapshot(team), team_status(teaming, team))
-
-    episodes = [[beat(team)] for team in range(len(wanted))]
-    while not teaming.over.all():
-        going = np.flatnonzero(~teaming.over)
-        turn(teaming, driver, ai)
-        for team in going.tolist():
-            episodes[team].append(beat(team))
-    found = [best_step(beats, config.alert_window) for beats in episodes]
+    watched = _Beats(teaming)
+    play(teaming, driver, ai, [watched])
+    found = [best_step(beats, config.alert_window) for beats in watched.episodes]
     ranks = [highlight.rank(config.alert_window) for highlight in found]
     return int(wanted[ranks.index(max(ranks))])
+
+
+class _Beats(Observer):
+    """Keep the beats of every team's episode, from its start on."""
+
+    def __init__(self, teaming: Teaming) -> None:
+        self.episodes = [[self._beat(teaming, team)] for team in range(teaming.num_teams)]
+
+    def before(self, teaming: Teaming) -> None:
+        """Note who is still driving."""
+        self._going = np.flatnonzero(~teaming.over).tolist()
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        """Add a beat for each of them."""
+        for team in self._going:
+            self.episodes[team].append(self._beat(teaming, team))
+
+    @staticmethod
+    def _beat(teaming: Teaming, team: int) -> Beat:
+        return Beat.of(teaming.world.snapshot(team), team_status(teaming, team))
 
 
 def cut(found: Highlight, frequency: float) -> range:

@@ -25,7 +25,7 @@ from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.evaluation import statistics
 from hmi_marl.evaluation.alert_quality import AlertJudge, ExactRules, exact_settings
-from hmi_marl.evaluation.rollout import Episodes, play
+from hmi_marl.evaluation.episodes import Episodes, play_episodes
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.workers import check_workers, results
 
@@ -223,7 +223,7 @@ def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episo
     """Some of the episodes of one cell."""
     team = config.team(driver)
     seats = make_driver_policy(config.driver_policy, team), make_hmi(hmi, team)
-    return play(team, *seats, np.array(seeds, np.uint64), config.world, AlertJudge(team))
+    return play_episodes(team, *seats, np.array(seeds, np.uint64), config.world, AlertJudge(team))
 
 
 def make_table(

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive import AdaptiveHMI
+from hmi_marl.agents.rollout import Observer, play
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.rewards import ATTENTION_TERMS
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.teaming import Teaming
-from hmi_marl.evaluation.rollout import turn
+from hmi_marl.envs.teaming import StepResult, Teaming
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +58,59 @@ class Trips:
         return self.rewards.sum(axis=2)
 
 
+class _Recorder(Observer):
+    """Keep what each step of each trip was worth, and what an adaptive HMI believed in it."""
+
+    def __init__(self, shape: tuple[int, int, int], adaptive: AdaptiveHMI | None) -> None:
+        self.rewards, self.driving = np.zeros(shape), np.zeros(shape, np.bool_)
+        self.probabilities: NDArray[np.float64] | None = None
+        self._adaptive = adaptive
+        self.trip = self._step = 0
+
+    def next_trip(self, trip: int) -> None:
+        """From now on it is this trip, from 0."""
+        self.trip, self._step = trip, 0
+
+    def before(self, teaming: Teaming) -> None:
+        """Note who is still driving."""
+        self.driving[:, self.trip, self._step] = ~teaming.over
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        """Note the attention reward and the belief."""
+        reward = sum(result.terms[name] for name in ATTENTION_TERMS)
+        self.rewards[:, self.trip, self._step] = reward
+        if self._adaptive is not None:
+            belief = self._adaptive.estimator.belief.probabilities
+            if self.probabilities is None:
+                self.probabilities = np.zeros((*self.rewards.shape, belief.shape[1]))
+            # When all have crashed nothing more is learned: the last belief stays.
+            self.probabilities[:, self.trip, self._step :] = belief[:, None]
+        self._step += 1
+
+
+class _NewDriver(Observer):
+    """Let other drivers take the wheel before a step."""
+
+    def __init__(self, step: int, traits: Traits, told: Callable[[Traits], object]) -> None:
+        self._steps_left, self._traits, self._told = step, traits, told
+
+    def before(self, teaming: Teaming) -> None:
+        """Hand over when it is time."""
+        if self._steps_left == 0:
+            self.now(teaming)
+        self._steps_left -= 1
+
+    def now(self, teaming: Teaming) -> None:
+        """Hand over."""
+        teaming.hand_over(self._traits)
+        self._told(self._traits)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the time has not come yet."""
+        return self._steps_left >= 0
+
+
 def play_trips(
     config: TeamConfig,
     driver: Policy,
@@ -84,32 +137,25 @@ def play_trips(
         keep_beliefs: keep what an adaptive HMI believed, step by step.
     """
     count, trips = seeds.shape
-    shape = count, trips, config.horizon
-    rewards, driving = np.zeros(shape), np.zeros(shape, np.bool_)
-    beliefs: list[NDArray[np.float64]] = []
+    tell = told or (lambda traits: None)
     adaptive = hmi if isinstance(hmi, AdaptiveHMI) else None
+    recorder = _Recorder((count, trips, config.horizon), adaptive if keep_beliefs else None)
     at_the_wheel = drivers
     for trip in range(trips):
-        team = replace(config, driver=AtTheWheel(at_the_wheel))
-        teaming = Teaming(team, count, "batched")
+        recorder.next_trip(trip)
+        observers: list[Observer] = [recorder]
+        change = None
+        if hand_over is not None and trip == hand_over.trip:
+            change = _NewDriver(hand_over.step, hand_over.traits, tell)
+            observers.insert(0, change)
+        teaming = Teaming(replace(config, driver=AtTheWheel(at_the_wheel)), count, "batched")
         begin_trip = adaptive.next_trip if adaptive and trip > 0 else hmi.reset
         teaming.reset(seeds[:, trip])
         driver.reset(seeds[:, trip])
         begin_trip(seeds[:, trip])
-        if told is not None:
-            told(at_the_wheel)
-        for step in range(config.horizon):
-            if hand_over is not None and (trip, step) == (hand_over.trip, hand_over.step):
-                at_the_wheel = hand_over.traits
-                teaming.hand_over(at_the_wheel)
-                if told is not None:
-                    told(at_the_wheel)
-            driving[:, trip, step] = ~teaming.over
-            result = turn(teaming, driver, hmi)
-            rewards[:, trip, step] = sum(result.terms[name] for name in ATTENTION_TERMS)
-            if keep_beliefs and adaptive is not None:
-                beliefs.append(adaptive.estimator.belief.probabilities)
-    probabilities = None
-    if beliefs:
-        probabilities = np.stack(beliefs, axis=1).reshape(*shape, -1)
-    return Trips(rewards, driving, probabilities)
+        tell(at_the_wheel)
+        play(teaming, driver, hmi, observers)
+        if change is not None and change.waits:  # all have crashed before
+            change.now(teaming)
+        at_the_wheel = teaming.traits
+    return Trips(recorder.rewards, recorder.driving, recorder.probabilities)

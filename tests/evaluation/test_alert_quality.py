@@ -6,7 +6,7 @@ from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.evaluation.alert_quality import AlertJudge, AlertQuality, ExactRules
-from hmi_marl.evaluation.rollout import Episodes, play
+from hmi_marl.evaluation.episodes import Episodes, play_episodes
 
 ONE_STEP = TeamConfig(driver="homer", duration=0.2)
 
@@ -52,7 +52,7 @@ def test_the_optimum_loses_nothing_and_silence_all_that_it_gains(settings) -> No
     driver = make_driver_policy("rule", team)
     seeds, shares = np.arange(200), {}
     for name in ("optimal", "never"):
-        episodes = play(team, driver, make_hmi(name, team), seeds, "batched", judge)
+        episodes = play_episodes(team, driver, make_hmi(name, team), seeds, "batched", judge)
         assert episodes.alerting is not None
         shares[name] = rules.share_of_gain(float(episodes.alerting.lost.mean()))
     assert shares["optimal"] == pytest.approx(1.0, abs=1e-12)
@@ -97,8 +97,8 @@ def test_a_driver_who_never_drifts_off_leaves_nothing_to_gain() -> None:
 def test_playing_does_not_depend_on_the_judge_and_joins_what_it_said() -> None:
     team = TeamConfig(driver="homer", duration=2.0)
     seats = make_driver_policy("rule", team), make_hmi("random", team)
-    judged = [play(team, *seats, seeds, judge=AlertJudge(team)) for seeds in ([3, 4], [5])]
-    alone = play(team, *seats, [3, 4])
+    judged = [play_episodes(team, *seats, seeds, judge=AlertJudge(team)) for seeds in ([3, 4], [5])]
+    alone = play_episodes(team, *seats, [3, 4])
     assert alone.alerting is None
     for name in ("length", "alerts", "distracted", "crashed"):
         np.testing.assert_array_equal(getattr(judged[0], name), getattr(alone, name))

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
 from hmi_marl.agents import make_driver_policy, make_hmi
+from hmi_marl.agents.rollout import begin
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.envs.render import TeamStatus, Viewer, between
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds import Snapshot
 from hmi_marl.evaluation import clip
-from hmi_marl.evaluation.rollout import begin
 
 Moment = tuple[Snapshot, TeamStatus]
 CONFIG = TeamConfig(driver="homer", duration=2.0, scene=Scene(vehicles=2))

@@ -19,8 +19,8 @@ from hmi_marl.evaluation.compare import (
     quick,
 )
 from hmi_marl.evaluation.compare_play import Sums, play_all, play_pair, read_curves
+from hmi_marl.evaluation.episodes import Episodes, play_episodes
 from hmi_marl.evaluation.reproduction import EVALUATION_SEED
-from hmi_marl.evaluation.rollout import Episodes, play
 from hmi_marl.training.jobs import train_all
 
 TINY = CompareSettings(
@@ -225,7 +225,7 @@ def test_a_swapped_pair_plays_as_anybody_would_play_it(folder: Path) -> None:
     sums = play_pair(TINY, folder, swapped)[EVERYBODY]
     team = TINY.team()
     seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + 8, dtype=np.uint64)
-    episodes = play(
+    episodes = play_episodes(
         team,
         make_driver_policy(str(folder / swapped.driver), team),
         make_hmi(str(folder / swapped.hmi), team),

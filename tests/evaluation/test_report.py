@@ -14,9 +14,9 @@ from PIL import Image
 import hmi_marl
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.evaluation import report
+from hmi_marl.evaluation.episodes import Episodes
 from hmi_marl.evaluation.figures import table_figure
 from hmi_marl.evaluation.in_short import in_short
-from hmi_marl.evaluation.rollout import Episodes
 from hmi_marl.evaluation.statistics import Estimate
 from hmi_marl.evaluation.table import Cell, TableConfig, make_cell
 

@@ -14,7 +14,7 @@ from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.plain import plain
 from hmi_marl.envs.rewards import TERMS
-from hmi_marl.evaluation.rollout import Episodes
+from hmi_marl.evaluation.episodes import Episodes
 from hmi_marl.evaluation.table import (
     Cell,
     TableConfig,

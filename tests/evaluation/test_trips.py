@@ -11,7 +11,7 @@ from hmi_marl.agents.trait_estimator import TraitEstimator
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.scene import Scene
-from hmi_marl.evaluation.rollout import play
+from hmi_marl.evaluation.episodes import play_episodes
 from hmi_marl.evaluation.trips import AtTheWheel, HandOver, play_trips
 
 TEAM = TeamConfig(ai_sees_attention=False, duration=4.0, scene=Scene(vehicles=20))
@@ -48,7 +48,7 @@ def test_every_trip_is_an_ordinary_episode(hmi):
     for k, name in enumerate(PAPER_DRIVERS):
         team = replace(TEAM, driver=name)
         policies = make_driver_policy("random", team), make_hmi(hmi, team)
-        episodes = play(team, *policies, SEEDS[k], "batched")
+        episodes = play_episodes(team, *policies, SEEDS[k], "batched")
         np.testing.assert_array_equal(found.returns[k], episodes.attention_return())
         np.testing.assert_array_equal(lengths[k], episodes.length)
     for on, earned in zip(

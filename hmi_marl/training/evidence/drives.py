@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.evidence_model import Turns
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, DriverList, TraitDistributions, Traits
 from hmi_marl.envs.streams import Stream, mix, uniform
 from hmi_marl.envs.teaming import Teaming
@@ -83,17 +84,28 @@ def _drive(
 ) -> Drives:
     driver, hmi = make_driver_policy(settings.driver_policy, team), make_hmi(hmi_name, team)
     world = make_world("batched", team.scene, len(seeds), settings.threads)
-    teaming = Teaming(team, len(seeds), world)
-    reader = Turns(settings.reads, teaming.layouts[VEHICLE_AI])
-    for seat in (teaming, driver, hmi):
-        seat.reset(seeds)
-    reader.reset(len(seeds))
-    turns, driving = [], []
-    for _ in range(team.horizon):
-        on = ~teaming.over
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-        seen = teaming.observe(VEHICLE_AI)
-        turns.append(reader.read(seen, on))
-        driving.append(on)
-        teaming.step(hmi.act(seen))
-    return Drives(np.stack(turns, axis=1), np.stack(driving, axis=1), teaming.traits)
+    teaming = begin(team, driver, hmi, seeds, world)
+    recorder = _Recorder(Turns(settings.reads, teaming.layouts[VEHICLE_AI]), teaming)
+    play(teaming, driver, hmi, [recorder])
+    return Drives(*recorder.whole(team.horizon), teaming.traits)
+
+
+class _Recorder(Observer):
+    """Keep the turns as an evidence model reads them, at the moment the vehicle AI acts."""
+
+    def __init__(self, reader: Turns, teaming: Teaming) -> None:
+        self._turns: list[NDArray[np.float32]] = []
+        self._driving: list[NDArray[np.bool_]] = []
+        self._reader = reader
+        reader.reset(teaming.num_teams)
+
+    def seen(self, teaming: Teaming, observations: NDArray[np.float32]) -> None:
+        """Read one turn."""
+        self._driving.append(~teaming.over)
+        self._turns.append(self._reader.read(observations, self._driving[-1]))
+
+    def whole(self, horizon: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Turns (M, horizon, columns) and whether they were driven (M, horizon)."""
+        turns, driving = np.stack(self._turns, axis=1), np.stack(self._driving, axis=1)
+        rest = (0, 0), (0, horizon - turns.shape[1])  # after the last crash there are no turns
+        return np.pad(turns, (*rest, (0, 0))), np.pad(driving, rest)

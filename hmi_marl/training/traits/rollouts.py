@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.hmis import RandomAlert
+from hmi_marl.agents.memory import Memoryless
+from hmi_marl.agents.rollout import Observer, play
 from hmi_marl.agents.situations import Recent
-from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver
-from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import make_world
 from hmi_marl.training.demonstrations import observed_layout
 
@@ -64,31 +67,72 @@ def drive(
     config = replace(config, driver=ATTENTIVE, reward="driving", end_at_crash=False)
     world = make_world("batched", config.scene, len(seeds), threads)
     teaming = Teaming(config, len(seeds), world)
-    alarm, recent = RandomAlert(alert_rate), Recent(len(seeds))
+    imitator = _Imitator(act, teaming)
+    alarm = _Alarm(alert_rate, imitator)
     teaming.reset(seeds)
     alarm.reset(seeds)
-    layout = teaming.layouts[VEHICLE_AI]
-    columns = layout.columns(part.name for part in observed_layout(config).parts)
-    shape = config.horizon, len(seeds)
-    actions, alerts = np.zeros((2, *shape), np.int64)
-    speed, headway, rewards = np.zeros((3, *shape))
-    x = []
-    for t in range(config.horizon):
-        seen = teaming.observe(VEHICLE_AI)
-        alerts[t] = alarm.act(seen)
-        x.append(recent.situation(seen[:, columns], alerts[t]))
-        actions[t] = act(x[-1])
-        teaming.intend(actions[t])
-        result = teaming.step(alerts[t])
-        recent.acted(actions[t])
-        speed[t], headway[t] = teaming.ego.speed, teaming.time_headway()
-        rewards[t] = result.rewards["driver"]
-    return Drives(
-        np.stack(x, axis=1),
-        actions.T.copy(),
-        alerts.T.copy(),
-        speed.T,
-        headway.T,
-        teaming.ego.crashed.copy(),
-        rewards.sum(axis=0),
-    )
+    play(teaming, imitator, alarm, [imitator])
+    return imitator.drives(teaming)
+
+
+class _Alarm(RandomAlert):
+    """Sound at random, at the same time as the car acts, which hears it."""
+
+    takes_turns = False
+
+    def __init__(self, rate: float, imitator: _Imitator) -> None:
+        super().__init__(rate)
+        self._imitator = imitator
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See :meth:`hmi_marl.envs.seats.Policy.act`."""
+        alerts = super().act(observations)
+        self._imitator.hear(observations, alerts)
+        return alerts
+
+
+class _Imitator(Memoryless, Observer):
+    """Drive by actions in situations, and keep the drives."""
+
+    def __init__(
+        self, act: Callable[[NDArray[np.float32]], NDArray[np.int64]], teaming: Teaming
+    ) -> None:
+        parts = observed_layout(teaming.config).parts
+        self._columns = teaming.layouts[VEHICLE_AI].columns(part.name for part in parts)
+        self._act = act
+        self._recent = Recent(teaming.num_teams)
+        self._situations: list[NDArray[np.float32]] = []
+        self._rows: list[tuple[NDArray[Any], ...]] = []
+
+    def hear(self, observations: NDArray[np.float32], alerts: NDArray[np.int64]) -> None:
+        """Come into the next situation: what can be seen, and the alert."""
+        states = observations[:, self._columns]
+        self._alerts = alerts
+        self._situations.append(self._recent.situation(states, alerts))
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions in the situation that was heard last; the driver's own view is not read."""
+        self._actions = self._act(self._situations[-1])
+        self._recent.acted(self._actions)
+        return self._actions
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        """Keep the step."""
+        speed, headway = teaming.ego.speed, teaming.time_headway()
+        reward = result.rewards[DRIVER]
+        self._rows.append((self._actions, self._alerts, speed, headway, reward))
+
+    def drives(self, teaming: Teaming) -> Drives:
+        """All that was kept, once the episodes have ended."""
+        actions, alerts, speed, headway, rewards = (
+            np.stack(rows) for rows in zip(*self._rows, strict=True)
+        )
+        return Drives(
+            np.stack(self._situations, axis=1),
+            actions.T.copy(),
+            alerts.T.copy(),
+            speed.T,
+            headway.T,
+            teaming.ego.crashed.copy(),
+            rewards.sum(axis=0),
+        )

@@ -8,7 +8,7 @@ from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.scene import Scene
-from hmi_marl.evaluation.rollout import Episodes, play
+from hmi_marl.evaluation.episodes import Episodes, play_episodes
 
 QUIET = TeamConfig(driver="homer", duration=2.0, scene=Scene(vehicles=2))
 CROWDED = TeamConfig(driver=["lisa", "homer"], duration=2.0, scene=Scene(vehicles=20))
@@ -16,7 +16,7 @@ CRASHING, WHOLE = 5, 1  # seeds in CROWDED under random driving
 
 
 def played(config: TeamConfig, driver: str, hmi: str, seeds: list[int]) -> Episodes:
-    return play(config, make_driver_policy(driver, config), make_hmi(hmi, config), seeds)
+    return play_episodes(config, make_driver_policy(driver, config), make_hmi(hmi, config), seeds)
 
 
 def assert_same(one: Episodes, other: Episodes) -> None:
@@ -108,9 +108,9 @@ def test_a_driver_who_crashed_distracted_is_not_counted_on() -> None:
 
 def test_the_same_policies_can_play_again() -> None:
     driver, hmi = make_driver_policy("random", QUIET), make_hmi("belief", QUIET)
-    first = play(QUIET, driver, hmi, [8, 9])
-    play(QUIET, driver, hmi, [1, 2, 3])
-    assert_same(play(QUIET, driver, hmi, [8, 9]), first)
+    first = play_episodes(QUIET, driver, hmi, [8, 9])
+    play_episodes(QUIET, driver, hmi, [1, 2, 3])
+    assert_same(play_episodes(QUIET, driver, hmi, [8, 9]), first)
 
 
 def test_nobody_ahead_is_an_infinite_headway() -> None:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
-from hmi_marl.envs.seats import Policy, takes_turns
+from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.teaming import StepResult, Teaming
-from hmi_marl.envs.worlds import World
 from hmi_marl.evaluation.alert_quality import AlertJudge, AlertQuality
 
 
@@ -57,30 +57,34 @@ class Episodes:
         return cls(**joined, returns=returns, alerting=alerting)
 
 
-def begin(
-    config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str | World
-) -> Teaming:
-    """Teams at the start of the episodes of these seeds, with both seats' policies reset."""
-    teaming = Teaming(config, len(seeds), world)
-    for seat in (teaming, driver, hmi):
-        seat.reset(seeds)
-    return teaming
+class _Totals(Observer):
+    """Sum up what N episodes come to."""
+
+    def __init__(self, count: int, horizon: int, judge: AlertJudge | None) -> None:
+        self.returns = {name: np.zeros(count) for name in TERMS}
+        self.alerts, self.distracted = np.zeros((2, count), np.int64)
+        self.headways = np.full((horizon, count), np.inf)
+        self.alerting = None if judge is None else AlertQuality.nothing_yet(count)
+        self._judge = judge
+        self._step = 0
+
+    def before(self, teaming: Teaming) -> None:
+        self._active, self._attention = ~teaming.over, teaming.attention
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        active, step = self._active, self._step
+        if self._judge is not None and self.alerting is not None:
+            judged = self._judge.judge(step, self._attention, teaming.alerted)
+            self.alerting = self.alerting.add(judged, active)
+        for name, values in result.terms.items():
+            self.returns[name] += values
+        self.alerts += active & (teaming.alerted > 0)
+        self.distracted += active & (teaming.attention.distracted == 1)
+        self.headways[step] = np.where(active, teaming.time_headway(), np.inf)
+        self._step += 1
 
 
-def turn(teaming: Teaming, driver: Policy, hmi: Policy) -> StepResult:
-    """One step, in which the driver acts first and the HMI sees it.
-
-    An HMI that has learnt to act at once with the driver does so: it sees a^H_{t-1}.
-    """
-    if takes_turns(hmi):
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-        return teaming.step(hmi.act(teaming.observe(VEHICLE_AI)))
-    alerts = hmi.act(teaming.observe(VEHICLE_AI))
-    teaming.intend(driver.act(teaming.observe(DRIVER)))
-    return teaming.step(alerts)
-
-
-def play(
+def play_episodes(
     config: TeamConfig,
     driver: Policy,
     hmi: Policy,
@@ -99,34 +103,18 @@ def play(
         judge: of the alerts; none by default.
     """
     seeds = np.asarray(seeds, np.uint64)
-    teaming = begin(config, driver, hmi, seeds, world)
-    count = len(seeds)
-    returns = {name: np.zeros(count) for name in TERMS}
-    alerts, distracted = np.zeros((2, count), np.int64)
-    headways = np.full((config.horizon, count), np.inf)
-    alerting = None if judge is None else AlertQuality.nothing_yet(count)
-    step = 0
-    while not teaming.over.all():
-        active, before = ~teaming.over, teaming.attention
-        result = turn(teaming, driver, hmi)
-        if judge is not None and alerting is not None:
-            alerting = alerting.add(judge.judge(step, before, teaming.alerted), active)
-        for name, values in result.terms.items():
-            returns[name] += values
-        alerts += active & (teaming.alerted > 0)
-        distracted += active & (teaming.attention.distracted == 1)
-        headways[step] = np.where(active, teaming.time_headway(), np.inf)
-        step += 1
+    totals = _Totals(len(seeds), config.horizon, judge)
+    teaming = play(begin(config, driver, hmi, seeds, world), driver, hmi, [totals])
     return Episodes(
         seeds,
         teaming.steps.copy(),
         teaming.ego.crashed.copy(),
-        alerts,
-        distracted,
-        headways.min(axis=0),
-        _medians(headways),
-        returns,
-        alerting,
+        totals.alerts,
+        totals.distracted,
+        totals.headways.min(axis=0),
+        _medians(totals.headways),
+        totals.returns,
+        totals.alerting,
     )
 
 

@@ -1,0 +1,95 @@
+"""The turn loop: who moves when, who sees what, and who watches.
+
+Every episode that two policies play goes through here, so the order of moves is written once for a
+:class:`Teaming`, and whatever records, counts or draws is an :class:`Observer`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.seats import Policy, takes_turns
+from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.worlds import World
+
+
+class Observer:
+    """Watch N teams play. Each method does nothing unless it is overridden."""
+
+    def before(self, teaming: Teaming) -> None:
+        """Called before each turn, when neither agent has moved."""
+
+    def seen(self, teaming: Teaming, observations: NDArray[np.float32]) -> None:
+        """Called with what the vehicle AI is about to act on, shape (N, D)."""
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        """Called after each turn with its rewards and ends."""
+
+
+def begin(
+    config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str | World
+) -> Teaming:
+    """Make teams at the start of the episodes of these seeds, and reset both seats' policies."""
+    teaming = Teaming(config, len(seeds), world)
+    for seat in (teaming, driver, hmi):
+        seat.reset(seeds)
+    return teaming
+
+
+def turn(
+    teaming: Teaming, driver: Policy, hmi: Policy, observers: Sequence[Observer] = ()
+) -> StepResult:
+    """Take one step of every team.
+
+    The driver moves first, so that the HMI sees a^H_t. An HMI that moves at the same time as the
+    driver (see :func:`hmi_marl.envs.seats.takes_turns`) is asked first and sees a^H_{t-1}.
+    """
+    for observer in observers:
+        observer.before(teaming)
+    if takes_turns(hmi):
+        teaming.intend(driver.act(teaming.observe(DRIVER)))
+        alerts = _alerts(teaming, hmi, observers)
+    else:
+        alerts = _alerts(teaming, hmi, observers)
+        teaming.intend(driver.act(teaming.observe(DRIVER)))
+    result = teaming.step(alerts)
+    for observer in observers:
+        observer.after(teaming, result)
+    return result
+
+
+def _alerts(teaming: Teaming, hmi: Policy, observers: Sequence[Observer]) -> NDArray[np.int64]:
+    observations = teaming.observe(VEHICLE_AI)
+    for observer in observers:
+        observer.seen(teaming, observations)
+    return hmi.act(observations)
+
+
+def turns(
+    teaming: Teaming, driver: Policy, hmi: Policy, observers: Sequence[Observer] = ()
+) -> Iterator[StepResult]:
+    """Take turns until every team's episode has ended; yields each result."""
+    while not teaming.over.all():
+        yield turn(teaming, driver, hmi, observers)
+
+
+def play(
+    teaming: Teaming, driver: Policy, hmi: Policy, observers: Sequence[Observer] = ()
+) -> Teaming:
+    """Play every team's episode to its end.
+
+    Args:
+        teaming: N teams whose episodes have begun (see :func:`begin`).
+        driver, hmi: policies of the two seats, reset for the same episodes.
+        observers: told of each turn, in their order.
+
+    Returns:
+        The same teams, at the end of their episodes.
+    """
+    for _ in turns(teaming, driver, hmi, observers):
+        pass
+    return teaming

@@ -1,0 +1,89 @@
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hmi_marl.agents.hmis import RandomAlert
+from hmi_marl.agents.memory import Memoryless
+from hmi_marl.agents.rollout import Observer, begin, play, turns
+from hmi_marl.envs.config import TeamConfig
+
+ROOT = Path(__file__).parents[2]
+CONFIG = TeamConfig(driver="bart", duration=2.0)
+SEEDS = np.arange(4, dtype=np.uint64)
+
+
+class Counting(Memoryless):
+    """A driver whose a^H is the number of the step, modulo 5."""
+
+    def __init__(self):
+        self.step = 0
+
+    def act(self, observations):
+        self.step += 1
+        return np.full(len(observations), (self.step - 1) % 5)
+
+
+class SeesIntent(Memoryless):
+    """An HMI that keeps the intended action that it sees."""
+
+    def __init__(self, layout, takes_turns):
+        self.layout, self.takes_turns, self.seen = layout, takes_turns, []
+
+    def act(self, observations):
+        self.seen.append(self.layout.chosen(observations, "intended_action")[0])
+        return np.zeros(len(observations), np.int64)
+
+
+class Log(Observer):
+    def __init__(self):
+        self.calls = []
+
+    def before(self, teaming):
+        self.calls.append(("before", int(teaming.steps[0]), bool(teaming.intent_given.any())))
+
+    def seen(self, teaming, observations):
+        self.calls.append(("seen", observations.shape, bool(teaming.intent_given.any())))
+
+    def after(self, teaming, result):
+        self.calls.append(("after", int(teaming.steps[0]), result.rewards["driver"].shape))
+
+
+@pytest.mark.parametrize("takes_turns", [True, False])
+def test_an_hmi_sees_the_intent_of_this_step_or_of_the_last(takes_turns):
+    driver = Counting()
+    teaming = begin(CONFIG, driver, RandomAlert(0.0), SEEDS, "batched")
+    hmi = SeesIntent(teaming.layouts["vehicle_ai"], takes_turns)
+    for _, _ in zip(range(4), turns(teaming, driver, hmi), strict=False):
+        pass
+    assert hmi.seen == ([0, 1, 2, 3] if takes_turns else [-1, 0, 1, 2])
+
+
+def test_observers_are_called_before_each_turn_as_the_hmi_sees_and_after():
+    driver, hmi, log = Counting(), RandomAlert(0.5), Log()
+    teaming = begin(CONFIG, driver, hmi, SEEDS, "batched")
+    size = teaming.layouts["vehicle_ai"].size
+    next(turns(teaming, driver, hmi, [log]))
+    assert log.calls == [("before", 0, False), ("seen", (4, size), True), ("after", 1, (4,))]
+
+
+def test_play_ends_when_the_last_episode_has_ended():
+    driver, hmi, log = Counting(), RandomAlert(0.5), Log()
+    teaming = begin(CONFIG, driver, hmi, SEEDS, "batched")
+    assert play(teaming, driver, hmi, [log]) is teaming
+    assert teaming.over.all()
+    assert len(log.calls) == 3 * teaming.steps.max()
+    play(teaming, driver, hmi, [log])
+    assert len(log.calls) == 3 * teaming.steps.max()  # nothing is left to play
+
+
+def test_the_order_of_moves_is_written_once():
+    """Outside the environments only the turn loop lets a driver move, and a benchmark."""
+    where = {
+        path.relative_to(ROOT / "hmi_marl").as_posix()
+        for path in (ROOT / "hmi_marl").rglob("*.py")
+        if re.search(r"\.intend\(", path.read_text(encoding="utf-8"))
+    }
+    outside = {path for path in where if not path.startswith("envs/")}
+    assert outside == {"agents/rollout.py", "evaluation/bench.py"}
