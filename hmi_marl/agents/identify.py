@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.bayes_filter import BayesFilter, check_candidates, posterior
+from hmi_marl.agents.memory import Memoryless
 from hmi_marl.agents.rollout import turn
 from hmi_marl.envs.alerts import need_plain
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver, Traits
 from hmi_marl.envs.observations import driver_layout, traits_part
 from hmi_marl.envs.teaming import Teaming
@@ -222,40 +223,30 @@ def perceived(
     replays = [_attentive_teams(config, inflation, seeds) for inflation in inflations.tolist()]
     layout, traits = driver_layout(config), traits_part(Traits.of(drivers))
     within = np.arange(actions.shape[1]) < length[:, None]
-    people = [_Recorded(np.where(within, actions, 0)) for _ in replays]
-    hmi = _Recorded(np.where(within, alerts, 0))
+    driven, alerted = np.where(within, actions, 0), np.where(within, alerts, 0)
     for t in range(int(length.max(initial=0))):
         if (within[:, t] & replays[0].over).any():
             raise ValueError(
                 f"a window goes on after step {t - 1}, in which it ends when played again: config "
                 "is not that of the recording (see end_at_crash)"
             )
-        for teams, person in zip(replays, people, strict=True):
-            hmi.step = t
-            turn(teams, person, hmi)
-        seen = np.stack([person.seen for person in people])[which]
+        seen = np.stack([teams.observe(DRIVER) for teams in replays])[which]
         if "traits" in layout:
             seen[..., layout["traits"]] = traits[:, None]
         yield seen
+        for teams in replays:
+            turn(teams, _Recorded(driven[:, t]), _Recorded(alerted[:, t]))
 
 
-class _Recorded:
-    """Repeat recorded actions, shape (E, T), and keep what is seen meanwhile."""
+class _Recorded(Memoryless):
+    """Repeat the recorded actions of one step, shape (E,)."""
 
     def __init__(self, actions: NDArray[np.int64]) -> None:
         self._actions = actions
-        self.step = 0
-        self.seen: NDArray[np.float32] = np.zeros((0, 0), np.float32)
-
-    def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
-        """Begin again."""
-        self.step = 0
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The actions of the next step."""
-        self.seen = observations
-        self.step += 1
-        return self._actions[:, self.step - 1]
+        """See :meth:`hmi_marl.envs.seats.Policy.act`."""
+        return self._actions
 
 
 def _attentive_teams(config: TeamConfig, inflation: float, seeds: NDArray[np.uint64]) -> Teaming:

@@ -78,18 +78,28 @@ def turns(
 
 
 def play(
-    teaming: Teaming, driver: Policy, hmi: Policy, observers: Sequence[Observer] = ()
+    teaming: Teaming,
+    driver: Policy,
+    hmi: Policy,
+    observers: Sequence[Observer] = (),
+    steps: int | None = None,
 ) -> Teaming:
     """Play every team's episode to its end.
 
     Args:
         teaming: N teams whose episodes have begun (see :func:`begin`).
         driver, hmi: policies of the two seats, reset for the same episodes.
-        observers: told of each turn, in their order.
+        observers: watch each turn, in their order.
+        steps: turns to take, also after every episode has ended; until then by default. A policy
+            that remembers its teams over several episodes then ages alike in all of them.
 
     Returns:
         The same teams, at the end of their episodes.
     """
-    for _ in turns(teaming, driver, hmi, observers):
-        pass
+    if steps is None:
+        for _ in turns(teaming, driver, hmi, observers):
+            pass
+    else:
+        for _ in range(steps):
+            turn(teaming, driver, hmi, observers)
     return teaming

@@ -83,8 +83,7 @@ class _Recorder(Observer):
             belief = self._adaptive.estimator.belief.probabilities
             if self.probabilities is None:
                 self.probabilities = np.zeros((*self.rewards.shape, belief.shape[1]))
-            # When all have crashed nothing more is learned: the last belief stays.
-            self.probabilities[:, self.trip, self._step :] = belief[:, None]
+            self.probabilities[:, self.trip, self._step] = belief
         self._step += 1
 
 
@@ -97,18 +96,9 @@ class _NewDriver(Observer):
     def before(self, teaming: Teaming) -> None:
         """Hand over when it is time."""
         if self._steps_left == 0:
-            self.now(teaming)
+            teaming.hand_over(self._traits)
+            self._told(self._traits)
         self._steps_left -= 1
-
-    def now(self, teaming: Teaming) -> None:
-        """Hand over."""
-        teaming.hand_over(self._traits)
-        self._told(self._traits)
-
-    @property
-    def waits(self) -> bool:
-        """Whether the time has not come yet."""
-        return self._steps_left >= 0
 
 
 def play_trips(
@@ -144,18 +134,14 @@ def play_trips(
     for trip in range(trips):
         recorder.next_trip(trip)
         observers: list[Observer] = [recorder]
-        change = None
         if hand_over is not None and trip == hand_over.trip:
-            change = _NewDriver(hand_over.step, hand_over.traits, tell)
-            observers.insert(0, change)
+            observers.insert(0, _NewDriver(hand_over.step, hand_over.traits, tell))
         teaming = Teaming(replace(config, driver=AtTheWheel(at_the_wheel)), count, "batched")
         begin_trip = adaptive.next_trip if adaptive and trip > 0 else hmi.reset
         teaming.reset(seeds[:, trip])
         driver.reset(seeds[:, trip])
         begin_trip(seeds[:, trip])
         tell(at_the_wheel)
-        play(teaming, driver, hmi, observers)
-        if change is not None and change.waits:  # all have crashed before
-            change.now(teaming)
+        play(teaming, driver, hmi, observers, steps=config.horizon)
         at_the_wheel = teaming.traits
     return Trips(recorder.rewards, recorder.driving, recorder.probabilities)

@@ -86,26 +86,21 @@ def _drive(
     world = make_world("batched", team.scene, len(seeds), settings.threads)
     teaming = begin(team, driver, hmi, seeds, world)
     recorder = _Recorder(Turns(settings.reads, teaming.layouts[VEHICLE_AI]), teaming)
-    play(teaming, driver, hmi, [recorder])
-    return Drives(*recorder.whole(team.horizon), teaming.traits)
+    play(teaming, driver, hmi, [recorder], steps=team.horizon)
+    turns, driving = np.stack(recorder.turns, axis=1), np.stack(recorder.driving, axis=1)
+    return Drives(turns, driving, teaming.traits)
 
 
 class _Recorder(Observer):
     """Keep the turns as an evidence model reads them, at the moment the vehicle AI acts."""
 
     def __init__(self, reader: Turns, teaming: Teaming) -> None:
-        self._turns: list[NDArray[np.float32]] = []
-        self._driving: list[NDArray[np.bool_]] = []
+        self.turns: list[NDArray[np.float32]] = []
+        self.driving: list[NDArray[np.bool_]] = []
         self._reader = reader
         reader.reset(teaming.num_teams)
 
     def seen(self, teaming: Teaming, observations: NDArray[np.float32]) -> None:
         """Read one turn."""
-        self._driving.append(~teaming.over)
-        self._turns.append(self._reader.read(observations, self._driving[-1]))
-
-    def whole(self, horizon: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Turns (M, horizon, columns) and whether they were driven (M, horizon)."""
-        turns, driving = np.stack(self._turns, axis=1), np.stack(self._driving, axis=1)
-        rest = (0, 0), (0, horizon - turns.shape[1])  # after the last crash there are no turns
-        return np.pad(turns, (*rest, (0, 0))), np.pad(driving, rest)
+        self.driving.append(~teaming.over)
+        self.turns.append(self._reader.read(observations, self.driving[-1]))
