@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable
 from queue import SimpleQueue
+from statistics import median
 from typing import Any
 
 import numba
@@ -166,3 +168,37 @@ def share(loop: Callable[..., None], count: int, threads: int, *arguments: Any) 
             ended.get()
             waiting -= 1
         raise
+
+
+class Pace:
+    """Choose between one thread and several by which was faster lately.
+
+    On a busy machine, or where another library's threads wait actively on the other cores, a
+    helper that is put off in the middle of its part costs more than it saves. So now and then a few
+    steps are taken the other way, and the faster way is kept.
+    """
+
+    TRIAL, BETWEEN = 5, 500
+    """Steps of a trial, and from one trial to the next: trials cost at most about 1 %."""
+
+    def __init__(self) -> None:
+        self._together = True
+        self._step = 0
+        self._spent: dict[bool, deque[float]] = {
+            together: deque(maxlen=self.TRIAL) for together in (False, True)
+        }
+
+    def threads(self, most: int) -> int:
+        """Return how many threads to use for the next step: ``most`` or 1."""
+        on_trial = self.TRIAL <= self._step < 2 * self.TRIAL
+        return most if self._together != on_trial else 1
+
+    def note(self, threads: int, seconds: float) -> None:
+        """Take in how long the step took with so many threads."""
+        self._spent[threads > 1].append(seconds)
+        self._step += 1
+        together, alone = self._spent[True], self._spent[False]
+        if self._step == 2 * self.TRIAL and together and alone:
+            self._together = median(together) <= median(alone)
+        elif self._step == self.BETWEEN:
+            self._step = 0

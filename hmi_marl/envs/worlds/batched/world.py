@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any, Literal
 
 import numpy as np
@@ -29,7 +30,7 @@ from hmi_marl.envs.worlds.batched.memory import (
     X,
     Y,
 )
-from hmi_marl.envs.worlds.batched.threads import available, share
+from hmi_marl.envs.worlds.batched.threads import Pace, available, share
 
 _CARRAY: tuple[Literal["C", "W"], ...] = ("C", "W")
 """Requirements of the compiled loops: arrays in one piece that can be written to."""
@@ -41,7 +42,7 @@ class BatchedWorld:
     Args:
         scene: fitted to the episode's duration.
         num_worlds: N.
-        threads: to share the worlds among; all cores by default. Does not change results.
+        threads: to share the worlds among at most; all cores by default. Does not change results.
     """
 
     def __init__(self, scene: Scene, num_worlds: int, threads: int | None = None) -> None:
@@ -51,6 +52,7 @@ class BatchedWorld:
         self.scene = scene
         self.num_worlds = num_worlds
         self.threads = threads or most
+        self._pace = Pace()
         self._road = lane_table(scene)
         self._speeds = np.array(scene.target_speeds)
         high = scene.vehicle_range[1]
@@ -103,7 +105,9 @@ class BatchedWorld:
         """See :meth:`World.step`."""
         which = np.require(which, np.bool_, _CARRAY)
         actions = np.require(actions, np.int64, _CARRAY)
-        self._share(step_worlds, self._step_arguments(actions, which))
+        threads, start = self._pace.threads(self.threads), time.perf_counter()
+        share(step_worlds, self.num_worlds, threads, *self._step_arguments(actions, which))
+        self._pace.note(threads, time.perf_counter() - start)
         self._moved(which)
         self._steps = self._steps + which
 
@@ -161,7 +165,7 @@ class BatchedWorld:
         )
 
     def _share(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
-        share(kernel, self.num_worlds, self.threads, *arguments)
+        share(kernel, self.num_worlds, self._pace.threads(self.threads), *arguments)
 
     def _begin_arguments(
         self, seeds: NDArray[np.uint64], which: NDArray[np.bool_]
