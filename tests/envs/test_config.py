@@ -66,7 +66,8 @@ def test_a_function_that_takes_team_settings_shows_them_and_refuses_others():
     assert list(inspect.signature(make).parameters) == ["world", *names]
     assert make.__doc__ == "Make it."
     with pytest.raises(
-        TypeError, match=r"make\(\) got an unexpected keyword argument 'drvier'; it "
+        TypeError,
+        match=r"make\(\) got an unexpected keyword argument 'drvier'; did you mean driver\?",
     ):
         make(drvier="bart")
 
