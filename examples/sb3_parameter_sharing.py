@@ -5,7 +5,7 @@ several cars' agents, which stable-baselines3 takes for so many cars with one ag
 agents act at once, so the AI sees what the driver wanted in the last step.
 Needs the interop extra: pip install 'hmi-marl[interop]'
 
-Run: python examples/sb3_parameter_sharing.py --driver homer --steps 70000
+Run: python examples/sb3_parameter_sharing.py --driver homer --steps 50000
 """
 
 import argparse
@@ -27,7 +27,7 @@ parser = argparse.ArgumentParser(
 )
 parser.add_argument("--driver", default="homer", help="lisa, bart, ... (default: %(default)s)")
 parser.add_argument(
-    "--steps", type=int, default=70_000, help="of all cars together (default: %(default)s)"
+    "--steps", type=int, default=50_000, help="of all cars together (default: %(default)s)"
 )
 parser.add_argument("--cars", type=int, default=8, help="side by side (default: %(default)s)")
 parser.add_argument(
