@@ -5,13 +5,14 @@ several cars' agents, which stable-baselines3 takes for so many cars with one ag
 agents act at once, so the AI sees what the driver wanted in the last step.
 Needs the interop extra: pip install 'hmi-marl[interop]'
 
-Run: python examples/sb3_parameter_sharing.py --driver homer --steps 50000
+Run: python examples/sb3_parameter_sharing.py --driver homer --steps 80000
 """
 
 import argparse
 
 import numpy as np
 import supersuit
+import torch
 from pettingzoo.utils import BaseParallelWrapper
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -27,7 +28,7 @@ parser = argparse.ArgumentParser(
 )
 parser.add_argument("--driver", default="homer", help="lisa, bart, ... (default: %(default)s)")
 parser.add_argument(
-    "--steps", type=int, default=50_000, help="of all cars together (default: %(default)s)"
+    "--steps", type=int, default=80_000, help="of all cars together (default: %(default)s)"
 )
 parser.add_argument("--cars", type=int, default=8, help="side by side (default: %(default)s)")
 parser.add_argument(
@@ -41,6 +42,7 @@ parser.add_argument(
 )
 parser.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
 args = parser.parse_args()
+torch.set_num_threads(1)  # with networks as small as these, more threads only wait for each other
 
 
 class TellsTruncation(BaseParallelWrapper):
