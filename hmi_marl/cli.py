@@ -133,13 +133,13 @@ def _understand(
             config=(tyro.conf.CascadeSubcommandArgs, tyro.conf.OmitSubcommandPrefixes),
         )
 
-    told = io.StringIO()
+    errors = io.StringIO()
     try:
-        with redirect_stderr(told):
+        with redirect_stderr(errors):
             return understood(arguments)
     except SystemExit as stop:
         if not stop.code:  # the help was printed
-            sys.stderr.write(told.getvalue())
+            sys.stderr.write(errors.getvalue())
             raise
     return _refuse(_why(understood, prog, arguments, parts))
 

@@ -6,12 +6,13 @@ Every episode that two policies play goes through here, so the order of moves is
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.seats import Policy, takes_turns
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import World
@@ -28,6 +29,31 @@ class Observer:
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
         """Called after each turn with its rewards and ends."""
+
+
+class HandsOver(Observer):
+    """Let other drivers take the wheel before a step, unannounced.
+
+    Args:
+        step: turns that are taken before.
+        traits: of the new drivers, N of them.
+        tell: is called with these traits when it happens.
+    """
+
+    def __init__(
+        self,
+        step: int,
+        traits: Traits,
+        tell: Callable[[Traits], object] = lambda traits: None,
+    ) -> None:
+        self._turns_left, self._traits, self._tell = step, traits, tell
+
+    def before(self, teaming: Teaming) -> None:
+        """Hand over when it is time."""
+        if self._turns_left == 0:
+            teaming.hand_over(self._traits)
+            self._tell(self._traits)
+        self._turns_left -= 1
 
 
 def begin(

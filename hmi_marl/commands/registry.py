@@ -151,7 +151,7 @@ SUBCOMMANDS = (
             ),
             Subcommand(
                 "traits",
-                "Learn latent traits in the paper's three settings and judge what was learnt.",
+                "Learn latent traits in the paper's three settings and judge what was learned.",
                 "commands.reproduce:ReproduceTraits",
                 TRAINING + _PARQUET + _PROBES,
             ),

@@ -140,7 +140,7 @@ class ReproduceHidden:
 
 @dataclass(frozen=True)
 class ReproduceTraits(TraitReproduction):
-    """Learn latent traits in the paper's three settings and judge what was learnt.
+    """Learn latent traits in the paper's three settings and judge what was learned.
 
     Goes on where it was cut off. With --seeds 5 every setting is learnt five times, and accuracies
     and KL get intervals.

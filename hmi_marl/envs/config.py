@@ -160,8 +160,8 @@ _R = TypeVar("_R")
 def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Show the fields of :class:`TeamConfig` in place of ``**settings``, and refuse other names.
 
-    ``help()`` and editors that look at the running program then list every keyword, and a typo is
-    told the nearest.
+    ``help()`` and editors that look at the running program then list every keyword, and the error
+    for a typo names the nearest.
     """
     signature = inspect.signature(function)
     own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]

@@ -70,6 +70,10 @@ class Layout:
         every = np.arange(self.size)
         return np.concatenate([every[self[name]] for name in names])
 
+    def columns_of(self, other: Layout) -> NDArray[np.int64]:
+        """The columns that hold the parts of another layout, in that layout's order."""
+        return self.columns(part.name for part in other.parts)
+
     def get(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float32]:
         """The named part of observations of shape (..., size): shape (..., part's size)."""
         return observation[..., self[name]]

@@ -16,7 +16,7 @@ from PIL import Image
 
 from hmi_marl.agents.adaptive import AdaptiveHMI
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.rollout import Observer, begin, turns
+from hmi_marl.agents.rollout import HandsOver, begin, turns
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.render import TeamStatus, Viewer, between, team_status
@@ -66,20 +66,8 @@ def moments(
         hand_over: before which step another driver takes the wheel, and their traits.
     """
     yield _moment(teaming, ai)
-    for _ in turns(teaming, driver, ai, [] if hand_over is None else [_NewDriver(*hand_over)]):
+    for _ in turns(teaming, driver, ai, [] if hand_over is None else [HandsOver(*hand_over)]):
         yield _moment(teaming, ai)
-
-
-class _NewDriver(Observer):
-    """Let another driver take the wheel before a step."""
-
-    def __init__(self, step: int, traits: Traits) -> None:
-        self._step, self._traits = step, traits
-
-    def before(self, teaming: Teaming) -> None:
-        """Hand over when it is time."""
-        if teaming.steps[0] == self._step:
-            teaming.hand_over(self._traits)
 
 
 def _moment(teaming: Teaming, ai: Policy) -> tuple[Snapshot, TeamStatus]:

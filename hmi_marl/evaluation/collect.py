@@ -251,8 +251,7 @@ class _Recorder(Observer):
         self, config: TeamConfig, teaming: Teaming, progress: Callable[[int], Any]
     ) -> None:
         self.layout = observed_layout(config)
-        seen = teaming.layouts[VEHICLE_AI]
-        self._columns = seen.columns(part.name for part in self.layout.parts)
+        self._columns = teaming.layouts[VEHICLE_AI].columns_of(self.layout)
         shape = teaming.num_teams, config.horizon
         self.states = np.zeros((*shape, self.layout.size), np.float32)
         self.alerts, self.distracted, self.accepted, self.counter = np.zeros((4, *shape), np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive import AdaptiveHMI
-from hmi_marl.agents.rollout import Observer, play
+from hmi_marl.agents.rollout import HandsOver, Observer, play
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.rewards import ATTENTION_TERMS
@@ -87,20 +87,6 @@ class _Recorder(Observer):
         self._step += 1
 
 
-class _NewDriver(Observer):
-    """Let other drivers take the wheel before a step."""
-
-    def __init__(self, step: int, traits: Traits, told: Callable[[Traits], object]) -> None:
-        self._steps_left, self._traits, self._told = step, traits, told
-
-    def before(self, teaming: Teaming) -> None:
-        """Hand over when it is time."""
-        if self._steps_left == 0:
-            teaming.hand_over(self._traits)
-            self._told(self._traits)
-        self._steps_left -= 1
-
-
 def play_trips(
     config: TeamConfig,
     driver: Policy,
@@ -135,7 +121,7 @@ def play_trips(
         recorder.next_trip(trip)
         observers: list[Observer] = [recorder]
         if hand_over is not None and trip == hand_over.trip:
-            observers.insert(0, _NewDriver(hand_over.step, hand_over.traits, tell))
+            observers.insert(0, HandsOver(hand_over.step, hand_over.traits, tell))
         teaming = Teaming(replace(config, driver=AtTheWheel(at_the_wheel)), count, "batched")
         begin_trip = adaptive.next_trip if adaptive and trip > 0 else hmi.reset
         teaming.reset(seeds[:, trip])

@@ -79,8 +79,7 @@ class DemonstratedDriver(MergeDriver):
         config = team_config(team, driver=self._population)
         self._layout = observed_layout(config)
         super().__init__(make_hmi(hmi, config), config, world, render_mode)
-        seen = self.team.teaming.layouts[VEHICLE_AI]
-        self._columns = seen.columns(part.name for part in self._layout.parts)
+        self._columns = self.team.teaming.layouts[VEHICLE_AI].columns_of(self._layout)
 
     @property
     def layout(self) -> Layout:

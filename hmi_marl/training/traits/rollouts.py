@@ -97,8 +97,8 @@ class _Imitator(Memoryless, Observer):
     def __init__(
         self, act: Callable[[NDArray[np.float32]], NDArray[np.int64]], teaming: Teaming
     ) -> None:
-        parts = observed_layout(teaming.config).parts
-        self._columns = teaming.layouts[VEHICLE_AI].columns(part.name for part in parts)
+        seen = teaming.layouts[VEHICLE_AI]
+        self._columns = seen.columns_of(observed_layout(teaming.config))
         self._act = act
         self._recent = Recent(teaming.num_teams)
         self._situations: list[NDArray[np.float32]] = []
