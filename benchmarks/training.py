@@ -39,14 +39,14 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from hmi_marl import Scene
-from hmi_marl.agents.learned import LearnedPolicy
+from hmi_marl.agents.learned.policy import LearnedPolicy
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.envs.worlds.highway import highway_config
 from hmi_marl.files import write_json
-from hmi_marl.training.jobs import CURVE
-from hmi_marl.training.learner import PPOLearner
-from hmi_marl.training.run import train
-from hmi_marl.training.two_stage import TwoStage
+from hmi_marl.training.ppo.learner import PPOLearner
+from hmi_marl.training.ppo.run import train
+from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.runs.jobs import CURVE
 
 STAGES = {"driver": "driver", "vehicle_ai": "hmi"}
 """By the seat that learns: the stage's name in a run's curve."""

@@ -8,7 +8,7 @@ import argparse
 import numpy as np
 
 from hmi_marl import Driver, TraitDistributions, Uniform, merge_v0
-from hmi_marl.agents import oracle
+from hmi_marl.exact import oracle
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 import hmi_marl
-from hmi_marl.agents import oracle
+from hmi_marl.exact import oracle
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

@@ -13,7 +13,7 @@ import numpy as np
 from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits, get_driver
-from hmi_marl.evaluation.trips import play_trips
+from hmi_marl.experiments.adaptation.trips import play_trips
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

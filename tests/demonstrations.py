@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.scene import Scene
-from hmi_marl.training.demonstrations import (
+from hmi_marl.demonstrations.dataset import (
     NOBODY,
     Demonstrations,
     Observed,
     Truth,
     observed_layout,
 )
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.scene import Scene
 
 LAYOUT = observed_layout(TeamConfig(scene=Scene(lidar_cells=4)))
 """Nineteen columns: 4 rays, 4 lanes and five single ones, and so quick to write."""

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive_catalogue import Trained
-from hmi_marl.agents.evidence_files import save_evidence
-from hmi_marl.agents.evidence_model import EvidenceCard, EvidenceModel
-from hmi_marl.agents.learned import PolicyCard, make_card
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.agents.policy_files import save_policy
+from hmi_marl.agents.adaptive.catalogue import Trained
+from hmi_marl.agents.adaptive.evidence_files import save_evidence
+from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, EvidenceModel
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.policy import PolicyCard, make_card
+from hmi_marl.agents.learned.policy_files import save_policy
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import Teaming
@@ -106,7 +106,8 @@ def small_evaluation(monkeypatch: Any) -> None:
     """Let the evaluation of adaptive HMIs take trips of 2 s, on one thread, of a few groups."""
     import numba
 
-    from hmi_marl.evaluation import adapt, adapt_clip
+    from hmi_marl.experiments.adaptation import clip as adapt_clip
+    from hmi_marl.experiments.adaptation import evaluation as adapt
 
     every, team = adapt.groups, replace(HIDDEN, duration=2.0)
     wanted = "lisa", "bart", "population", "change to bart"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hmi_marl.evaluation.exhibits import Table
-from hmi_marl.evaluation.stages import Agent, Outcome, Place, learnt_in
+from hmi_marl.experiments.stages import Agent, Outcome, Place, learnt_in
 from hmi_marl.files import make_folder, write_bytes
+from hmi_marl.reporting.blocks import Table
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ import yaml
 from pages import DOCS, PAGES, ROOT, blocks, commands, hook
 from trait_models import untrained
 
-from hmi_marl.agents.trait_files import save_traits
+from hmi_marl.agents.learned.trait_files import save_traits
+from hmi_marl.demonstrations.dataset import observed_layout
+from hmi_marl.demonstrations.parquet import write_demonstrations
+from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import vehicle_ai_layout
-from hmi_marl.evaluation.collect import CollectSettings, collect
-from hmi_marl.training.demonstration_files import write_demonstrations
-from hmi_marl.training.demonstrations import observed_layout
 
 HOOK = hook()
 TEXTS = {page.relative_to(DOCS).as_posix(): HOOK.fill(page.read_text()) for page in PAGES}

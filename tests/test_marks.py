@@ -102,8 +102,8 @@ import h5py, minari, safetensors.torch, sklearn.cluster, tqdm, tyro
 import torch.utils.tensorboard
 from hmi_marl.commands.collect import Collect
 from hmi_marl.commands.table import Table
-from hmi_marl.evaluation.collect import CollectSettings
-from hmi_marl.evaluation.table import TableSettings
+from hmi_marl.demonstrations.recording import CollectSettings
+from hmi_marl.experiments.metrics_table.table import TableSettings
 
 FOLDER = Path(sys.argv[1])
 before = marks()
@@ -121,10 +121,10 @@ LEARNING = """
 random.seed(1), np.random.seed(2), torch.manual_seed(3)
 from pathlib import Path
 import torch.utils.tensorboard, tqdm
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.training.run import train
-from hmi_marl.training.settings import PPOSettings
-from hmi_marl.training.two_stage import TwoStage
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.training.ppo.run import train
+from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.protocols.two_stage import TwoStage
 
 before = marks()
 size = {"teams": 4, "duration": 1.0, "network": NetworkConfig((8,)), "threads": 1}

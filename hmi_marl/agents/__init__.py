@@ -1,12 +1,15 @@
 """Who sits in the seats: HMIs and drivers, learned or not, and the exact optimum."""
 
-from hmi_marl.agents.adaptive import (
+from hmi_marl.agents.adaptive.catalogue import make_adaptive
+from hmi_marl.agents.adaptive.evidence_files import load_evidence
+from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
+from hmi_marl.agents.adaptive.hmis import (
     AdaptiveHMI,
     ChoosingHMI,
     ConditionedHMI,
     ExpectedValueHMI,
 )
-from hmi_marl.agents.adaptive_catalogue import make_adaptive
+from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
 from hmi_marl.agents.catalogue import (
     DRIVER_POLICY_NAMES,
     HMI_NAMES,
@@ -14,15 +17,12 @@ from hmi_marl.agents.catalogue import (
     make_hmi,
 )
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
-from hmi_marl.agents.evidence import ChainEvidence
-from hmi_marl.agents.evidence_files import load_evidence
-from hmi_marl.agents.evidence_model import LearnedEvidence
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
-from hmi_marl.agents.learned import LearnedPolicy, PolicyCard
-from hmi_marl.agents.policy_files import load_policy, save_policy
-from hmi_marl.agents.trait_belief import TraitBelief
-from hmi_marl.agents.trait_estimator import TraitEstimator
+from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard
+from hmi_marl.agents.learned.policy_files import load_policy, save_policy
 from hmi_marl.envs.seats import Policy
+from hmi_marl.exact.evidence import ChainEvidence
+from hmi_marl.exact.trait_posterior import TraitBelief
 
 __all__ = [
     "DRIVER_POLICY_NAMES",

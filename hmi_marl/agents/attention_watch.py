@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.bayes_filter import BayesFilter
-from hmi_marl.agents.evidence import ChainEvidence
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.exact.bayes_filter import BayesFilter
+from hmi_marl.exact.evidence import ChainEvidence
 
 
 class AttentionWatch:

@@ -6,15 +6,15 @@ import os
 from pathlib import Path
 from types import MappingProxyType
 
-from hmi_marl.agents.adaptive_catalogue import ADAPT, adaptive_by_name
-from hmi_marl.agents.belief import DEFAULT_REVEALING
+from hmi_marl.agents.adaptive.catalogue import ADAPT, adaptive_by_name
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
-from hmi_marl.agents.policy_files import find_policy, load_policy
-from hmi_marl.agents.shipped import PREFIX, is_shipped, shipped_names
+from hmi_marl.agents.learned.policy_files import find_policy, load_policy
+from hmi_marl.agents.learned.shipped import PREFIX, is_shipped, shipped_names
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.seats import Policy
+from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING
 from hmi_marl.names import unknown
 
 

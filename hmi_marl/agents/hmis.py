@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.attention_watch import AttentionWatch, step_of
-from hmi_marl.agents.belief import DEFAULT_REVEALING, solve_belief
 from hmi_marl.agents.memory import Draws, Memoryless
-from hmi_marl.agents.oracle import solve_alerts
 from hmi_marl.envs.alerts import PLAIN, Alerts, need_plain
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.streams import Stream
+from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, solve_belief
+from hmi_marl.exact.oracle import solve_alerts
 
 
 @runtime_checkable
@@ -140,7 +140,7 @@ class OptimalAlert(Memoryless):
 class BeliefAlert:
     """Keeps the Bayes belief over d from a^H and v, and alerts by the rule optimal on it.
 
-    It never looks at d, i or c in its observation. See :mod:`hmi_marl.agents.belief`.
+    It never looks at d, i or c in its observation. See :mod:`hmi_marl.exact.hidden_attention`.
 
     Args:
         model: the driver whose traits the belief and the rule assume.

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import tyro
 
-from hmi_marl.agents.adaptive_catalogue import Trained
+from hmi_marl.agents.adaptive.catalogue import Trained
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.envs.plain import plain
-from hmi_marl.evaluation.adapt_settings import QUICK, AdaptSettings
+from hmi_marl.experiments.adaptation.settings import QUICK, AdaptSettings
 from hmi_marl.files import make_folder
+from hmi_marl.plain import plain
 from hmi_marl.workers import check_workers
 
 
@@ -45,7 +45,8 @@ class Adapt:
         """Play, write and print."""
         from tqdm import tqdm
 
-        from hmi_marl.evaluation import adapt, adapt_report
+        from hmi_marl.experiments.adaptation import evaluation as adapt
+        from hmi_marl.experiments.adaptation import report as adapt_report
 
         use_quiet_threads()
         size = self.size
@@ -60,7 +61,7 @@ class Adapt:
             results = adapt.evaluate(size, self.driver_policy, self.trained, workers, bar.update)
         print(adapt_report.write_report(out, results, {}, typed, plain(size))[0])
         if self.clip:
-            from hmi_marl.evaluation.adapt_clip import record_change
+            from hmi_marl.experiments.adaptation.clip import record_change
 
             record_change(out / "adapt.gif", self.driver_policy, self.trained, size)
             print(f"\nthe clip: {out / 'adapt.gif'}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from hmi_marl.evaluation.bench_config import BenchConfig
+from hmi_marl.experiments.speed_config import BenchConfig
 from hmi_marl.files import make_folder, write_json
 
 
@@ -27,7 +27,7 @@ class Bench:
         """Measure, write and print."""
         from tqdm import tqdm
 
-        from hmi_marl.evaluation import bench
+        from hmi_marl.experiments import speed as bench
 
         self.bench.check()
         make_folder(self.out)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from hmi_marl.evaluation.collect import CollectSettings, Summary, collect
+from hmi_marl.demonstrations.recording import CollectSettings, Summary, collect
 from hmi_marl.files import make_folder, write_json
 
 
@@ -33,7 +33,7 @@ class Collect:
         """Play, record, write and print."""
         from tqdm import tqdm
 
-        from hmi_marl.training.demonstration_files import (
+        from hmi_marl.demonstrations.parquet import (
             OBSERVED,
             TRUTH,
             read_observed,
@@ -41,7 +41,7 @@ class Collect:
         )
 
         if self.minari:
-            from hmi_marl.training.minari_export import export_minari, minari_place
+            from hmi_marl.demonstrations.minari_export import export_minari, minari_place
 
             minari_place(self.out)  # better known now than after the work
         summary = Summary(self.record)

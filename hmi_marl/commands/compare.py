@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.evaluation.compare import CompareSettings, quick
+from hmi_marl.experiments.protocols.settings import CompareSettings, quick
 from hmi_marl.files import make_folder
 from hmi_marl.workers import check_workers
 
@@ -38,9 +38,10 @@ class Compare:
         use_quiet_threads()
         from tqdm import tqdm
 
-        from hmi_marl.evaluation import compare_play, compare_report
-        from hmi_marl.evaluation.compare_analysis import Comparison
-        from hmi_marl.training.jobs import train_all
+        from hmi_marl.experiments.protocols import play as compare_play
+        from hmi_marl.experiments.protocols import report as compare_report
+        from hmi_marl.experiments.protocols.analysis import Comparison
+        from hmi_marl.training.runs.jobs import train_all
 
         size = quick(self.size) if self.quick else self.size
         out = self.out or Path("runs") / ("compare-quick" if self.quick else "compare")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from hmi_marl.agents.policy_files import find_policy, read_policy
-from hmi_marl.agents.shipped import is_shipped
+from hmi_marl.agents.learned.policy_files import find_policy, read_policy
+from hmi_marl.agents.learned.shipped import is_shipped
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Export:
 
     def run(self, typed: str) -> None:
         """Read, write and say where."""
-        from hmi_marl.agents.onnx_export import export_onnx
+        from hmi_marl.agents.learned.onnx_export import export_onnx
 
         source = find_policy(self.policy, self.seat)
         beside = source.with_suffix(".onnx")

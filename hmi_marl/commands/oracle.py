@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hmi_marl.agents import oracle
 from hmi_marl.envs.alerts import FULL, Alerts
 from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.config import as_fatigue
 from hmi_marl.envs.drivers import get_driver
-from hmi_marl.evaluation.alert_report import alert_report
+from hmi_marl.exact import oracle
+from hmi_marl.experiments.alert_problem import alert_report
 from hmi_marl.files import make_folder, write_json
 
 

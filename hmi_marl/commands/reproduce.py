@@ -13,10 +13,10 @@ from hmi_marl.commands.fields import only
 from hmi_marl.commands.reproduce_adapt import ReproduceAdapt
 from hmi_marl.commands.reproduce_graded import ReproduceGraded
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.evaluation.attentive import AttentiveSettings
-from hmi_marl.evaluation.hidden import HiddenSettings
-from hmi_marl.evaluation.reproduction import ReproductionSettings
-from hmi_marl.evaluation.trait_settings import TraitReproduction
+from hmi_marl.experiments.attentive_drivers import AttentiveSettings
+from hmi_marl.experiments.hidden_attention import HiddenSettings
+from hmi_marl.experiments.latent_traits.settings import TraitReproduction
+from hmi_marl.experiments.metrics_table.reproduction import ReproductionSettings
 from hmi_marl.files import write_bytes
 from hmi_marl.workers import check_workers
 
@@ -42,7 +42,7 @@ class ReproduceAll:
     def run(self, typed: str) -> None:
         """Do what is not done yet, write the report and say where it is."""
         use_quiet_threads()
-        from hmi_marl.evaluation.full import QUICK, FullSettings, reproduce_all
+        from hmi_marl.reproduction.suite import QUICK, FullSettings, reproduce_all
 
         settings = (QUICK if self.quick else FullSettings()).with_seed(self.seed)
         out = self.out or Path("runs/reproduce") / ("all-quick" if self.quick else "all")
@@ -75,9 +75,9 @@ class ReproduceTable:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
-        from hmi_marl.evaluation.full import QUICK_TABLE
-        from hmi_marl.evaluation.paper_stages import TableStage
-        from hmi_marl.evaluation.stages import Place
+        from hmi_marl.experiments.paper_stages import TableStage
+        from hmi_marl.experiments.stages import Place
+        from hmi_marl.reproduction.suite import QUICK_TABLE
 
         size = self.size
         if self.quick:
@@ -105,8 +105,8 @@ class ReproduceDriver:
     def run(self, typed: str) -> None:
         """Learn, play, write and print."""
         use_quiet_threads()
-        from hmi_marl.evaluation.paper_stages import DriverStage
-        from hmi_marl.evaluation.stages import Place
+        from hmi_marl.experiments.paper_stages import DriverStage
+        from hmi_marl.experiments.stages import Place
 
         print(DriverStage(self.size).run(Place(self.out, self.out, 1, typed)).text)
 
@@ -130,8 +130,8 @@ class ReproduceHidden:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
-        from hmi_marl.evaluation.paper_stages import HiddenStage, learn_driver
-        from hmi_marl.evaluation.stages import Place
+        from hmi_marl.experiments.paper_stages import HiddenStage, learn_driver
+        from hmi_marl.experiments.stages import Place
 
         workers = check_workers(self.workers)
         driver_run = self.driver_run or learn_driver(self.size.driver_job(self.out), typed)
@@ -158,8 +158,8 @@ class ReproduceTraits(TraitReproduction):
     def run(self, typed: str) -> None:
         """Do what is not done yet, judge, write and print."""
         use_quiet_threads()
-        from hmi_marl.evaluation.paper_stages import TraitsStage, learn_driver
-        from hmi_marl.evaluation.stages import Place
+        from hmi_marl.experiments.paper_stages import TraitsStage, learn_driver
+        from hmi_marl.experiments.stages import Place
 
         workers = check_workers(self.workers)
         size = only(TraitReproduction, self)
@@ -184,9 +184,9 @@ class ReproduceShip:
 
     def run(self, typed: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
-        from hmi_marl.evaluation.full import FullSettings, shared_driver
-        from hmi_marl.evaluation.full_report import NUMBERS, PAGE
-        from hmi_marl.evaluation.shipping import ship
+        from hmi_marl.reproduction.report import NUMBERS, PAGE
+        from hmi_marl.reproduction.shipping import ship
+        from hmi_marl.reproduction.suite import FullSettings, shared_driver
 
         stages = FullSettings().stages()
         for agent in ship(stages, self.run_folder, shared_driver(self.run_folder), self.out):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hmi_marl.agents.adaptive_catalogue import Trained
+from hmi_marl.agents.adaptive.catalogue import Trained
 from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.evaluation.adapt_settings import AdaptReproduction
+from hmi_marl.experiments.adaptation.settings import AdaptReproduction
 from hmi_marl.workers import check_workers
 
 
@@ -33,8 +33,8 @@ class ReproduceAdapt(AdaptReproduction):
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
-        from hmi_marl.evaluation.adapt_stage import AdaptStage
-        from hmi_marl.evaluation.stages import Place
+        from hmi_marl.experiments.adaptation.stage import AdaptStage
+        from hmi_marl.experiments.stages import Place
 
         place = Place(self.out, self.driver_run, check_workers(self.workers), typed)
         size = only(AdaptReproduction, self)

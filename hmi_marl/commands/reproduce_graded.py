@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.evaluation.graded import QUICK, GradedSettings
+from hmi_marl.experiments.graded_alerts import QUICK, GradedSettings
 from hmi_marl.workers import check_workers
 
 
@@ -33,8 +33,8 @@ class ReproduceGraded:
     def run(self, typed: str) -> None:
         """Learn what is not learnt yet, play, write and print."""
         use_quiet_threads()
-        from hmi_marl.evaluation.graded_stage import GradedStage
-        from hmi_marl.evaluation.stages import Place
+        from hmi_marl.experiments.graded_stage import GradedStage
+        from hmi_marl.experiments.stages import Place
 
         size = self.size
         if self.quick:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import tyro
 
 from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
-from hmi_marl.evaluation.table import TableConfig, TableSettings, make_table
+from hmi_marl.experiments.metrics_table.table import TableConfig, TableSettings, make_table
 from hmi_marl.files import make_folder
 from hmi_marl.workers import check_workers
 
 if TYPE_CHECKING:
-    from hmi_marl.evaluation.clip import Pictures
+    from hmi_marl.reporting.clip import Pictures
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Table:
         """Play, sum up, write and print; the page says what was ``typed``."""
         from tqdm import tqdm
 
-        from hmi_marl.evaluation import report
-        from hmi_marl.evaluation.in_short import in_short
+        from hmi_marl.experiments.metrics_table import report
+        from hmi_marl.experiments.metrics_table.in_short import in_short
 
         config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
         make_folder(self.out)
@@ -67,7 +67,7 @@ def _record(config: TableConfig, path: Path) -> str:
     """Record the best part of the last driver's episodes with the last HMI; says what it shows."""
     from tqdm import tqdm
 
-    from hmi_marl.evaluation import highlight
+    from hmi_marl.reporting import highlight
 
     def progress(pictures: Pictures, count: int) -> Pictures:
         return iter(tqdm(pictures, total=count, unit=" frames", desc=path.name))

@@ -11,11 +11,11 @@ from typing import Annotated
 
 import tyro
 
-from hmi_marl.training.alternating import Alternating
-from hmi_marl.training.joint import Joint
-from hmi_marl.training.settings import TrainSettings
-from hmi_marl.training.simultaneous import Simultaneous
-from hmi_marl.training.two_stage import TwoStage
+from hmi_marl.training.protocols.alternating import Alternating
+from hmi_marl.training.protocols.joint import Joint
+from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.training.protocols.simultaneous import Simultaneous
+from hmi_marl.training.protocols.two_stage import TwoStage
 
 _NAMES: dict[type[TrainSettings], str] = {
     TwoStage: "two-stage",
@@ -59,7 +59,7 @@ class Train:
             raise ValueError(f"there is at least one process, but got {self.processes}")
         if self.processes > 1 and "WORLD_SIZE" not in os.environ:
             start_again_in_processes(self.processes, typed)
-        from hmi_marl.training.run import train
+        from hmi_marl.training.ppo.run import train
 
         out = Path("runs") / _NAMES[type(self.protocol)] if self.out is None else self.out
         train(self.protocol, out, typed=typed)

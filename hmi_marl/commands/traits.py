@@ -10,7 +10,7 @@ import tyro
 
 from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.evaluation.trait_settings import AssessSettings
+from hmi_marl.experiments.latent_traits.settings import AssessSettings
 from hmi_marl.files import make_folder
 from hmi_marl.training.traits.settings import TraitSettings
 
@@ -71,7 +71,7 @@ class EvaluateTraits:
         """Judge, write and print."""
         if not self.runs:
             raise ValueError("name the folder of at least one trained run")
-        from hmi_marl.evaluation.trait_reproduction import assess_runs, write_report
+        from hmi_marl.experiments.latent_traits.reproduction import assess_runs, write_report
 
         make_folder(self.out)
         assessments, pool = assess_runs(

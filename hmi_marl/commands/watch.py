@@ -53,7 +53,7 @@ class Watch:
 
     def run(self, typed: str) -> None:
         """Play, and draw as it goes."""
-        from hmi_marl.evaluation import clip
+        from hmi_marl.reporting import clip
 
         config = TeamConfig(
             driver=get_driver(self.driver),

@@ -37,12 +37,12 @@ from tensordict import TensorDict
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.envs.plain import plain
 from hmi_marl.envs.seats import Policy, check_policy, takes_turns
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.totals import Totals
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.plain import plain
 
 if TYPE_CHECKING:
     from hmi_marl.envs.render import Viewer

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from hmi_marl.agents import make_hmi, save_policy
-from hmi_marl.agents.learned import LearnedPolicy, make_card
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.policy import LearnedPolicy, make_card
 from hmi_marl.agents.vectors import make_vec
 from hmi_marl.envs.config import TeamConfig
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from standing_world import standing_teams
 
-from hmi_marl.agents import oracle
 from hmi_marl.envs.alerts import Alerts, Fatigue
 from hmi_marl.envs.drivers import DRIVERS, Driver
 from hmi_marl.envs.rewards import RewardWeights
+from hmi_marl.exact import oracle
 
 GRADES = (0.25, 0.5, 1.0)
 WEARY = Fatigue(levels=4, per_alert=3, effect=0.8)

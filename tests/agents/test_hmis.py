@@ -8,15 +8,15 @@ from hmi_marl.agents import (
     RandomAlert,
     make_driver_policy,
     make_hmi,
-    oracle,
 )
 from hmi_marl.agents.hmis import strongest_alert
-from hmi_marl.agents.identify import identify
 from hmi_marl.envs.alerts import PLAIN, Alerts, Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.seats import Policy
+from hmi_marl.exact import oracle
+from hmi_marl.exact.identify import identify
 
 
 def play(name, count=400, seeds=None, **settings):

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from evidence_models import save_trained, small_evaluation
 
-from hmi_marl.agents.adaptive_catalogue import Trained
+from hmi_marl.agents.adaptive.catalogue import Trained
 from hmi_marl.cli import main, parse
-from hmi_marl.evaluation.adapt_settings import AdaptSettings
+from hmi_marl.experiments.adaptation.settings import AdaptSettings
 
 TINY = ["--drivers", "2", "--strangers", "2", "--repeats", "1", "--candidates", "1"]
 TINY += ["--changes", "2", "--driver-policy", "random", "--workers", "1"]

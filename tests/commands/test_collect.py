@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hmi_marl.cli import main, parse
-from hmi_marl.evaluation.collect import CollectSettings
-from hmi_marl.training.demonstration_files import read_demonstrations
+from hmi_marl.demonstrations.parquet import read_demonstrations
+from hmi_marl.demonstrations.recording import CollectSettings
 
 TINY = ["--steps", "40", "--duration", "2", "--vehicles", "1", "3"]
 
@@ -72,7 +72,7 @@ def test_demonstrations_are_recorded_written_and_summed_up(tmp_path, capsys):
 
 
 def test_without_minari_nothing_is_played(monkeypatch, tmp_path, capsys):
-    monkeypatch.delitem(sys.modules, "hmi_marl.training.minari_export", raising=False)
+    monkeypatch.delitem(sys.modules, "hmi_marl.demonstrations.minari_export", raising=False)
     monkeypatch.setitem(sys.modules, "minari", None)
     assert main(["collect", *TINY, "--minari"]) == 2
     assert "pip install 'hmi-marl[data]'" in capsys.readouterr().err

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from hmi_marl.agents import load_policy, save_policy
-from hmi_marl.agents.learned import make_card
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.policy import make_card
 from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import vehicle_ai_layout

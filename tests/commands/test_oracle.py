@@ -2,9 +2,9 @@ import json
 
 import pytest
 
-from hmi_marl.agents import oracle
 from hmi_marl.cli import main, parse
 from hmi_marl.envs.alerts import Fatigue
+from hmi_marl.exact import oracle
 
 GRADED = ["--alert-strengths", "0.5", "1", "--fatigue", "20", "5", "1"]
 

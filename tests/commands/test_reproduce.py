@@ -4,9 +4,9 @@ from typing import Any
 import pytest
 
 from hmi_marl.cli import main
-from hmi_marl.evaluation.full import QUICK, FullSettings
-from hmi_marl.evaluation.full_report import NUMBERS, PAGE
-from hmi_marl.evaluation.stages import Agent
+from hmi_marl.experiments.stages import Agent
+from hmi_marl.reproduction.report import NUMBERS, PAGE
+from hmi_marl.reproduction.suite import QUICK, FullSettings
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         calls.append((settings, folder, *others))
         return folder / "index.html"
 
-    monkeypatch.setattr("hmi_marl.evaluation.full.reproduce_all", instead)
+    monkeypatch.setattr("hmi_marl.reproduction.suite.reproduce_all", instead)
     return calls
 
 
@@ -63,7 +63,7 @@ def test_the_report_is_shipped_beside_the_agents(tmp_path: Path, monkeypatch, ca
     for name in (PAGE, NUMBERS):
         (run / name).write_text(name)
     copied = [Agent("homer", run / "vehicle_ai.json", "alerts homer")]
-    monkeypatch.setattr("hmi_marl.evaluation.shipping.ship", lambda *given: copied)
+    monkeypatch.setattr("hmi_marl.reproduction.shipping.ship", lambda *given: copied)
     command = ["reproduce", "ship", "--run", str(run), "--out", str(tmp_path / "out")]
     assert main(command) == 0
     assert capsys.readouterr().out.split() == ["homer", "alerts", "homer"]

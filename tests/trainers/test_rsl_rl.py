@@ -23,7 +23,7 @@ SEATS = {"driver": (1.0,), "vehicle_ai": (0.5, 1.0), "team": (0.5, 1.0)}
 def runner_of(seat: str, memory: bool) -> Any:
     from rsl_rl.runners import OnPolicyRunner
 
-    from hmi_marl.agents.heads import IntentThenAlert, OneAction
+    from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
 
     teams = hmi_marl.make_vec(
         6, seat=seat, world="highway", duration=2.0, alert_strengths=SEATS[seat]

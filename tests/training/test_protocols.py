@@ -1,11 +1,11 @@
 import pytest
 
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
-from hmi_marl.training.alternating import Alternating
-from hmi_marl.training.joint import Joint
-from hmi_marl.training.phase import LEARNT, Phase
-from hmi_marl.training.simultaneous import Simultaneous
-from hmi_marl.training.two_stage import TwoStage
+from hmi_marl.training.protocols.alternating import Alternating
+from hmi_marl.training.protocols.joint import Joint
+from hmi_marl.training.protocols.phase import LEARNT, Phase
+from hmi_marl.training.protocols.simultaneous import Simultaneous
+from hmi_marl.training.protocols.two_stage import TwoStage
 
 
 def names(card):

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hmi_marl.agents.evidence_files import load_evidence
-from hmi_marl.agents.evidence_model import EvidenceModel
+from hmi_marl.agents.adaptive.evidence_files import load_evidence
+from hmi_marl.agents.adaptive.evidence_model import EvidenceModel
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TraitDistributions, Traits
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.training.settings import PPOSettings
-from hmi_marl.training.two_stage import TwoStage
+from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.protocols.two_stage import TwoStage
 
 if TYPE_CHECKING:
     import torch
@@ -86,6 +86,6 @@ def learn_conditioned(
     Raises:
         FileNotFoundError, ValueError: no evidence model there, or what :func:`train` refuses.
     """
-    from hmi_marl.training.run import train  # torch, with the threads that were set by then
+    from hmi_marl.training.ppo.run import train  # torch, with the threads that were set by then
 
     train(settings, folder, Places(load_evidence(evidence)), typed=typed, line=line)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.adaptive.evidence_model import Turns
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.evidence_model import Turns
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, DriverList, TraitDistributions, Traits

@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 from rsl_rl.modules import MLP  # type: ignore[import-untyped]
 
-from hmi_marl.agents.evidence_model import DERIVED, EvidenceCard
+from hmi_marl.agents.adaptive.evidence_model import DERIVED, EvidenceCard
 from hmi_marl.envs.drivers import TRAIT_NAMES
-from hmi_marl.training.models import array_of, layers_of, memory_of
+from hmi_marl.training.ppo.models import array_of, layers_of, memory_of
 
 LOOKED_AT = 5
 """Every so manieth turn counts in the loss: neighbouring turns tell nearly the same."""

@@ -17,21 +17,21 @@ import numpy as np
 from tqdm import tqdm
 
 import hmi_marl
-from hmi_marl.agents.evidence_files import save_evidence
+from hmi_marl.agents.adaptive.evidence_files import save_evidence
 from hmi_marl.envs.observations import traits_part
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
 from hmi_marl.files import make_folder, write_json
-from hmi_marl.training.claim import SETTINGS, check_same, read_settings, told
 from hmi_marl.training.evidence.drives import Drives, drive_all
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.jobs import CURVE
+from hmi_marl.training.runs.claim import SETTINGS, check_same, read_settings, told
+from hmi_marl.training.runs.jobs import CURVE
 
 with needing("training"):
     import torch
 
-    from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint, flat_moments, with_moments
     from hmi_marl.training.evidence.model import Evidence
+    from hmi_marl.training.runs.checkpoint import CHECKPOINT, Checkpoint, flat_moments, with_moments
 
 _TELLING = 50
 """Updates between two rows of the curve."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from hmi_marl.agents.evidence_model import READS, EvidenceCard
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.adaptive.evidence_model import READS, EvidenceCard
+from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.settings import check_count
+from hmi_marl.training.protocols.settings import check_count
 
 HMIS = (
     "never",

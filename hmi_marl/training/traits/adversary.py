@@ -9,8 +9,8 @@ from typing import NamedTuple
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 
-from hmi_marl.agents.trait_model import TraitCard
-from hmi_marl.training.checkpoint import flat_moments, with_moments
+from hmi_marl.agents.learned.trait_model import TraitCard
+from hmi_marl.training.runs.checkpoint import flat_moments, with_moments
 from hmi_marl.training.traits.losses import (
     adversarial_loss,
     cohesion_loss,

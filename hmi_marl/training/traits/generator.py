@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
-from hmi_marl.agents.trait_model import TraitCard
+from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.training.learner import PPOLearner
-from hmi_marl.training.processes import Processes
+from hmi_marl.training.ppo.learner import PPOLearner
+from hmi_marl.training.runs.processes import Processes
 from hmi_marl.training.traits.model import log_likelihood, make_policy, make_value
 from hmi_marl.training.traits.pools import Batch, Units
 from hmi_marl.training.traits.rollouts import Drives, drive

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.demonstrations.dataset import NOBODY, Demonstrations
 from hmi_marl.envs.drivers import TRAIT_NAMES
-from hmi_marl.training.demonstrations import NOBODY, Demonstrations
 from hmi_marl.training.traits.settings import Supervision
 
 

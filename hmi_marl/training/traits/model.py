@@ -1,4 +1,4 @@
-"""The latent trait model in torch, as it learns; :mod:`hmi_marl.agents.trait_model` is its use."""
+"""The latent trait model in torch, as it learns; :mod:`hmi_marl.agents.learned.trait_model` is its use."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rsl_rl.modules import MLP  # type: ignore[import-untyped]
 from tensordict import TensorDict
 from torch.nn.functional import one_hot
 
-from hmi_marl.agents.heads import OneAction
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.agents.situations import ACTIONS, EXTRA
-from hmi_marl.agents.trait_model import PARTS, TraitCard
-from hmi_marl.training.models import GROUPS, array_of, layers_of, make_critic
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.situations import ACTIONS, EXTRA
+from hmi_marl.agents.learned.trait_model import PARTS, TraitCard
+from hmi_marl.training.ppo.heads import OneAction
+from hmi_marl.training.ppo.models import GROUPS, array_of, layers_of, make_critic
 from hmi_marl.training.traits.pools import Batch, Units
 
 FIRST_LOG_VARIANCE = -3.0
@@ -77,7 +77,7 @@ class ContextEncoder(torch.nn.Module):
 
     @staticmethod
     def inputs(x: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """As :func:`hmi_marl.agents.trait_model.encoder_inputs`, for any leading axes."""
+        """As :func:`hmi_marl.agents.learned.trait_model.encoder_inputs`, for any leading axes."""
         done = one_hot(actions.clamp_min(0), ACTIONS).to(x.dtype)
         before, since = x[..., -EXTRA : ACTIONS - EXTRA], x[..., ACTIONS - EXTRA :]
         repeated = (before * done).sum(dim=-1, keepdim=True)

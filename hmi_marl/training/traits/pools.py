@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hmi_marl.agents.situations import situations
-from hmi_marl.agents.trait_model import standardise
-from hmi_marl.training.demonstrations import NOBODY, Observed
+from hmi_marl.agents.learned.situations import situations
+from hmi_marl.agents.learned.trait_model import standardise
+from hmi_marl.demonstrations.dataset import NOBODY, Observed
 
 SMALLEST_SPREAD = 1e-6
 

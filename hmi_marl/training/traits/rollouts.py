@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.hmis import RandomAlert
+from hmi_marl.agents.learned.situations import Recent
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.agents.rollout import Observer, play
-from hmi_marl.agents.situations import Recent
+from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import make_world
-from hmi_marl.training.demonstrations import observed_layout
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
 """Never distracted, so that what they intend is what the car does."""

@@ -20,30 +20,30 @@ from typing import Any
 import numpy as np
 
 import hmi_marl
-from hmi_marl.agents.trait_files import save_traits
-from hmi_marl.envs.plain import plain
-from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.extras import needing
-from hmi_marl.files import make_folder, write_json
-from hmi_marl.training.claim import SETTINGS, check_same, read_settings
-from hmi_marl.training.demonstration_files import (
+from hmi_marl.agents.learned.trait_files import save_traits
+from hmi_marl.demonstrations.dataset import Demonstrations
+from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     read_demonstrations,
     read_observed,
     sha256_of,
 )
-from hmi_marl.training.demonstrations import Demonstrations
-from hmi_marl.training.jobs import CURVE
-from hmi_marl.training.telling import Telling
-from hmi_marl.training.traits.dataset import alert_rate, held_out, team_of
+from hmi_marl.demonstrations.windows import alert_rate, held_out, team_of
+from hmi_marl.envs.streams import Stream, mix
+from hmi_marl.extras import needing
+from hmi_marl.files import make_folder, write_json
+from hmi_marl.plain import plain
+from hmi_marl.training.runs.claim import SETTINGS, check_same, read_settings
+from hmi_marl.training.runs.jobs import CURVE
+from hmi_marl.training.runs.progress import Telling
 from hmi_marl.training.traits.labels import make_labels
 from hmi_marl.training.traits.settings import TraitSettings
 
 with needing("training"):
     import torch
 
-    from hmi_marl.training.checkpoint import CHECKPOINT, Checkpoint
-    from hmi_marl.training.processes import Processes
+    from hmi_marl.training.runs.checkpoint import CHECKPOINT, Checkpoint
+    from hmi_marl.training.runs.processes import Processes
     from hmi_marl.training.traits.adversary import Adversary, Labelled
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model

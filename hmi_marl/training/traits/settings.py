@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.agents.trait_model import TraitCard
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.settings import PPOSettings, check_count
+from hmi_marl.training.protocols.settings import PPOSettings, check_count
 
 Supervision = Literal["none", "id", "preference"]
 

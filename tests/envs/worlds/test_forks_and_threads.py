@@ -192,9 +192,9 @@ def test_training_with_one_thread_learns_on_one_thread_in_a_cold_process(tmp_pat
     printed = run(
         "import torch\n"
         "from pathlib import Path\n"
-        "from hmi_marl.training.learner import PPOLearner\n"
-        "from hmi_marl.training.run import train\n"
-        "from hmi_marl.training.two_stage import TwoStage\n"
+        "from hmi_marl.training.ppo.learner import PPOLearner\n"
+        "from hmi_marl.training.ppo.run import train\n"
+        "from hmi_marl.training.protocols.two_stage import TwoStage\n"
         "torch.set_num_threads(4)\n"
         "seen, learn = set(), PPOLearner.learn\n"
         "def watched(self, *args):\n"

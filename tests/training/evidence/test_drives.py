@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hmi_marl.agents import make_driver_policy, make_hmi
-from hmi_marl.agents.evidence_model import DERIVED, Turns
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.adaptive.evidence_model import DERIVED, Turns
+from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, known_name
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.teaming import Teaming

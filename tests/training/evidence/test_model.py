@@ -4,14 +4,14 @@ import torch
 from evidence_models import HIDDEN, SMALL, any_alerts, any_intents, seeds, turns
 from standing_world import standing_teams
 
-from hmi_marl.agents.evidence_model import (
+from hmi_marl.agents.adaptive.evidence_model import (
     DERIVED,
     EvidenceCard,
     EvidenceModel,
     LearnedEvidence,
     Turns,
 )
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.envs.observations import traits_part
 from hmi_marl.training.evidence.model import LOOKED_AT, Evidence

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 import torch
 
-from hmi_marl.agents.evidence_files import load_evidence
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.adaptive.evidence_files import load_evidence
+from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
-from hmi_marl.training.checkpoint import Checkpoint
 from hmi_marl.training.evidence import run
 from hmi_marl.training.evidence.drives import Drives, drive_all
 from hmi_marl.training.evidence.run import learn_evidence
 from hmi_marl.training.evidence.settings import EvidenceSettings
+from hmi_marl.training.runs.checkpoint import Checkpoint
 
 TINY = EvidenceSettings(
     driver_policy="rule",

@@ -1,6 +1,6 @@
 import pytest
 
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.evidence.settings import EvidenceSettings
 
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 from demonstrations import LAYOUT, made_up
 
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.training.settings import PPOSettings
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.adversary import Adversary, Labelled
 from hmi_marl.training.traits.model import log_policy, make_policy
 from hmi_marl.training.traits.pools import Units, Windows, transitions

@@ -13,8 +13,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.agents.trait_model import TraitCard
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.training.traits.losses import adversarial_loss
 from hmi_marl.training.traits.model import Reward
 

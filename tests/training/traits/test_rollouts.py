@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hmi_marl.agents.situations import LONG_AGO, situations
+from hmi_marl.agents.learned.situations import LONG_AGO, situations
+from hmi_marl.demonstrations.dataset import STATE_PARTS, observed_layout
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
-from hmi_marl.training.demonstrations import STATE_PARTS, observed_layout
 from hmi_marl.training.traits.rollouts import drive
 
 BLIND = Driver("blind", beta=1.0, alpha=0.0, eta=0.0, inflation=9.0)

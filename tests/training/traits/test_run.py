@@ -9,20 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hmi_marl.agents.network import NetworkConfig
-from hmi_marl.agents.trait_files import load_traits
-from hmi_marl.agents.trait_model import TraitModel
-from hmi_marl.envs.drivers import PAPER_DRIVERS, TRAIT_NAMES
-from hmi_marl.evaluation.collect import CollectSettings, collect
-from hmi_marl.training.checkpoint import Checkpoint
-from hmi_marl.training.demonstration_files import (
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_files import load_traits
+from hmi_marl.agents.learned.trait_model import TraitModel
+from hmi_marl.demonstrations.dataset import Demonstrations, Truth
+from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     TRUTH,
     read_demonstrations,
     write_demonstrations,
 )
-from hmi_marl.training.demonstrations import Demonstrations, Truth
-from hmi_marl.training.settings import PPOSettings
+from hmi_marl.demonstrations.recording import CollectSettings, collect
+from hmi_marl.envs.drivers import PAPER_DRIVERS, TRAIT_NAMES
+from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.runs.checkpoint import Checkpoint
 from hmi_marl.training.traits import run
 from hmi_marl.training.traits.run import learn_traits
 from hmi_marl.training.traits.settings import TraitSettings

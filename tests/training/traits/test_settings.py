@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 from demonstrations import LAYOUT
 
-from hmi_marl.agents.network import NetworkConfig
+from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
 
 

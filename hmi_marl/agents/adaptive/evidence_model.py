@@ -1,0 +1,265 @@
+r"""Learned evidence about who drives: what each turn tells, for any driver, known or not.
+
+An encoder reads the turns of a trip and gives in each a vector e_t; another network gives every
+driver θ = (β, α, η, inflation) a place w(θ) in the same latent space. The evidence is
+
+.. math::
+    \log p(\text{turn}_t | \text{turns before}, θ) \approx e_t \cdot w(θ) + \text{const}
+
+and that of a driver's windows together is their sum: windows are pooled by adding up e_t, since
+given the driver they are independent. The encoder's memory is emptied every ``segment`` turns, so
+that what it saw of somebody else is soon forgotten. For the chain alone such a sum is exact: e_t
+would count what happened and w(θ) hold logarithms of β, 1 - β, β - η ...
+
+It reads what the vehicle AI sees in its turn, a^H_t included, and learns from drives with known
+traits (:mod:`hmi_marl.training.evidence`). So it also goes by how somebody drives, which the exact
+evidence of the chain does not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
+from hmi_marl.agents.learned.situations import LONG_AGO
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits
+from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
+from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.exact.bayes_filter import check_candidates
+
+READS = ("intended_action", "previous_intended_action", "applied_action")
+"""Parts of the vehicle AI's observation that an encoder reads by default: what the driver wants and
+what the car does. With lidar and speed it tells inflation better, and all the rest worse."""
+HIDDEN = ("traits", "distracted", "accepted", "counter", "fatigue")
+"""What nobody who has to find out who drives is shown."""
+PARTS = ("encoder", "place")
+_ACTIONS = len(VEHICLE_ACTIONS)
+_SINCE = LONG_AGO + 1
+DERIVED = _ACTIONS + 3 * _SINCE
+"""Columns beside what is read: v_{t-2}, and, by the steps from the last alert to step t - 1, that
+number itself and whether the step showed the driver attentive or distracted."""
+
+
+@dataclass(frozen=True)
+class EvidenceCard:
+    """What an evidence model is, apart from its weights.
+
+    Raises:
+        ValueError: sizes that make no model.
+    """
+
+    reads: tuple[tuple[str, int], ...]
+    """Names and sizes of the parts of the vehicle AI's observation that it reads, in order."""
+    latent: int = 16
+    """Z, the size of e_t and w(θ)."""
+    segment: int = 25
+    """Turns after which the encoder's memory is emptied."""
+    encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), memory=48))
+    """From turns to e_t."""
+    place: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
+    """From traits to w."""
+    training: dict[str, Any] = field(default_factory=dict)
+    """How it was made."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
+        if not self.reads or min(size for _, size in self.reads) < 1:
+            raise ValueError("an evidence model reads parts of at least one column")
+        for name, _ in self.reads:
+            if name in HIDDEN:
+                raise ValueError(f"an evidence model may not read {name!r}: it is to be inferred")
+        for name in ("latent", "segment"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
+        if self.place.memory:
+            raise ValueError("a driver's place has no memory: set encoder.memory alone")
+
+    @classmethod
+    def for_team(
+        cls, config: TeamConfig, names: Sequence[str] = READS, **sizes: Any
+    ) -> EvidenceCard:
+        """The card of a model that reads these parts in teams set up by ``config``.
+
+        Raises:
+            ValueError: a part that the vehicle AI does not see there.
+        """
+        layout = vehicle_ai_layout(config)
+        unknown = [name for name in names if name not in layout]
+        if unknown:
+            raise ValueError(
+                f"no part {unknown[0]!r} to read; there are {', '.join(layout.slices)}"
+            )
+        return cls(tuple((n, layout[n].stop - layout[n].start) for n in names), **sizes)
+
+    @property
+    def read_size(self) -> int:
+        """Columns that it reads of an observation."""
+        return sum(size for _, size in self.reads)
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the weights."""
+        shapes: dict[str, tuple[int, ...]] = {
+            "read.centre": (self.read_size,),
+            "read.scale": (self.read_size,),
+        }
+        sizes = {"encoder": self.read_size + DERIVED, "place": len(TRAIT_NAMES)}
+        for part in PARTS:
+            network: NetworkConfig = getattr(self, part)
+            for name, shape in network.shapes(sizes[part], self.latent).items():
+                shapes[f"{part}.{name}"] = shape
+        return shapes
+
+
+class Turns:
+    """What is read of each turn of N trips, put together from the vehicle AI's observations.
+
+    Args:
+        reads: names of the parts that are read as they are.
+        layout: of the observations.
+    """
+
+    def __init__(self, reads: Sequence[str], layout: Layout) -> None:
+        self._layout = layout
+        self._columns = layout.columns(reads)
+        self.reset(1)
+
+    def reset(self, count: int) -> None:
+        """Trips of ``count`` teams begin."""
+        self._applied_before = np.full(count, NO_ACTION)
+        self._since = np.full(count, LONG_AGO)
+
+    def begin(self, which: NDArray[np.bool_]) -> None:
+        """New trips begin where ``which``, shape (N,), is set."""
+        self._applied_before = np.where(which, NO_ACTION, self._applied_before)
+        self._since = np.where(which, LONG_AGO, self._since)
+
+    def read(
+        self, observations: NDArray[np.float32], new: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """What is known in this turn, shape (N, columns read + DERIVED).
+
+        Args:
+            observations: shape (N, D).
+            new: which turns are new; of others nothing is remembered. Shape (N,).
+        """
+        layout = self._layout
+        applied = layout.chosen(observations, "applied_action")
+        intended = layout.chosen(observations, "previous_intended_action")
+        alerted = layout.scalar(observations, "alerted") > 0
+        since = np.where(alerted, 0, np.minimum(self._since + 1, LONG_AGO))
+        before = self._applied_before
+        shows = (before != NO_ACTION) & (intended != before)
+        ago = since[:, None] == np.arange(_SINCE)
+        derived = [
+            before[:, None] == np.arange(_ACTIONS),
+            ago,
+            ago & (shows & (applied != before))[:, None],
+            ago & (shows & (applied == before))[:, None],
+        ]
+        self._since = np.where(new, since, self._since)
+        self._applied_before = np.where(new, applied, self._applied_before)
+        return np.concatenate([observations[:, self._columns], *derived], axis=1, dtype=np.float32)
+
+
+class EvidenceModel:
+    """Encoder and places, as they were learnt.
+
+    Args:
+        card: what they are.
+        weights: by the names in ``card.shapes``.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+
+    def __init__(self, card: EvidenceCard, weights: Weights) -> None:
+        check_shapes(card.shapes, weights, "evidence model")
+        self.card = card
+        self.weights = weights
+        self._place = Network(card.place, part_of(weights, "place"))
+
+    @property
+    def digest(self) -> str:
+        """Tells this model from others, whose latent spaces have other units: a SHA-256."""
+        digest = hashlib.sha256()
+        for name in self.card.shapes:
+            digest.update(np.asarray(self.weights[name], np.float32, order="C").tobytes())
+        return digest.hexdigest()
+
+    def encoder(self) -> Network:
+        """An encoder with a memory of its own."""
+        return Network(self.card.encoder, part_of(self.weights, "encoder"))
+
+    def standardise(self, turns: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Turns (N, columns) with what is read as it is in units of the drives learnt from."""
+        out = turns.copy()
+        size = self.card.read_size
+        out[:, :size] = (out[:, :size] - self.weights["read.centre"]) / self.weights["read.scale"]
+        return out
+
+    def places(self, traits: Traits) -> NDArray[np.float64]:
+        """W of K drivers, shape (K, Z)."""
+        return self._place(traits_part(traits).astype(np.float32))
+
+
+class LearnedEvidence:
+    """Evidence for K candidates by a learned model; see :class:`Evidence`.
+
+    Args:
+        model: what was learnt.
+        drivers: the candidates.
+        config: of the teams.
+
+    Raises:
+        ValueError: no candidates, or teams whose observations are not what the model reads.
+    """
+
+    def __init__(
+        self, model: EvidenceModel, drivers: Sequence[str | Driver], config: TeamConfig
+    ) -> None:
+        self.drivers = check_candidates(drivers)
+        self.model = model
+        layout = vehicle_ai_layout(config)
+        names = [name for name, _ in model.card.reads]
+        if EvidenceCard.for_team(config, names).reads != model.card.reads:
+            raise ValueError(
+                "this evidence model reads other columns than these teams show; use the scene that "
+                "it was learnt in"
+            )
+        self._turns = Turns(names, layout)
+        self._encoder = model.encoder()
+        self.places = model.places(Traits.of(self.drivers))
+        """w of the candidates, shape (K, Z)."""
+        self.reset(1)
+
+    def reset(self, count: int) -> None:
+        """See :meth:`Evidence.reset`."""
+        self._turns.reset(count)
+        self._encoder.forget(count)
+        self._read = np.zeros(count, np.int64)  # turns of the present trip
+
+    def begin(self, which: NDArray[np.bool_]) -> None:
+        """See :meth:`Evidence.begin`."""
+        self._turns.begin(which)
+        self._encoder.forget(len(which), which)
+        self._read = np.where(which, 0, self._read)
+
+    def observe(
+        self, observations: NDArray[np.float32], new: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """See :meth:`Evidence.observe`."""
+        turns = self.model.standardise(self._turns.read(observations, new))
+        self._encoder.forget(len(new), new & (self._read % self.model.card.segment == 0))
+        self._read = self._read + new
+        gains = self._encoder(turns, new) @ self.places.T
+        return np.where(new[:, None], gains, 0.0)

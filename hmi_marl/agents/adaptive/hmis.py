@@ -1,0 +1,214 @@
+"""HMIs that get to know their driver: ordinary policies for the vehicle AI's seat.
+
+Each holds a :class:`TraitEstimator` and acts on its belief:
+
+- :class:`ChoosingHMI` lets the HMI of the likeliest type act;
+- :class:`ConditionedHMI` is one learned policy π(a^A | a^H, s, z), whose z is expected under the
+  belief;
+- :class:`ExpectedValueHMI` alerts where that is worth more on average over the belief, so that
+  doubt costs little: what is at stake for each candidate counts, not only who is likeliest.
+
+:meth:`~AdaptiveHMI.reset` begins an episode of a driver who is not known; ``next_trip`` one of the
+same driver as before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
+from hmi_marl.agents.attention_watch import AttentionWatch
+from hmi_marl.agents.hmis import BeliefAlert
+from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.seats import Policy, takes_turns
+from hmi_marl.exact.evidence import chains
+from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, look_up, solve_belief
+from hmi_marl.exact.trait_posterior import TraitBelief
+
+CAUTION = 0.5
+"""κ of :class:`ExpectedValueHMI`: in full doubt it follows AvgHMI unless deviating is expected to
+gain more than this many standard deviations of what it may gain."""
+
+
+class AdaptiveHMI:
+    """What adaptive HMIs have in common: an estimator that watches every turn.
+
+    Args:
+        estimator: of the driver's traits.
+    """
+
+    def __init__(self, estimator: TraitEstimator) -> None:
+        self.estimator = estimator
+
+    def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
+        """See :meth:`Policy.reset`: nothing is known of who drives."""
+        self.estimator.reset(len(seeds), which)
+        self._begin(seeds, which)
+
+    def next_trip(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
+        """Begin episodes of the same drivers as before, who are known by now."""
+        self.estimator.next_trip(which)
+        self._begin(seeds, which)
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See :meth:`Policy.act`."""
+        return self._act(observations, self.estimator.observe(observations))
+
+    def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
+        raise NotImplementedError
+
+    def _act(self, observations: NDArray[np.float32], belief: TraitBelief) -> NDArray[np.int64]:
+        raise NotImplementedError
+
+
+class ChoosingHMI(AdaptiveHMI):
+    """Lets the HMI of the likeliest candidate act; all of them watch.
+
+    Args:
+        estimator: of the driver's traits.
+        hmis: one for each of its candidates, each an object of its own.
+
+    Raises:
+        ValueError: not as many HMIs as candidates, one of them twice, or one that has learnt to
+            act at once with the driver.
+    """
+
+    def __init__(self, estimator: TraitEstimator, hmis: Sequence[Policy]) -> None:
+        super().__init__(estimator)
+        drivers = estimator.evidence.drivers
+        if len(hmis) != len(drivers):
+            raise ValueError(f"{len(drivers)} candidates need an HMI each, but got {len(hmis)}")
+        if len({id(hmi) for hmi in hmis}) < len(hmis):
+            raise ValueError("every candidate's HMI is an object of its own: it remembers")
+        if not all(takes_turns(hmi) for hmi in hmis):
+            raise ValueError(
+                "the HMIs to choose among are to see a^H_t: all take turns, or none can"
+            )
+        self.hmis = tuple(hmis)
+
+    def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
+        for hmi in self.hmis:
+            hmi.reset(seeds, which)
+
+    def _act(self, observations: NDArray[np.float32], belief: TraitBelief) -> NDArray[np.int64]:
+        alerts = np.stack([hmi.act(observations) for hmi in self.hmis])
+        return alerts[belief.most_likely, np.arange(len(observations))]
+
+
+class ConditionedHMI(AdaptiveHMI):
+    """One learned HMI conditioned on z, the place in latent space expected under the belief.
+
+    Args:
+        estimator: of the driver's traits.
+        policy: π(a^A | a^H, s, z).
+        places: z of each candidate, shape (K, Z).
+
+    Raises:
+        ValueError: places of another shape, or a policy that is not conditioned on such a z.
+    """
+
+    def __init__(
+        self, estimator: TraitEstimator, policy: LearnedPolicy, places: NDArray[np.floating]
+    ) -> None:
+        super().__init__(estimator)
+        wanted = len(estimator.evidence.drivers), policy.card.context
+        if not policy.card.context or places.shape != wanted:
+            raise ValueError(
+                f"{wanted[0]} candidates and a policy that is conditioned on z of size {wanted[1]} "
+                f"need places of shape {wanted}, but got {places.shape}"
+            )
+        self.policy = policy
+        self.places = places
+
+    def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
+        self.policy.reset(seeds, which)
+
+    def _act(self, observations: NDArray[np.float32], belief: TraitBelief) -> NDArray[np.int64]:
+        self.policy.context = belief.expected(self.places)
+        return self.policy.act(observations)
+
+
+class ExpectedValueHMI(AdaptiveHMI):
+    r"""Does what AvgHMI does, unless the belief speaks clearly enough for the opposite.
+
+    For every candidate k the rule that is optimal on b_k = p_k(d = 1) knows what alerting now is
+    worth more than not alerting, A_k(t, b_k, i, c); see :func:`solve_belief`. With g_k = ± A_k,
+    what deviating from AvgHMI's choice would gain if k drove, it deviates where
+
+    .. math:: E[g] > \kappa\, H\, \mathrm{sd}[g]
+
+    over the belief p(k), H being its entropy as a share of the most there can be. With caution
+    κ = 0 this is the highest expected value (and would be optimal if it were told who drives in the
+    next step). With more, doubt makes it stay with AvgHMI, so that no driver pays at the start for
+    what others would have gained; as the belief settles, H falls and caution with it. Once one
+    candidate is sure it is :class:`BeliefAlert` for them, whatever κ.
+
+    Args:
+        estimator: of the driver's traits.
+        config: of the teams.
+        revealing: assumed share of steps in which a^H differs from the last applied action.
+        caution: κ.
+        default: the driver model of AvgHMI.
+
+    Raises:
+        ValueError: caution below 0.
+    """
+
+    def __init__(
+        self,
+        estimator: TraitEstimator,
+        config: TeamConfig,
+        revealing: float = DEFAULT_REVEALING,
+        caution: float = CAUTION,
+        default: str | Driver = "average",
+    ) -> None:
+        super().__init__(estimator)
+        if not caution >= 0:
+            raise ValueError(f"caution is at least 0, but got {caution}")
+        drivers, alike = chains(estimator.evidence.drivers)
+        self.caution = float(caution)
+        self._default = BeliefAlert(default, config, revealing)
+        self._attention = AttentionWatch(drivers, config)
+        self._advantage = np.stack(
+            [
+                solve_belief(
+                    driver, config.alert_window, config.horizon, config.weights, revealing
+                ).advantage
+                for driver in drivers
+            ]
+        )
+        self._which = (alike[:, None] == np.arange(len(drivers))).astype(np.float64)
+
+    def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
+        self._default.reset(seeds, which)
+        self._attention.reset(len(seeds), which)
+
+    def _act(self, observations: NDArray[np.float32], belief: TraitBelief) -> NDArray[np.int64]:
+        usual = self._default.act(observations)
+        gain = np.where(usual[:, None] == 1, -1.0, 1.0) * self._advantages(observations)
+        p = belief.probabilities @ self._which
+        mean = (p * gain).sum(axis=1)
+        spread = np.sqrt((p * (gain - mean[:, None]) ** 2).sum(axis=1))
+        return np.where(mean > self.caution * _doubt(p) * spread, 1 - usual, usual)
+
+    def _advantages(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        """A_k of every different chain, shape (N, K)."""
+        step = self._attention.observe(observations)
+        reveals = self._attention.reveals(observations).astype(np.int64)
+        now = self._attention.filter
+        who = np.arange(len(self._advantage))
+        t, m, i, c = (x[:, None] for x in (step, reveals, now.accepted, now.counter))
+        return look_up(self._advantage, (who, t, m), now.distracted, (i, c))
+
+
+def _doubt(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Entropy of each row of (N, K) as a share of log K, in [0, 1]; 0 if K is 1."""
+    logs = np.log(probabilities, out=np.zeros_like(probabilities), where=probabilities > 0)
+    most = np.log(probabilities.shape[1])
+    entropy: NDArray[np.float64] = -(probabilities * logs).sum(axis=1)
+    return entropy / most if most > 0 else np.zeros(len(probabilities))

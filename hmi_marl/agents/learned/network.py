@@ -1,0 +1,149 @@
+"""The networks of learned policies, as they act: NumPy alone, so that playing needs no torch.
+
+Training builds the same network in torch (:mod:`hmi_marl.training.ppo.models`) and hands its weights
+over. They act in double precision, so that what a policy does cannot depend on how many teams
+share a batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+Activation = Literal["relu", "elu", "tanh"]
+Weights = Mapping[str, NDArray[np.floating]]
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of one network.
+
+    Raises:
+        ValueError: a size below 1 (memory: below 0), or an unknown activation.
+    """
+
+    hidden: tuple[int, ...] = (64, 64)
+    """Units of each hidden layer."""
+    activation: Activation = "relu"
+    """After each hidden layer: relu, elu or tanh."""
+    memory: int = 0
+    """Units of a recurrent layer (GRU), which the others read beside the inputs; 0 for none."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hidden", tuple(self.hidden))
+        for size in (*self.hidden, self.memory):
+            if isinstance(size, bool) or not isinstance(size, int):
+                raise ValueError(f"sizes of layers are whole numbers, not {size!r}")
+        if not self.hidden or min(self.hidden) < 1 or self.memory < 0:
+            raise ValueError(
+                "a network has hidden layers of at least one unit and a memory of at least none, "
+                f"but got hidden = {self.hidden}, memory = {self.memory}"
+            )
+        if self.activation not in get_args(Activation):
+            raise ValueError(
+                f"activation is one of {', '.join(get_args(Activation))}, not {self.activation!r}"
+            )
+
+    def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the weights of a network with so many inputs and outputs.
+
+        Layers map x to W x + b, W of shape (out, in). The three gates of the memory, reset,
+        update and new, lie below each other in this order.
+        """
+        shapes: dict[str, tuple[int, ...]] = {}
+        if self.memory:
+            gates = 3 * self.memory
+            shapes["memory.input_weight"] = gates, inputs
+            shapes["memory.hidden_weight"] = gates, self.memory
+            shapes["memory.input_bias"] = (gates,)
+            shapes["memory.hidden_bias"] = (gates,)
+        sizes = (self.memory + inputs, *self.hidden, outputs)
+        for layer, (size_in, size_out) in enumerate(pairwise(sizes)):
+            shapes[f"layer{layer}.weight"] = size_out, size_in
+            shapes[f"layer{layer}.bias"] = (size_out,)
+        return shapes
+
+
+class Network:
+    """One network, with the memory of N teams if it is recurrent.
+
+    Args:
+        config: its sizes.
+        weights: by the names of :meth:`NetworkConfig.shapes`.
+    """
+
+    def __init__(self, config: NetworkConfig, weights: Weights) -> None:
+        self.config = config
+        self._weights = {name: values.astype(np.float64) for name, values in weights.items()}
+        self._memory = np.zeros((0, config.memory))
+
+    def forget(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
+        """Empty the memory of the marked teams out of ``count``; of all by default."""
+        if which is None:
+            self._memory = np.zeros((count, self.config.memory))
+        else:
+            self._memory = np.where(which[:, None], 0.0, self._memory)
+
+    def __call__(
+        self, inputs: NDArray[np.float32], which: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
+        """Outputs of shape (N, outputs) for inputs of shape (N, inputs); remembers them.
+
+        Args:
+            inputs: of N teams.
+            which: the teams whose inputs are remembered, shape (N,); all by default.
+
+        Raises:
+            RuntimeError: a memory of another number of teams.
+        """
+        x = inputs.astype(np.float64)
+        if self.config.memory:
+            memory = self._remember(x)
+            x = np.concatenate([memory, x], axis=1)
+            self._memory = (
+                memory if which is None else np.where(which[:, None], memory, self._memory)
+            )
+        last = len(self.config.hidden)
+        for layer in range(last + 1):
+            x = x @ self._weights[f"layer{layer}.weight"].T + self._weights[f"layer{layer}.bias"]
+            if layer < last:
+                x = _ACTIVATIONS[self.config.activation](x)
+        return x
+
+    def _remember(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        w, old = self._weights, self._memory
+        if len(old) != len(x):
+            raise RuntimeError(
+                "a policy with a memory needs to know when episodes begin: call reset(seeds) for "
+                f"{len(x)} teams first"
+            )
+        seen = x @ w["memory.input_weight"].T + w["memory.input_bias"]
+        kept = old @ w["memory.hidden_weight"].T + w["memory.hidden_bias"]
+        reset_in, update_in, new_in = np.split(seen, 3, axis=1)
+        reset_old, update_old, new_old = np.split(kept, 3, axis=1)
+        update = sigmoid(update_in + update_old)
+        new = np.tanh(new_in + sigmoid(reset_in + reset_old) * new_old)
+        return (1.0 - update) * new + update * old
+
+
+def part_of(weights: Weights, part: str) -> Weights:
+    """The weights of one network among several, whose names begin with its own and a dot."""
+    start = f"{part}."
+    return {n.removeprefix(start): values for n, values in weights.items() if n.startswith(start)}
+
+
+def sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1 / (1 + e^-x), which does not overflow."""
+    return 0.5 + 0.5 * np.tanh(0.5 * x)
+
+
+_ACTIVATIONS: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
+    "relu": lambda x: np.maximum(x, 0.0),
+    "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
+    "tanh": np.tanh,
+}

@@ -1,0 +1,259 @@
+r"""Policies that were learnt, as ordinary policies in either seat.
+
+A :class:`PolicyCard` says everything about one but its weights: which parts of its seat's
+observation it reads, by name; what it is conditioned on; how its network is made; and what it was
+trained on. So a policy that reads no attention sits as well in an environment that shows it.
+
+A vehicle AI's network either reads a^H_t with the rest and gives the logits of a^A, or, where
+both seats were learnt as one composite policy, gives the logits of a^A for every a^H at once
+(``by_intent``), π(a^A | a^H, s), of which the row of the a^H_t that it sees is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights
+from hmi_marl.agents.memory import Draws
+from hmi_marl.envs.alerts import FULL, check_strengths
+from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.observations import Layout, driver_layout, vehicle_ai_layout
+from hmi_marl.envs.streams import Stream
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+INTENT = "intended_action"
+CONTEXT_OF = "context_of"
+"""In a card's training: the digest of what gave z, where the policy is conditioned on one."""
+INTENTS = len(VEHICLE_ACTIONS)
+"""How many actions the driver has."""
+_LAYOUTS = {DRIVER: driver_layout, VEHICLE_AI: vehicle_ai_layout}
+_STREAMS = {DRIVER: Stream.DRIVER_POLICY, VEHICLE_AI: Stream.HMI_POLICY}
+
+
+def seat_layout(seat: str, config: TeamConfig) -> Layout:
+    """What the seat sees in teams set up by ``config``."""
+    return _LAYOUTS[seat](config)
+
+
+@dataclass(frozen=True)
+class PolicyCard:
+    """What a learned policy is, apart from its weights.
+
+    Raises:
+        ValueError: an unknown seat, or parts and sizes that make no policy.
+    """
+
+    seat: str
+    """"driver" or "vehicle_ai"."""
+    reads: tuple[tuple[str, int], ...]
+    """Names and sizes of the parts of the observation that it reads, in their order."""
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    """Sizes of its network."""
+    context: int = 0
+    """Size of the vector z that it is conditioned on, read after the observation; 0 for none."""
+    by_intent: bool = False
+    """Of the vehicle AI: logits for each a^H instead of reading a^H."""
+    taking_turns: bool = True
+    """Whether it learnt taking turns; if not, a^H_t was not known to the vehicle AI."""
+    alert_strengths: tuple[float, ...] = FULL
+    """Of the vehicle AI: the alerts that it can give. (1.0,) is alert or not."""
+    training: dict[str, Any] = field(default_factory=dict)
+    """How it was made: the environment's version and configuration, protocol, seed, steps."""
+
+    def __post_init__(self) -> None:
+        if self.seat not in AGENTS:
+            raise ValueError(f"a policy's seat is one of {', '.join(AGENTS)}, not {self.seat!r}")
+        object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
+        object.__setattr__(self, "alert_strengths", check_strengths(self.alert_strengths))
+        if not self.reads or min(size for _, size in self.reads) < 1 or self.context < 0:
+            raise ValueError("a policy reads parts of at least one column, and z has no size < 0")
+        if self.by_intent and (self.seat == DRIVER or INTENT in dict(self.reads)):
+            raise ValueError("by_intent is for a vehicle AI that does not read intended_action")
+
+    @property
+    def inputs(self) -> int:
+        """Columns that the network takes."""
+        return sum(size for _, size in self.reads) + self.context
+
+    @property
+    def actions(self) -> int:
+        """How many actions it chooses from."""
+        return INTENTS if self.seat == DRIVER else len(self.alert_strengths) + 1
+
+    @property
+    def outputs(self) -> int:
+        """Logits that the network gives."""
+        return self.actions * (INTENTS if self.by_intent else 1)
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the weights."""
+        return self.network.shapes(self.inputs, self.outputs)
+
+    def reading(self, names: Sequence[str]) -> PolicyCard:
+        """The same for a policy that reads these parts alone.
+
+        Raises:
+            ValueError: it does not read one of them as it is; the message lists those it does.
+        """
+        known = dict(self.reads)
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise ValueError(f"no part {unknown[0]!r} to read; there are {', '.join(known)}")
+        return replace(self, reads=tuple(read for read in self.reads if read[0] in names))
+
+    def with_context(self, size: int) -> PolicyCard:
+        """The same for a vehicle AI conditioned on z of this size instead of the traits."""
+        if self.seat == DRIVER:
+            return self
+        reads = tuple((name, columns) for name, columns in self.reads if name != "traits")
+        return replace(self, reads=reads, context=size)
+
+    def columns(self, layout: Layout) -> NDArray[np.int64]:
+        """Where what it reads lies in an observation.
+
+        Raises:
+            ValueError: the observation lacks a part, or has it in another size.
+        """
+        for name, size in self.reads:
+            if name not in layout:
+                raise ValueError(
+                    f"this {self.seat} policy reads {name!r}, which the {self.seat}'s observation "
+                    f"does not show here{_HINTS.get(name, '')}"
+                )
+            shown = layout[name].stop - layout[name].start
+            if shown != size:
+                raise ValueError(
+                    f"this {self.seat} policy reads {size} columns of {name!r}, but here it has "
+                    f"{shown}; use the scene that it was trained on"
+                )
+        return layout.columns(name for name, _ in self.reads)
+
+
+def make_card(
+    seat: str,
+    config: TeamConfig,
+    network: NetworkConfig,
+    knows_traits: bool,
+    context: int = 0,
+    by_intent: bool = False,
+    taking_turns: bool = True,
+) -> PolicyCard:
+    """The card of a policy that reads all that its seat sees, but for what it is not to know."""
+    left_out = set() if knows_traits else {"traits"}
+    if by_intent:
+        left_out.add(INTENT)
+    parts = seat_layout(seat, config).parts
+    reads = tuple((part.name, part.size) for part in parts if part.name not in left_out)
+    strengths = config.alert_strengths if seat == VEHICLE_AI else FULL
+    return PolicyCard(seat, reads, network, context, by_intent, taking_turns, strengths)
+
+
+_HINTS = {
+    "traits": " (observe_traits=False hides it)",
+    "distracted": " (ai_sees_attention=False hides it)",
+    "fatigue": " (only with fatigue=, and unless ai_sees_attention=False hides it)",
+}
+
+
+def check_weights(card: PolicyCard, weights: Weights) -> None:
+    """Raise ``ValueError`` unless these are the weights that the card tells, all finite."""
+    check_shapes(card.shapes, weights, "policy")
+
+
+class LearnedPolicy:
+    """A learned policy in its seat.
+
+    Args:
+        card: what it is.
+        weights: of its network, by the names in ``card.shapes``.
+        config: of the teams it acts in, which says where in the observation things are.
+        greedy: take the likeliest action; otherwise draw it, from the episode's seed and the step.
+
+    Raises:
+        ValueError: weights that do not fit the card, or observations that lack what it reads.
+    """
+
+    def __init__(
+        self, card: PolicyCard, weights: Weights, config: TeamConfig, greedy: bool = True
+    ) -> None:
+        check_weights(card, weights)
+        if card.seat == VEHICLE_AI and card.alert_strengths != config.alert_strengths:
+            raise ValueError(
+                f"this vehicle_ai policy gives alerts of strengths {card.alert_strengths}, but "
+                f"here alert_strengths = {config.alert_strengths}"
+            )
+        self.card = card
+        self.weights = weights
+        self.greedy = greedy
+        self._layout = seat_layout(card.seat, config)
+        self._columns = card.columns(self._layout)
+        self._network = Network(card.network, weights)
+        self._draws = Draws(_STREAMS[card.seat])
+        self._context: NDArray[np.float32] | None = None
+
+    @property
+    def takes_turns(self) -> bool:
+        """Whether a vehicle AI that acts so expects to see a^H_t, not a^H_{t-1}."""
+        return self.card.taking_turns
+
+    @property
+    def context(self) -> NDArray[np.float32] | None:
+        """The vector z, shape (Z,) for all teams or (N, Z); to be set if the policy reads one.
+
+        Raises:
+            ValueError: on assigning another shape, or numbers that are not finite.
+        """
+        return self._context
+
+    @context.setter
+    def context(self, z: ArrayLike) -> None:
+        values = np.asarray(z, np.float32)
+        if values.ndim not in (1, 2) or values.shape[-1] != self.card.context:
+            raise ValueError(
+                f"this policy takes a vector z of size {self.card.context}, but got an array of "
+                f"shape {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise ValueError("a vector z is finite everywhere")
+        self._context = values
+
+    def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
+        """See :meth:`Policy.reset`."""
+        self._network.forget(len(seeds), which)
+        self._draws.reset(seeds, which)
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See :meth:`Policy.act`."""
+        probabilities = self.probabilities(observations)
+        if self.greedy:
+            return probabilities.argmax(axis=1)
+        below = np.cumsum(probabilities, axis=1)[:, :-1]
+        return (self._draws.next()[:, None] >= below).sum(axis=1)
+
+    def probabilities(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        """π(a | observation) of every action, shape (N, actions); moves the memory on.
+
+        Raises:
+            RuntimeError: the policy is conditioned on z, and none has been set.
+        """
+        inputs = observations[:, self._columns]
+        if self.card.context:
+            if self._context is None:
+                raise RuntimeError("this policy is conditioned on a vector z: set policy.context")
+            z = np.broadcast_to(self._context, (len(inputs), self.card.context))
+            inputs = np.concatenate([inputs, z], axis=1)
+        logits = self._network(inputs)
+        if self.card.by_intent:
+            intent = self._layout.get(observations, INTENT)  # one-hot; zeros, so even odds, if none
+            logits = logits.reshape(len(logits), INTENTS, -1)
+            logits = (logits * intent[:, :, None]).sum(axis=1)
+        logits = logits - logits.max(axis=1, keepdims=True)
+        odds = np.exp(logits)
+        return odds / odds.sum(axis=1, keepdims=True)

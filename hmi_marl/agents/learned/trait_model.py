@@ -1,0 +1,279 @@
+r"""What was learnt of drivers' traits, ready for use: NumPy alone, so that it needs no torch.
+
+A :class:`TraitModel` holds the three parts of the paper's latent model, in double precision:
+
+- the context encoder :math:`q(z | τ)`: a long short-term memory reads a window of driving, its
+  last hidden states are averaged over a pool of windows of one driver, and two linear layers give
+  mean and log-variance of z;
+- the reward :math:`f(s, a, s', z) = g(s, a, z) + γ h(s', z) - h(s, z)`;
+- the policy :math:`π(a | s, z)`.
+
+Here s is a situation (:mod:`hmi_marl.agents.learned.situations`) whose state is standardised by the
+demonstrations, and a the applied action v_t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
+from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
+
+PARTS = ("reward", "potential", "policy")
+"""The networks beside the encoder: g, h and π."""
+_AT_ONCE = 512
+"""Windows encoded at once; bounds memory."""
+
+
+@dataclass(frozen=True)
+class TraitCard:
+    """What a trait model is, apart from its weights.
+
+    Raises:
+        ValueError: sizes that make no model.
+    """
+
+    reads: tuple[tuple[str, int], ...]
+    """Names and sizes of the parts of an observed state, in their order."""
+    latent: int = 2
+    """Z, the size of z."""
+    encoder_units: int = 128
+    """H, units of the recurrent layer."""
+    pool: int = 8
+    """Windows of one driver that are averaged over in training."""
+    discount: float = 0.98
+    """γ of the reward's shaping."""
+    reward: NetworkConfig = field(default_factory=lambda: NetworkConfig((32, 32)))
+    """Of g."""
+    potential: NetworkConfig = field(default_factory=lambda: NetworkConfig((32,)))
+    """Of h."""
+    policy: NetworkConfig = field(default_factory=lambda: NetworkConfig((32,)))
+    """Of π."""
+    training: dict[str, Any] = field(default_factory=dict)
+    """How it was made."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
+        if not self.reads or min(size for _, size in self.reads) < 1:
+            raise ValueError("a trait model reads parts of at least one column")
+        for name in ("latent", "encoder_units", "pool"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
+        if not 0.0 <= self.discount <= 1.0:
+            raise ValueError(f"discount lies in [0, 1], but got {self.discount}")
+        if any(getattr(self, part).memory for part in PARTS):
+            raise ValueError("only the encoder has a memory: set encoder_units")
+
+    @property
+    def state_size(self) -> int:
+        """Columns of an observed state."""
+        return sum(size for _, size in self.reads)
+
+    @property
+    def situation_size(self) -> int:
+        """Columns of a situation."""
+        return self.state_size + EXTRA
+
+    def inputs(self, part: str) -> int:
+        """Columns that one of ``PARTS`` takes: a situation, the action too for g, and z."""
+        return self.situation_size + (ACTIONS if part == "reward" else 0) + self.latent
+
+    @property
+    def encoder_inputs(self) -> int:
+        """Columns that the encoder takes; see :func:`encoder_inputs`."""
+        return self.situation_size + ACTIONS + LONG_AGO + 1
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the weights.
+
+        The four gates of the encoder lie below each other: input, forget, cell, output.
+        """
+        gates = 4 * self.encoder_units
+        shapes: dict[str, tuple[int, ...]] = {
+            "state.centre": (self.state_size,),
+            "state.scale": (self.state_size,),
+            "encoder.input_weight": (gates, self.encoder_inputs),
+            "encoder.hidden_weight": (gates, self.encoder_units),
+            "encoder.input_bias": (gates,),
+            "encoder.hidden_bias": (gates,),
+        }
+        for head in ("mean", "log_variance"):
+            shapes[f"{head}.weight"] = self.latent, self.encoder_units
+            shapes[f"{head}.bias"] = (self.latent,)
+        for part in PARTS:
+            outputs = ACTIONS if part == "policy" else 1
+            network: NetworkConfig = getattr(self, part)
+            for name, shape in network.shapes(self.inputs(part), outputs).items():
+                shapes[f"{part}.{name}"] = shape
+        return shapes
+
+
+class Latent(NamedTuple):
+    """q(z | τ) of P pools, a Gaussian with independent components."""
+
+    mean: NDArray[np.float64]
+    """μ, shape (P, Z)."""
+    variance: NDArray[np.float64]
+    """σ², shape (P, Z)."""
+
+
+class EncoderState(NamedTuple):
+    """Where the encoder stands in N windows. Arrays have shape (N, H)."""
+
+    hidden: NDArray[np.float64]
+    """What the encoder makes of the window so far."""
+    cell: NDArray[np.float64]
+    """What it remembers."""
+
+
+class TraitModel:
+    """Encoder, reward and trait-conditioned policy, as they were learnt.
+
+    Args:
+        card: what they are.
+        weights: by the names in ``card.shapes``.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+
+    def __init__(self, card: TraitCard, weights: Weights) -> None:
+        check_shapes(card.shapes, weights, "trait model")
+        self.card = card
+        self.weights = weights
+        self._weights = {name: values.astype(np.float64) for name, values in weights.items()}
+        self._networks = {
+            part: Network(getattr(card, part), part_of(weights, part)) for part in PARTS
+        }
+
+    def begin(self, count: int) -> EncoderState:
+        """The encoder at the start of ``count`` windows."""
+        nothing = np.zeros((count, self.card.encoder_units))
+        return EncoderState(nothing, nothing)
+
+    def read(
+        self, state: EncoderState, x: NDArray[np.float32], actions: NDArray[np.int64]
+    ) -> EncoderState:
+        """The encoder after one more step: situations (N, D + EXTRA), actions v_t (N,)."""
+        w = self._weights
+        inputs = encoder_inputs(self.standardise(x), actions)
+        gates = inputs @ w["encoder.input_weight"].T + w["encoder.input_bias"]
+        gates += state.hidden @ w["encoder.hidden_weight"].T + w["encoder.hidden_bias"]
+        let_in, keep, new, show = np.split(gates, 4, axis=1)
+        cell = sigmoid(keep) * state.cell + sigmoid(let_in) * np.tanh(new)
+        return EncoderState(sigmoid(show) * np.tanh(cell), cell)
+
+    def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Situations (..., D + EXTRA) with their states in units of the demonstrations."""
+        return standardise(x, self.weights["state.centre"], self.weights["state.scale"])
+
+    def encode(
+        self,
+        states: NDArray[np.float32],
+        actions: NDArray[np.int64],
+        alerts: NDArray[np.int64],
+        length: NDArray[np.int64],
+    ) -> NDArray[np.float64]:
+        """The encoder's hidden state at the end of each of E windows, shape (E, H).
+
+        Args:
+            states: s_t before step t, shape (E, T, D).
+            actions: v_t as applied, shape (E, T).
+            alerts: a^A_t, shape (E, T).
+            length: steps of each, shape (E,); later ones are not read.
+
+        Raises:
+            ValueError: states of another size than the card says.
+        """
+        if states.shape[2] != self.card.state_size:
+            raise ValueError(
+                f"this trait model reads states of {self.card.state_size} columns, but got "
+                f"{states.shape[2]}; use the scene that it was trained on"
+            )
+        chunks = [
+            self._encode(states[part], actions[part], alerts[part], length[part])
+            for part in (slice(k, k + _AT_ONCE) for k in range(0, len(states), _AT_ONCE))
+        ]
+        return np.concatenate(chunks)
+
+    def _encode(
+        self,
+        states: NDArray[np.float32],
+        actions: NDArray[np.int64],
+        alerts: NDArray[np.int64],
+        length: NDArray[np.int64],
+    ) -> NDArray[np.float64]:
+        x = situations(states, actions, alerts)
+        now = self.begin(len(x))
+        last = now.hidden
+        for t in range(x.shape[1]):
+            now = self.read(now, x[:, t], actions[:, t])
+            last = np.where((t < length)[:, None], now.hidden, last)
+        return last
+
+    def latent(self, pooled: NDArray[np.float64]) -> Latent:
+        """q(z | τ) from the average hidden state of a driver's windows, shape (P, H)."""
+        w = self._weights
+        mean = pooled @ w["mean.weight"].T + w["mean.bias"]
+        log_variance = pooled @ w["log_variance.weight"].T + w["log_variance.bias"]
+        return Latent(mean, np.exp(log_variance))
+
+    def policy(self, x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log π(a | s, z) of every action, shape (N, 5), in situations (N, D + EXTRA)."""
+        logits = self._networks["policy"](_beside(self.standardise(x), z))
+        logits = logits - logits.max(axis=1, keepdims=True)
+        return logits - np.log(np.exp(logits).sum(axis=1, keepdims=True))
+
+    def base_reward(
+        self, x: NDArray[np.float32], actions: NDArray[np.int64], z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """g(s, a, z), shape (N,): the reward without its shaping."""
+        done = (actions[:, None] == np.arange(ACTIONS)).astype(np.float32)
+        seen = np.concatenate([self.standardise(x), done], axis=1)
+        return self._networks["reward"](_beside(seen, z))[:, 0]
+
+    def reward(
+        self,
+        x: NDArray[np.float32],
+        actions: NDArray[np.int64],
+        after: NDArray[np.float32],
+        z: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """f(s, a, s', z), shape (N,), for steps from situations ``x`` to ``after``."""
+        before, later = (
+            self._networks["potential"](_beside(self.standardise(s), z))[:, 0] for s in (x, after)
+        )
+        return self.base_reward(x, actions, z) + self.card.discount * later - before
+
+
+def standardise(
+    x: NDArray[np.float32], centre: NDArray[np.floating], scale: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """Situations (..., D + EXTRA) with their states less ``centre`` over ``scale``, both (D,)."""
+    out = x.astype(np.float32, copy=True)
+    out[..., : len(centre)] -= centre.astype(np.float32)
+    out[..., : len(centre)] /= scale.astype(np.float32)
+    return out
+
+
+def encoder_inputs(x: NDArray[np.float32], actions: NDArray[np.int64]) -> NDArray[np.float64]:
+    """What the encoder reads of standardised situations (N, D + EXTRA) and actions v_t (N,).
+
+    The situation, the action, and, by the steps since the last alert, whether the action is that
+    of the step before: how a driver's lapses depend on alerts is then a matter of averages.
+    """
+    done = actions[:, None] == np.arange(ACTIONS)
+    before, since = x[:, -EXTRA : ACTIONS - EXTRA], x[:, ACTIONS - EXTRA :]
+    repeated = (before * done).sum(axis=1, keepdims=True)
+    return np.concatenate([x, done, repeated * since], axis=1, dtype=np.float64)
+
+
+def _beside(x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float32]:
+    rows = np.broadcast_to(z, (len(x), z.shape[-1])).astype(np.float32)
+    return np.concatenate([x, rows], axis=1)

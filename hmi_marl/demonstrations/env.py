@@ -1,0 +1,142 @@
+"""The environment that demonstrations come from, made from what they say about themselves.
+
+It is the driver's seat with the HMI that collected the data in the other one. What is observed are
+the demonstrations' states, and actions are the driver's, a^H. A recorded window plays again, state
+by state, from its seed, its driver and its actions::
+
+    env = dataset.recover_environment()
+    env.reset(seed=episode.seed, options={"driver": "homer"})
+
+since an applied action that is intended again is applied again. A crash ends the episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
+
+from hmi_marl.agents.catalogue import make_hmi
+from hmi_marl.demonstrations.dataset import Observed, observed_layout
+from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import (
+    DRIVERS,
+    DriverList,
+    Population,
+    TraitDistributions,
+    Traits,
+    get_driver,
+)
+from hmi_marl.envs.observations import Layout
+from hmi_marl.envs.rewards import RewardWeights
+from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.views import MergeDriver
+
+
+def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
+    """A team as JSON has it: the inverse of :func:`hmi_marl.plain.plain`, without the driver.
+
+    Args:
+        team: fields of :class:`TeamConfig`; ``scene`` and ``weights`` are mappings.
+        defaults: of fields that ``team`` lacks.
+
+    Raises:
+        ValueError, TypeError: a field that there is not, or a value out of its range.
+    """
+    fields: dict[str, Any] = defaults | dict(team)
+    scene: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in fields.pop("scene", {}).items()
+    }
+    weights = RewardWeights(**fields.pop("weights", {}))
+    return TeamConfig(scene=Scene(**scene), weights=weights, **fields)
+
+
+class DemonstratedDriver(MergeDriver):
+    """The driver's seat, seen as demonstrations record it.
+
+    Args:
+        team: see :func:`team_config`.
+        hmi: the name of the HMI in the other seat.
+        drivers: names of known drivers, drawn from evenly; anybody if there are none.
+        world: which world the team drives in.
+        render_mode: None, "rgb_array" or "human".
+    """
+
+    def __init__(
+        self,
+        team: Mapping[str, Any],
+        hmi: str,
+        drivers: Sequence[str] = (),
+        world: str = "batched",
+        render_mode: str | None = None,
+    ) -> None:
+        known = tuple(get_driver(name) for name in drivers)
+        self._population = _Chosen(DriverList(known) if known else TraitDistributions())
+        config = team_config(team, driver=self._population)
+        self._layout = observed_layout(config)
+        super().__init__(make_hmi(hmi, config), config, world, render_mode)
+        self._columns = self.team.teaming.layouts[VEHICLE_AI].columns_of(self._layout)
+
+    @property
+    def layout(self) -> Layout:
+        """Which columns of the observation mean what: the demonstrations' states."""
+        return self._layout
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: of a recorded window, to play it again, or any other; without one the next
+                episode of the series.
+            options: ``driver``: the name of a known driver, for this episode alone.
+        """
+        name = (options or {}).get("driver")
+        if name is not None and name not in DRIVERS:
+            raise ValueError(f"unknown driver {name!r}; known drivers: {', '.join(DRIVERS)}")
+        self._population.name = name
+        return super().reset(seed=seed, options=options)
+
+    def _begin(self, seed: int | None) -> None:
+        self.team.reset(seed, of_episode=True)
+
+    def _observation(self) -> NDArray[np.float32]:
+        return self.team.teaming.observe(VEHICLE_AI)[0, self._columns]
+
+
+class _Chosen:
+    """A population, or for as long as a name is set that driver."""
+
+    def __init__(self, population: Population) -> None:
+        self.population = population
+        self.name: str | None = None
+
+    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
+        """See :meth:`Population.draw`."""
+        if self.name is None:
+            return self.population.draw(seeds)
+        return Traits.of([DRIVERS[self.name]] * len(seeds))
+
+
+def env_spec(observed: Observed) -> EnvSpec | None:
+    """What makes these demonstrations' environment; None for recordings that do not say.
+
+    A crash ends an episode of it, also where the recorded car stood on after one.
+    """
+    about = observed.about
+    if "team" not in about or "hmi" not in about:
+        return None
+    return EnvSpec(
+        id="hmi_marl/DemonstratedDriver-v0",
+        entry_point=f"{__name__}:{DemonstratedDriver.__name__}",
+        kwargs={
+            "team": dict(about["team"]) | {"end_at_crash": True},
+            "hmi": about["hmi"],
+            "drivers": [name for name in observed.names if name in DRIVERS],
+        },
+    )

@@ -1,0 +1,121 @@
+"""Demonstrations as a Minari dataset: observed data only, in HDF5.
+
+An episode's ``observations`` are its states, ``actions`` the applied actions that lead from each to
+the next. It ends at the crash, if there is one, as a termination; what a crashed car records while
+it stands is left out. (After a crash in the last step of a window no state is recorded: the last
+one stands for it.) Otherwise the window's end is a truncation, and its last action, which leads to
+no recorded state, is left out. Rewards are zeros, since they are not observed. ``infos["alert"]``
+holds a^A for every state, and ``options["driver"]`` of an episode's metadata who drove, where that
+is known. ``recover_environment()`` gives :mod:`hmi_marl.demonstrations.env`, if the
+demonstrations come from one.
+
+Needs minari with h5py, which come with the ``data`` extra.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from gymnasium import spaces
+
+from hmi_marl.demonstrations.dataset import Observed
+from hmi_marl.demonstrations.env import env_spec
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.extras import needing
+
+with needing("exporting to Minari"):
+    import h5py  # noqa: F401
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+_PLACE = "MINARI_DATASETS_PATH"
+
+
+def minari_id(folder: Path) -> str:
+    """What the Minari dataset of a dataset's folder is called."""
+    return re.sub(r"[^-\w]", "_", f"hmi_marl-{folder.resolve().name}") + "-v0"
+
+
+def minari_place(folder: Path) -> Path:
+    """Where it goes: into ``MINARI_DATASETS_PATH`` if that is set, else into the folder.
+
+    Raises:
+        FileExistsError: there is one already.
+    """
+    place = Path(os.environ.get(_PLACE) or folder / "minari") / minari_id(folder)
+    if place.exists():
+        raise FileExistsError(f"{place} is there already; remove it, or choose another --out")
+    return place
+
+
+def export_minari(observed: Observed, folder: Path) -> Path:
+    """Write a Minari dataset; returns its folder.
+
+    Args:
+        observed: episodes of at least two steps, or of one that ends by a crash.
+        folder: of the demonstrations, which names the dataset.
+
+    Raises:
+        FileExistsError: see :func:`minari_place`.
+        ValueError: an episode of a single step without a crash, which holds no transition.
+    """
+    place = minari_place(folder)
+    if (observed.length[~observed.crashed] < 2).any():
+        raise ValueError("a window of a single step holds no transition for Minari")
+    buffers = [_buffer(observed, k) for k in range(len(observed))]
+    layout = [f"{part.name}: {part.size}" for part in observed.layout.parts]
+    with _datasets_at(place.parent), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*env", UserWarning)  # recordings may have none
+        minari.create_dataset_from_buffers(
+            place.name,
+            buffers,
+            env=env_spec(observed),
+            observation_space=observed.layout.space(),
+            action_space=spaces.Discrete(len(VEHICLE_ACTIONS)),
+            description=f"Columns: {', '.join(layout)}. Made as {json.dumps(observed.about)}",
+            algorithm_name="hmi-marl collect",
+            author="hmi-marl",
+            author_email="",
+            code_permalink="",
+            data_format="hdf5",
+        )
+    return place
+
+
+def _buffer(observed: Observed, k: int) -> EpisodeBuffer:
+    crashed, length = bool(observed.crashed[k]), int(observed.length[k])
+    actions = int(observed.crash_step[k]) + 1 if crashed else length - 1
+    states = np.minimum(np.arange(actions + 1), length - 1)  # after the last step: the last one
+    label = observed.labels()[k]
+    ends = np.arange(actions) == actions - 1
+    return EpisodeBuffer(
+        id=k,
+        seed=None if observed.seeds is None else int(observed.seeds[k]),
+        options=None if label is None else {"driver": label},
+        observations=observed.states[k, states],
+        actions=observed.actions[k, :actions],
+        rewards=np.zeros(actions),
+        terminations=ends & crashed,
+        truncations=ends & (not crashed),
+        infos={"alert": observed.alerts[k, states]},
+    )
+
+
+@contextmanager
+def _datasets_at(place: Path) -> Iterator[None]:
+    before = os.environ.get(_PLACE)
+    os.environ[_PLACE] = str(place.resolve())  # Minari loses its way on relative ones
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_PLACE]
+        else:
+            os.environ[_PLACE] = before

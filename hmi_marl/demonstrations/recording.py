@@ -1,0 +1,349 @@
+"""Playing drivers beside an HMI that alerts at random, and recording what could be observed.
+
+Alerts come at random so that receptivity can be seen: what a driver does with one, and without.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.demonstrations.dataset import (
+    NOBODY,
+    Demonstrations,
+    Observed,
+    Truth,
+    observed_layout,
+)
+from hmi_marl.envs.alerts import need_plain
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
+from hmi_marl.envs.drivers import (
+    PAPER_DRIVERS,
+    Driver,
+    TraitDistributions,
+    Traits,
+    get_driver,
+)
+from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.streams import Stream, check_seed, episode_seed, mix
+from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.plain import plain
+
+POPULATION = "population"
+
+
+@dataclass(frozen=True)
+class CollectSettings(TeamSettings):
+    """What to record, checked.
+
+    Raises:
+        ValueError, TypeError: a value out of its range, saying what to use instead.
+    """
+
+    drivers: tuple[str, ...] = PAPER_DRIVERS
+    """Who drives: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    steps: int = 300_000
+    """For each of them, rounded up to whole windows; each has a series of windows of their own."""
+    population: int = 0
+    """So many more drivers, whose traits are drawn evenly from all there are: population-0,
+    population-1, ..., for a look at drivers that were never seen in training."""
+    windows: int = 16
+    """Windows for each driver of the population."""
+    alert_rate: float = 0.2
+    """How often the HMI alerts, whatever happens: the chance of it in each step."""
+    driver_policy: str = "rule"
+    """Who steers: the folder of a trained run, or rule or random."""
+    greedy: bool = False
+    """A trained driver takes the likeliest action. A person is no argmax: by default it draws."""
+    seed: int = 0
+    """Of everything: the same seed gives the same data."""
+    end_at_crash: bool = False
+    """Whether a crash ends the window. If not the crashed car stands, so that all windows have the
+    same length, and the length gives nothing away."""
+    teams: int = 512
+    """Side by side; memory grows with it. Does not change results."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seed", check_seed(self.seed))
+        _check_names(self.drivers)
+        for name, least in (("steps", 1), ("population", 0), ("windows", 1), ("teams", 1)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int):
+                raise TypeError(f"{name} is a whole number, not {value!r}")
+            if value < least:
+                raise ValueError(f"{name} is at least {least}, but got {value}")
+        if not self.drivers and not self.population:
+            raise ValueError("somebody has to drive: name drivers, or draw a population")
+        team = self.team(PAPER_DRIVERS)
+        need_plain(team.alerts, "a dataset of demonstrations")
+        self.make_hmi(team)
+        counts = Counter(driver.name for driver, _ in self.cast())
+        twice = [name for name, count in counts.items() if count > 1]
+        if twice:
+            raise ValueError(f"two drivers have the name {twice[0]!r}; give one another name")
+
+    @property
+    def hmi(self) -> str:
+        """The name of the HMI that collects data."""
+        return f"random:{float(self.alert_rate)!r}"
+
+    def make_hmi(self, config: TeamConfig) -> Policy:
+        """The HMI that collects data."""
+        return make_hmi(self.hmi, config)
+
+    def make_driver(self, config: TeamConfig) -> Policy:
+        """Who steers.
+
+        Raises:
+            FileNotFoundError, ValueError: there is no such policy.
+        """
+        policy = make_driver_policy(self.driver_policy, config)
+        if isinstance(policy, LearnedPolicy):
+            policy.greedy = self.greedy
+        return policy
+
+    def cast(self) -> list[tuple[Driver, int]]:
+        """Who drives, and in how many windows."""
+        horizon = self.team(PAPER_DRIVERS).horizon
+        named = [(get_driver(name), -(-self.steps // horizon)) for name in self.drivers]
+        names = [f"{POPULATION}-{k}" for k in range(self.population)]
+        traits = TraitDistributions().draw(self._series(names)).as_array().tolist()
+        return named + [
+            (Driver(name, *drawn), self.windows) for name, drawn in zip(names, traits, strict=True)
+        ]
+
+    @property
+    def total_steps(self) -> int:
+        """Steps in all windows, if no crash ends one."""
+        horizon = self.team(PAPER_DRIVERS).horizon
+        return horizon * sum(windows for _, windows in self.cast())
+
+    def episodes(self) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+        """Of every window: who drives, an index of :meth:`cast`, and its seed.
+
+        A driver's series follows from the seed and the driver's name, not from who else drives.
+        """
+        cast = self.cast()
+        who = np.repeat(np.arange(len(cast)), [windows for _, windows in cast])
+        number = np.concatenate([np.arange(1, windows + 1) for _, windows in cast])
+        return who, episode_seed(self._series([driver.name for driver, _ in cast])[who], number)
+
+    def _series(self, names: list[str]) -> NDArray[np.uint64]:
+        digests = (hashlib.sha256(name.encode()).digest() for name in names)
+        keys = [int.from_bytes(digest[:8], "little") for digest in digests]
+        return mix(self.seed, Stream.EPISODE, np.array(keys, np.uint64))
+
+
+def _check_names(drivers: Sequence[str]) -> None:
+    if isinstance(drivers, str) or not all(isinstance(name, str) for name in drivers):
+        raise TypeError(f"drivers takes a tuple of names, not {drivers!r}")
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A population of those who sit here, one for each team, whatever the seeds."""
+
+    traits: Traits
+
+    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
+        return self.traits
+
+
+def collect(
+    settings: CollectSettings, progress: Callable[[int], Any] = id, typed: str = ""
+) -> Iterator[Demonstrations]:
+    """Play and record, chunk by chunk: each driver's windows one after the other.
+
+    Args:
+        settings: what to record.
+        progress: called with the number of steps that have just been recorded.
+        typed: the command, kept with the truth.
+
+    Raises:
+        FileNotFoundError, ValueError: there is no such driver policy; at once.
+    """
+    config = settings.team(PAPER_DRIVERS)
+    settings.make_driver(config)
+    about = _about(settings, config)
+    cast = [driver for driver, _ in settings.cast()]
+    hidden = about | {"drivers": plain(cast), "settings": plain(settings), "command": typed}
+    who, seeds = settings.episodes()
+
+    def chunks() -> Iterator[Demonstrations]:
+        for start in range(0, len(seeds), settings.teams):
+            part = slice(start, start + settings.teams)
+            yield _play(settings, cast, who[part], seeds[part], (about, hidden), progress)
+
+    return chunks()
+
+
+def _about(settings: CollectSettings, config: TeamConfig) -> dict[str, Any]:
+    """How the data are made, without anybody's traits."""
+    policy: dict[str, Any] = {"name": settings.driver_policy, "greedy": settings.greedy}
+    if isinstance(settings.make_driver(config), LearnedPolicy):
+        weights = find_policy(Path(settings.driver_policy), DRIVER).with_suffix(".safetensors")
+        policy["sha256"] = hashlib.sha256(weights.read_bytes()).hexdigest()
+    team = {name: value for name, value in plain(config).items() if name != "driver"}
+    return {
+        "environment": "merge_v0",
+        "team": team,
+        "driver_policy": policy,
+        "hmi": settings.hmi,
+        "seed": settings.seed,
+        "population": settings.population,
+    }
+
+
+def _play(
+    settings: CollectSettings,
+    cast: list[Driver],
+    who: NDArray[np.int64],
+    seeds: NDArray[np.uint64],
+    about: tuple[dict[str, Any], dict[str, Any]],
+    progress: Callable[[int], Any],
+) -> Demonstrations:
+    traits = Traits.of(cast[k] for k in who)
+    config = settings.team(_Placed(traits))
+    driver, hmi = settings.make_driver(config), settings.make_hmi(config)
+    teaming = begin(config, driver, hmi, seeds, "batched")
+    recorder = _Recorder(config, teaming, progress)
+    play(teaming, driver, hmi, [recorder])
+    names = tuple(driver.name for driver in cast)
+    length, crash_step = teaming.steps.copy(), recorder.crash_step
+    observed = Observed(
+        recorder.layout,
+        recorder.states,
+        recorder.applied,
+        recorder.alerts,
+        length,
+        crash_step,
+        who,
+        names,
+        seeds,
+        about[0],
+    )
+    truth = Truth(
+        recorder.distracted,
+        recorder.accepted,
+        recorder.counter,
+        recorder.intended,
+        traits.as_array(),
+        about[1],
+    )
+    return Demonstrations(observed, truth)
+
+
+class _Recorder(Observer):
+    """Keep what could be observed of each step, and the truth apart."""
+
+    def __init__(
+        self, config: TeamConfig, teaming: Teaming, progress: Callable[[int], Any]
+    ) -> None:
+        self.layout = observed_layout(config)
+        self._columns = teaming.layouts[VEHICLE_AI].columns_of(self.layout)
+        shape = teaming.num_teams, config.horizon
+        self.states = np.zeros((*shape, self.layout.size), np.float32)
+        self.alerts, self.distracted, self.accepted, self.counter = np.zeros((4, *shape), np.int64)
+        self.applied, self.intended = np.full((2, *shape), NOBODY)
+        self.crash_step = np.full(teaming.num_teams, NOBODY)
+        self._progress = progress
+        self._step = 0
+
+    def before(self, teaming: Teaming) -> None:
+        """Keep the state in which the driver acts."""
+        self._on = ~teaming.over
+        seen = teaming.observe(VEHICLE_AI)[:, self._columns]
+        self.states[self._on, self._step] = seen[self._on]
+
+    def after(self, teaming: Teaming, result: StepResult) -> None:
+        """Keep what was done, and the attention that nobody sees."""
+        on, t, attention = self._on, self._step, teaming.attention
+        for rows, values in (
+            (self.applied, teaming.applied),
+            (self.alerts, teaming.alerted),
+            (self.intended, teaming.intended),
+            (self.distracted, attention.distracted),
+            (self.accepted, attention.accepted),
+            (self.counter, attention.counter),
+        ):
+            rows[on, t] = values[on]
+        self.crash_step[on & teaming.ego.crashed & (self.crash_step == NOBODY)] = t
+        self._progress(int(on.sum()))
+        self._step += 1
+
+
+@dataclass
+class Tally:
+    """What was recorded of one driver, or of the whole population."""
+
+    driver: str
+    minutes_per_step: float
+    episodes: int = 0
+    steps: int = 0
+    crashes: int = 0
+    alerts: int = 0
+    distracted: int = 0
+    """Steps with d = 1."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Counts and rates."""
+        return {
+            "driver": self.driver,
+            "episodes": self.episodes,
+            "steps": self.steps,
+            "crash_rate": self.crashes / self.episodes,
+            "alerts_per_minute": self.alerts / (self.steps * self.minutes_per_step),
+            "share_distracted": self.distracted / self.steps,
+        }
+
+
+class Summary:
+    """Counts what passes through :meth:`counting`, for each driver."""
+
+    def __init__(self, settings: CollectSettings) -> None:
+        self._step = 1 / settings.team(PAPER_DRIVERS).scene.policy_frequency / 60
+        self._named = len(settings.drivers)
+        self._tallies: dict[str, Tally] = {}
+
+    def counting(self, chunks: Iterable[Demonstrations]) -> Iterator[Demonstrations]:
+        """The same chunks, counted."""
+        for chunk in chunks:
+            observed, truth = chunk.observed, chunk.truth
+            assert truth is not None
+            for k in np.unique(observed.driver):
+                name = observed.names[k] if k < self._named else POPULATION
+                tally = self._tallies.setdefault(name, Tally(name, self._step))
+                theirs = observed.driver == k
+                tally.episodes += int(theirs.sum())
+                tally.steps += int(observed.length[theirs].sum())
+                tally.crashes += int(observed.crashed[theirs].sum())
+                tally.alerts += int(observed.alerts[theirs].sum())
+                tally.distracted += int(truth.distracted[theirs].sum())
+            yield chunk
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """A row for each driver, and one for the population."""
+        return [tally.as_json() for tally in self._tallies.values()]
+
+    def as_text(self) -> str:
+        """The same as a table."""
+        head = f"{'driver':<12} {'episodes':>9} {'steps':>10} {'crashed':>8} {'alerts/min':>11}"
+        lines = [f"{head} {'distracted':>11}"]
+        lines += [
+            f"{row['driver']:<12} {row['episodes']:>9} {row['steps']:>10} "
+            f"{row['crash_rate']:>8.1%} {row['alerts_per_minute']:>11.1f} "
+            f"{row['share_distracted']:>11.1%}"
+            for row in self.as_json()
+        ]
+        return "\n".join(lines)

@@ -1,0 +1,195 @@
+"""What a parquet file of demonstrations must be: its columns, its stamp and the order of its rows.
+
+See :mod:`hmi_marl.demonstrations.parquet`, which writes and reads the two files.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+import hmi_marl
+from hmi_marl.demonstrations.dataset import NOBODY, column_names
+from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.envs.observations import Layout, Part
+from hmi_marl.plain import plain
+
+FORMAT = "hmi-marl demonstrations 1"
+STAMP, BELONGS = b"hmi-marl", b"hmi-marl observed"
+KEYS = (("episode", pa.int32()), ("step", pa.int32()))
+TRUTH_SCHEMA = pa.schema(
+    [
+        pa.field(name, kind, nullable=False)
+        for name, kind in (
+            *KEYS,
+            ("distracted", pa.int8()),
+            ("accepted", pa.int8()),
+            ("counter", pa.int32()),
+            ("intended_action", pa.int8()),
+            *((trait, pa.float64()) for trait in TRAIT_NAMES),
+        )
+    ]
+)
+
+
+def observed_schema(layout: Layout) -> pa.Schema:
+    """The columns of ``observed.parquet`` for states of this layout."""
+    fields = [pa.field(name, kind, nullable=False) for name, kind in KEYS]
+    fields.append(pa.field("driver", pa.dictionary(pa.int32(), pa.string())))
+    fields.append(pa.field("seed", pa.uint64()))
+    for name, kind in (("crashed", pa.bool_()), ("action", pa.int8()), ("alert", pa.int8())):
+        fields.append(pa.field(name, kind, nullable=False))
+    fields += [pa.field(name, pa.float32(), nullable=False) for name in column_names(layout)]
+    return pa.schema(fields)
+
+
+def stamped(schema: pa.Schema, about: Any, more: dict[str, Any]) -> pa.Schema:
+    """The schema with the format, the version, how the data were made, and ``more``."""
+    stamp = {"format": FORMAT, "version": hmi_marl.__version__, "about": plain(about)} | more
+    return schema.with_metadata({STAMP: json.dumps(stamp, allow_nan=False)})
+
+
+class StepFile:
+    """One of the two files, checked as far as all rows of both kinds must be."""
+
+    def __init__(self, path: Path, schema: pa.Schema | None = None) -> None:
+        if not path.is_file():
+            raise FileNotFoundError(f"no demonstrations at {path}; make some with hmi-marl collect")
+        self.path = path
+        try:
+            self._parquet = pq.ParquetFile(path, page_checksum_verification=True)
+        except (pa.ArrowException, OSError) as error:
+            raise ValueError(f"{path} is no parquet file, or cut off: {error}") from None
+        told = self._parquet.metadata.metadata or {}
+        self.belongs_to = told.get(BELONGS, b"").decode()
+        self.stamp = _read_stamp(path, told.get(STAMP, b"{}"))
+        if schema is None:
+            self.layout = _read_layout(path, self.stamp)
+            schema = observed_schema(self.layout)
+        _check_schema(path, self._parquet.schema_arrow, schema)
+        self._schema = schema
+        self.names: list[str] = []
+        """Of the drivers, in the order in which they appear."""
+
+    def read(self) -> dict[str, NDArray[Any]]:
+        """Every column but those of the states, which are spread into ``states`` at once."""
+        try:
+            return self._read()
+        except (pa.ArrowException, OSError) as error:
+            raise ValueError(f"{self.path} is damaged: {error}") from None
+
+    def _read(self) -> dict[str, NDArray[Any]]:
+        keys = self._parquet.read([name for name, _ in KEYS])
+        self.episode, self.step = (keys[name].to_numpy().astype(np.int64) for name, _ in KEYS)
+        self.length = self._lengths()
+        shape = len(self.length), int(self.length.max())
+        states = column_names(self.layout) if "driver" in self._schema.names else []
+        self.states = np.zeros((*shape, len(states)), np.float32)
+        pieces: dict[str, list[NDArray[Any]]] = {}
+        start = 0
+        for group in range(self._parquet.num_row_groups):
+            table = self._parquet.read_row_group(group)
+            rows = slice(start, start + len(table))
+            start = rows.stop
+            for name in table.column_names:
+                if name not in states:
+                    for key, values in self._column(name, table[name]).items():
+                        pieces.setdefault(key, []).append(values)
+            if states:
+                block = np.stack([table[name].to_numpy() for name in states], axis=1)
+                self.states[self.episode[rows], self.step[rows]] = block
+        return {name: np.concatenate(several) for name, several in pieces.items()}
+
+    def _column(self, name: str, column: pa.ChunkedArray) -> dict[str, NDArray[Any]]:
+        if name == "seed":
+            absent = column.is_null().to_numpy()
+            return {"seed": column.fill_null(0).to_numpy(), "no seed": absent}
+        if name == "driver":
+            return {"driver": self._who(column)}
+        return {name: column.to_numpy()}
+
+    def _who(self, column: pa.ChunkedArray) -> NDArray[np.int64]:
+        """Indices of ``names``, to which new names are added; -1 where there is none."""
+        coded = column.combine_chunks().dictionary_encode()
+        codes = coded.indices.fill_null(NOBODY).to_numpy(zero_copy_only=False).astype(np.int64)
+        labels = coded.dictionary.to_pylist()
+        used, at = np.unique(codes[codes != NOBODY], return_index=True)
+        for code in used[np.argsort(at)]:
+            if labels[code] not in self.names:
+                self.names.append(labels[code])
+        place = {label: k for k, label in enumerate(self.names)}
+        table = np.array([*(place.get(label, NOBODY) for label in labels), NOBODY])
+        return table[codes]
+
+    def _lengths(self) -> NDArray[np.int64]:
+        """Steps of every episode; raises unless rows are sorted and none is missing."""
+        episode, step = self.episode, self.step
+        if not len(episode):
+            raise ValueError(f"{self.path} holds no steps")
+        begins = step == 0
+        number = np.cumsum(begins) - 1
+        lengths = np.bincount(np.maximum(number, 0))
+        expected = np.arange(len(step)) - (np.cumsum(lengths) - lengths)[number]
+        wrong = (episode != number) | (step != expected)
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise ValueError(
+                f"{self.path} is damaged: row {row} is step {step[row]} of episode {episode[row]}; "
+                "episodes count from 0, and their steps from 0, without a gap"
+            )
+        return lengths
+
+    def spread(self, rows: NDArray[Any], fill: int) -> NDArray[np.int64]:
+        """A value for every row as an array of shape (E, T), with ``fill`` after the end."""
+        values = np.full((len(self.length), int(self.length.max())), fill, np.int64)
+        values[self.episode, self.step] = rows
+        return values
+
+
+def _read_stamp(path: Path, text: bytes) -> dict[str, Any]:
+    try:
+        stamp = json.loads(text)
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} has a damaged stamp: {error}") from None
+    form = stamp.get("format") if isinstance(stamp, dict) else None
+    if form != FORMAT:
+        raise ValueError(f"{path} holds no demonstrations that can be read here: format {form!r}")
+    if not isinstance(stamp.get("about"), dict):
+        raise ValueError(f"{path} has a damaged stamp: it does not tell how the data were made")
+    return stamp
+
+
+def _read_layout(path: Path, stamp: dict[str, Any]) -> Layout:
+    if "layout" not in stamp:
+        raise ValueError(f"{path} holds no observed data: its stamp has no layout")
+    try:
+        parts = tuple(Part(**part) for part in stamp["layout"])
+    except TypeError as error:
+        raise ValueError(f"{path} has a damaged layout: {error}") from None
+    for part in parts:
+        numbers = isinstance(part.low, (int, float)) and isinstance(part.high, (int, float))
+        if not (numbers and isinstance(part.size, int) and part.size > 0):
+            raise ValueError(f"{path} has a damaged layout: {part}")
+    return Layout(parts)
+
+
+def _check_schema(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
+    if found.names != expected.names:
+        missing = [name for name in expected.names if name not in found.names]
+        foreign = [name for name in found.names if name not in expected.names]
+        told = f"missing: {', '.join(missing) or 'none'}; foreign: {', '.join(foreign) or 'none'}"
+        raise ValueError(f"{path} has other columns than its stamp says ({told})")
+    for field in expected:
+        column = found.field(field.name)
+        if not column.equals(field):
+            raise ValueError(f"{path}: column {field.name} is {_type(column)}, not {_type(field)}")
+
+
+def _type(field: pa.Field) -> str:
+    return f"{field.type}{'' if field.nullable else ' not null'}"

@@ -1,1 +1,0 @@
-"""Playing episodes, statistics, tables, figures and reports."""

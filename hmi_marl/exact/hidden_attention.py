@@ -1,0 +1,240 @@
+r"""Alerting without a driver-monitoring camera: the Bayes belief over d and its optimal rule.
+
+With attention hidden the AI sees d only through the applied action. The driver model says
+v_t = v_{t-1} if d_t = 1, else a^H_t, so a step *reveals* d_t when a^H_t differs from v_{t-1} and
+tells nothing when they agree. i and c follow from the AI's own alerts and are known. The belief
+b = p(d = 1) therefore moves by
+
+.. math::
+    b' = b (1 - \min(1, \alpha + \eta i')) + (1 - b) \max(0, \beta - \eta i')
+
+in a silent step, and to the d that was seen in a revealing one. The first step is always silent,
+since v_0 = a^H_0. On (t, b, i, c) this is again a
+Markov decision process, given how often steps reveal; it is solved here on a grid of beliefs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
+from hmi_marl.envs.drivers import Driver, get_driver
+from hmi_marl.envs.rewards import RewardWeights
+from hmi_marl.exact.oracle import check_horizon
+
+DEFAULT_REVEALING = 0.3
+GRID = 201
+
+
+@dataclass(frozen=True)
+class BeliefSolution:
+    """The optimal alert rule on the belief, for one driver model."""
+
+    driver: Driver
+    window: int
+    horizon: int
+    revealing: float
+    """Assumed share of steps, of those after the first, in which a^H differs from the last
+    applied action."""
+    total_return: float
+    """Expected attention return of the rule if the model is true."""
+    advantage: NDArray[np.float32]
+    """Value of alerting minus not alerting, [t, m, b, i, c] with m = 1 in a revealing step.
+    Shape (horizon, 2, GRID, 2, window)."""
+
+    def alert(
+        self,
+        step: NDArray[np.int64],
+        reveals: NDArray[np.bool_],
+        belief: NDArray[np.float64],
+        accepted: NDArray[np.int64],
+        counter: NDArray[np.int64],
+    ) -> NDArray[np.int64]:
+        """The rule for N teams, 1 to alert; every argument has shape (N,)."""
+        t, m = np.minimum(step, self.horizon - 1), reveals.astype(np.int64)
+        return (look_up(self.advantage, (t, m), belief, (accepted, counter)) > 0).astype(np.int64)
+
+
+def locate(belief: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The grid point at or below each belief, and how far it is to the next one."""
+    position = belief * (GRID - 1)
+    low = np.minimum(position.astype(np.int64), GRID - 2)
+    return low, position - low
+
+
+def look_up(
+    table: NDArray[np.floating],
+    before: tuple[NDArray[np.int64], ...],
+    belief: NDArray[np.float64],
+    after: tuple[NDArray[np.int64], ...],
+) -> NDArray[np.float64]:
+    """Entries of a table with an axis of beliefs, between its grid points along a line.
+
+    Args:
+        table: its axes are those of ``before``, then beliefs, then those of ``after``.
+        before, after: places on the other axes; they and ``belief`` are broadcast to one shape.
+        belief: p(d = 1).
+    """
+    low, fraction = locate(belief)
+    below, above = table[*before, low, *after], table[*before, low + 1, *after]
+    return (1 - fraction) * below + fraction * above
+
+
+def predict(
+    belief: NDArray[np.float64], accepted: NDArray[np.int64], driver: Driver
+) -> NDArray[np.float64]:
+    """p(d_t = 1) before v_t is seen, from b = p(d_{t-1} = 1) and i_t. Shapes broadcast."""
+    traits = driver.beta, driver.alpha, driver.eta
+    stays = distraction_probability(1, accepted, *traits)
+    becomes = distraction_probability(0, accepted, *traits)
+    return belief * stays + (1.0 - belief) * becomes
+
+
+@lru_cache(maxsize=64)
+def solve_belief(
+    driver: str | Driver,
+    window: int,
+    horizon: int,
+    weights: RewardWeights,
+    revealing: float = DEFAULT_REVEALING,
+    sees_intent: bool = True,
+) -> BeliefSolution:
+    """Dynamic programming over (t, b, i, c), with ``revealing`` of the steps showing d.
+
+    Each step but the first reveals d independently with that probability. Whether the present one
+    will is known when alerting if ``sees_intent``, that is, when taking turns (a^H_t and v_{t-1}
+    are both seen); at once it is not, and both cases are weighed.
+
+    Raises:
+        ValueError: ``revealing`` outside [0, 1], or what :func:`oracle.solve_alerts` refuses.
+    """
+    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
+    if not 0.0 <= revealing <= 1.0:
+        raise ValueError(f"revealing is a share in [0, 1], but got {revealing}")
+    belief, accepted, counter = np.meshgrid(
+        np.linspace(0.0, 1.0, GRID), np.arange(2), np.arange(window), indexing="ij"
+    )
+    advantage = np.empty((horizon, 2, *belief.shape), np.float32)
+    value = np.zeros_like(belief)
+    choices = [
+        _Choice.of(alert, belief, accepted, counter, driver, window, weights) for alert in (0, 1)
+    ]
+    for t in reversed(range(horizon)):
+        share = revealing if t > 0 else 0.0
+        silent = [choice.value_if_silent(value) for choice in choices]
+        revealed = [choice.value_if_revealed(value) for choice in choices]
+        if not sees_intent:
+            both = [(1 - share) * s + share * r for s, r in zip(silent, revealed, strict=True)]
+            silent = revealed = both
+        advantage[t, 0] = silent[1] - silent[0]
+        advantage[t, 1] = revealed[1] - revealed[0]
+        value = (1 - share) * np.maximum(*silent) + share * np.maximum(*revealed)
+    return BeliefSolution(driver, window, horizon, revealing, float(value[0, 0, 0]), advantage)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """What alerting, or not, leads to from every grid point; arrays of shape (GRID, 2, window)."""
+
+    reward: NDArray[np.float64]
+    distracted: NDArray[np.float64]
+    accepted: NDArray[np.int64]
+    counter: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        alert: int,
+        belief: NDArray[np.float64],
+        accepted: NDArray[np.int64],
+        counter: NDArray[np.int64],
+        driver: Driver,
+        window: int,
+        weights: RewardWeights,
+    ) -> _Choice:
+        given = np.full(belief.shape, alert)
+        return cls(*_consequence(given, belief, accepted, counter, driver, window, weights))
+
+    def value_if_silent(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        low, fraction = locate(self.distracted)
+        below = value[low, self.accepted, self.counter]
+        above = value[low + 1, self.accepted, self.counter]
+        return self.reward + (1 - fraction) * below + fraction * above
+
+    def value_if_revealed(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        attentive = value[0, self.accepted, self.counter]
+        distracted = value[-1, self.accepted, self.counter]
+        return self.reward + (1 - self.distracted) * attentive + self.distracted * distracted
+
+
+def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeights) -> float:
+    r"""What a rule earns with a driver who need not be the one that it assumes: exact.
+
+    Between two steps that reveal d nothing happens by chance that the rule could see, so that its
+    belief, its alerts, i and c run along one path from each (t, d, i, c), and so does p(d) of the
+    driver. With W_t(d, i, c) the return from step t on, when d_{t-1} has just shown itself,
+
+    .. math::
+        W_t = E \sum_{u = t}^{v} r_u + W_{v + 1}(d_v, i_v, c_v)
+
+    over the next step v that reveals, which is known when alerting in it. All steps reveal with the
+    share that the rule assumes, but for the first.
+
+    Args:
+        rule: of :func:`solve_belief`, taking turns.
+        driver: who drives.
+        weights: of the rewards.
+
+    Returns:
+        Expected attention return of an episode.
+    """
+    driver, window, horizon = get_driver(driver), rule.window, rule.horizon
+    d, i, c = (axis.ravel() for axis in np.indices((2, 2, window)))
+    # W[t, d, i, c], flat in the last three; what a step of a path leads to is looked up in it
+    later = np.zeros((horizon + 1, 4 * window))
+    for t in reversed(range(horizon)):
+        assumed = true = d.astype(np.float64)
+        accepted, counter, reach = i, c, np.ones(len(d))
+        for u in range(t, horizon):
+            share = rule.revealing if u > 0 else 0.0
+            for reveals, chance in ((1, share), (0, 1.0 - share)):
+                told = np.full(len(d), reveals == 1)
+                alert = rule.alert(np.full(len(d), u), told, assumed, accepted, counter)
+                reward, after, next_i, next_c = _consequence(
+                    alert, true, accepted, counter, driver, window, weights
+                )
+                if reveals:
+                    place = next_i * window + next_c
+                    seen = later[u + 1]
+                    reward = reward + (1 - after) * seen[place] + after * seen[2 * window + place]
+                later[t] += reach * chance * reward
+            assumed = predict(assumed, next_i, rule.driver)
+            true, accepted, counter, reach = after, next_i, next_c, reach * (1.0 - share)
+            if not reach.any():
+                break
+    return float(later[0, 0])
+
+
+def _consequence(
+    alert: NDArray[np.int64],
+    distracted: NDArray[np.float64],
+    accepted: NDArray[np.int64],
+    counter: NDArray[np.int64],
+    driver: Driver,
+    window: int,
+    weights: RewardWeights,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Expected reward, p(d_t = 1), i_t and c_t after a^A_t where p(d_{t-1} = 1) is given."""
+    next_i, next_c = next_acceptance(accepted, counter, alert, window)
+    after = predict(distracted, next_i, driver)
+    recovers = distracted * (
+        1.0 - distraction_probability(1, next_i, driver.beta, driver.alpha, driver.eta)
+    )
+    for_alert = np.where(
+        alert == 1, weights.accept_alert * recovers, weights.alert * (1.0 - distracted)
+    )
+    return weights.distraction * after + for_alert, after, next_i, next_c

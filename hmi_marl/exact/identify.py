@@ -1,0 +1,293 @@
+r"""Who drives: the exact Bayes classifier of recorded windows, by what could be observed alone.
+
+Observed are the seed of a window (one episode), the actions as applied, and the alerts. What each
+candidate would have perceived is had by playing the window again, since its traffic follows from
+the seed and from what was applied (:func:`perceived`); what they would have intended, from the true
+policy (:func:`replay_intents`); and the evidence that follows, from :class:`BayesFilter`, which
+sums over all that d could have been. With
+
+.. math::
+    p(k | \text{windows}) \propto p(k) \prod_{\text{windows}} p_k(v_0, v_1, ... | \text{seed},
+    a^A_0, a^A_1, ...)
+
+no classifier that is given the same is right more often on average, where the prior says how often
+each candidate drives: this is the ceiling for all that learn. It is so for alerts that tell nothing
+of what is hidden, such as those at random; see :mod:`hmi_marl.exact.bayes_filter`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.agents.memory import Memoryless
+from hmi_marl.agents.rollout import turn
+from hmi_marl.envs.alerts import need_plain
+from hmi_marl.envs.config import DRIVER, TeamConfig
+from hmi_marl.envs.drivers import Driver, Traits
+from hmi_marl.envs.observations import driver_layout, traits_part
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.exact.bayes_filter import BayesFilter, check_candidates, posterior
+
+_ROWS = 2**14
+"""Windows times candidates played side by side at most, which bounds the memory."""
+_Label = TypeVar("_Label", bound=Hashable)
+
+
+@runtime_checkable
+class TellsProbabilities(Protocol):
+    """A driver's policy that can tell how likely each of its actions is."""
+
+    def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
+        """See :meth:`Policy.reset`."""
+
+    def probabilities(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        """π(a^H | observation), shape (N, 5); once per step and episode."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What E windows tell about which of K candidates drove them."""
+
+    drivers: tuple[Driver, ...]
+    """The candidates."""
+    log_evidence: NDArray[np.float64]
+    """log p_k(v_0, v_1, ... | seed, alerts), shape (E, K); -inf where k cannot have driven."""
+
+    def posterior(self, prior: ArrayLike | None = None) -> NDArray[np.float64]:
+        """p(k | window), shape (E, K); see :func:`bayes_filter.posterior` for the prior.
+
+        Raises:
+            ValueError: numbers that are no prior, or a window that none can have driven.
+        """
+        return posterior(self.log_evidence, prior)
+
+    def pooled(self, groups: ArrayLike) -> Identification:
+        """What several windows of one driver tell together: the sum of their log evidence.
+
+        Args:
+            groups: P pools of n windows each, by their places: integers of shape (P, n).
+
+        Returns:
+            The same for P pools in place of E windows.
+
+        Raises:
+            ValueError, IndexError: no such places.
+        """
+        places = np.asarray(groups)
+        if places.ndim != 2 or not np.issubdtype(places.dtype, np.integer):
+            raise ValueError(
+                f"groups are places of windows, integers of shape (P, n), but got {places.dtype} "
+                f"of shape {places.shape}"
+            )
+        return replace(self, log_evidence=self.log_evidence[places].sum(axis=1))
+
+
+def marginal(
+    probabilities: NDArray[np.float64], labels: Sequence[_Label]
+) -> dict[_Label, NDArray[np.float64]]:
+    """The probability of each label: the sum over the candidates that have it.
+
+    >>> sums = marginal(np.array([[0.1, 0.2, 0.3, 0.4]]), ["low", "high", "low", "high"])
+    >>> {label: p.round(3).tolist() for label, p in sums.items()}
+    {'low': [0.4], 'high': [0.6]}
+
+    Args:
+        probabilities: of the candidates, shape (E, K).
+        labels: of the candidates, K of them.
+
+    Returns:
+        For each label, in the order in which they come first, shape (E,).
+
+    Raises:
+        ValueError: not as many labels as candidates.
+    """
+    if len(labels) != probabilities.shape[-1]:
+        raise ValueError(f"{probabilities.shape[-1]} candidates, but {len(labels)} labels for them")
+    return {
+        label: probabilities[..., [other == label for other in labels]].sum(axis=-1)
+        for label in dict.fromkeys(labels)
+    }
+
+
+def identify(
+    config: TeamConfig,
+    policy: TellsProbabilities,
+    drivers: Sequence[str | Driver],
+    seeds: ArrayLike,
+    actions: ArrayLike,
+    alerts: ArrayLike,
+    length: ArrayLike,
+) -> Identification:
+    """The exact evidence for each of K candidates in each of E windows, T steps long at most.
+
+    Args:
+        config: of the teams that were recorded, ``end_at_crash`` included; whom it names as driver
+            is not read.
+        policy: the one that steered, made for such teams. It drew its actions, or took the
+            likeliest if it has a ``greedy`` that is true. It is reset.
+        drivers: the candidates.
+        seeds: of the windows, shape (E,).
+        actions: v_t as applied, 0 to 4, shape (E, T).
+        alerts: a^A_t, 0 or 1, shape (E, T).
+        length: steps of each window, shape (E,); what stands after them is not read.
+
+    Raises:
+        TypeError: a policy that does not tell its probabilities, or seeds that are no integers.
+        ValueError: no candidates, arrays that do not fit together, numbers out of their range, or
+            windows that go on after their end when they are played again.
+    """
+    check_tells_probabilities(policy)
+    need_plain(config.alerts, "identify()")
+    candidates = check_candidates(drivers)
+    seeds, actions, alerts, length = _checked(config, seeds, actions, alerts, length)
+    at_once = max(1, _ROWS // len(candidates))
+    evidence = [np.zeros((0, len(candidates)))]
+    for start in range(0, len(seeds), at_once):
+        part = slice(start, start + at_once)
+        data = seeds[part], actions[part], alerts[part], length[part]
+        evidence.append(_evidence(config, policy, candidates, *data))
+    return Identification(candidates, np.concatenate(evidence))
+
+
+def _evidence(
+    config: TeamConfig,
+    policy: TellsProbabilities,
+    drivers: Sequence[Driver],
+    seeds: NDArray[np.uint64],
+    actions: NDArray[np.int64],
+    alerts: NDArray[np.int64],
+    length: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    bayes = BayesFilter(drivers, config.alert_window, len(seeds))
+    intents = replay_intents(config, policy, drivers, seeds, actions, alerts, length)
+    for t, probabilities in enumerate(intents):
+        bayes.update(probabilities, actions[:, t], alerts[:, t], active=t < length)
+    return bayes.log_evidence
+
+
+def replay_intents(
+    config: TeamConfig,
+    policy: TellsProbabilities,
+    drivers: Sequence[Driver],
+    seeds: NDArray[np.uint64],
+    actions: NDArray[np.int64],
+    alerts: NDArray[np.int64],
+    length: NDArray[np.int64],
+) -> Iterator[NDArray[np.float64]]:
+    """How likely each intent was for each candidate, by playing recorded windows again.
+
+    Args:
+        config, policy, drivers, seeds, actions, alerts, length: as of :func:`identify`.
+
+    Yields:
+        π_k(a^H_t | o^k_t) for t = 0, 1, ..., shape (K, E, 5).
+    """
+    shape = len(drivers), len(seeds), -1
+    policy.reset(np.tile(seeds, len(drivers)))
+    for seen in perceived(config, drivers, seeds, actions, alerts, length):
+        told = policy.probabilities(seen.reshape(-1, seen.shape[-1]))
+        if getattr(policy, "greedy", False):
+            told = (np.arange(told.shape[1]) == told.argmax(axis=1)[:, None]).astype(np.float64)
+        yield told.reshape(shape)
+
+
+def perceived(
+    config: TeamConfig,
+    drivers: Sequence[Driver],
+    seeds: NDArray[np.uint64],
+    actions: NDArray[np.int64],
+    alerts: NDArray[np.int64],
+    length: NDArray[np.int64],
+) -> Iterator[NDArray[np.float32]]:
+    """What each candidate would have seen, by playing recorded windows again.
+
+    Candidates of the same inflation share worlds. In these nobody is ever distracted, so that what
+    was recorded as applied is applied again.
+
+    Args:
+        config, drivers, seeds, actions, alerts, length: as of :func:`identify`.
+
+    Yields:
+        The driver's observations o^k_t for t = 0, 1, ..., shape (K, E, columns).
+
+    Raises:
+        ValueError: a window goes on after its end.
+    """
+    inflations, which = np.unique([driver.inflation for driver in drivers], return_inverse=True)
+    replays = [_attentive_teams(config, inflation, seeds) for inflation in inflations.tolist()]
+    layout, traits = driver_layout(config), traits_part(Traits.of(drivers))
+    within = np.arange(actions.shape[1]) < length[:, None]
+    driven, alerted = np.where(within, actions, 0), np.where(within, alerts, 0)
+    for t in range(int(length.max(initial=0))):
+        if (within[:, t] & replays[0].over).any():
+            raise ValueError(
+                f"a window goes on after step {t - 1}, in which it ends when played again: config "
+                "is not that of the recording (see end_at_crash)"
+            )
+        seen = np.stack([teams.observe(DRIVER) for teams in replays])[which]
+        if "traits" in layout:
+            seen[..., layout["traits"]] = traits[:, None]
+        yield seen
+        for teams in replays:
+            turn(teams, _Recorded(driven[:, t]), _Recorded(alerted[:, t]))
+
+
+class _Recorded(Memoryless):
+    """Repeat the recorded actions of one step, shape (E,)."""
+
+    def __init__(self, actions: NDArray[np.int64]) -> None:
+        self._actions = actions
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """See :meth:`hmi_marl.envs.seats.Policy.act`."""
+        return self._actions
+
+
+def _attentive_teams(config: TeamConfig, inflation: float, seeds: NDArray[np.uint64]) -> Teaming:
+    """Teams at the start of these windows, of a driver with this inflation, never distracted."""
+    driver = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=inflation)
+    teams = Teaming(replace(config, driver=driver), len(seeds), "batched")
+    teams.reset(seeds)
+    return teams
+
+
+def check_tells_probabilities(policy: object) -> TellsProbabilities:
+    """Return ``policy`` if it can tell its probabilities, or raise TypeError."""
+    if isinstance(policy, type) or not isinstance(policy, TellsProbabilities):
+        raise TypeError(
+            "the true driver policy must tell its probabilities: give an object with reset() and "
+            f"probabilities(), such as a LearnedPolicy, not {policy!r}"
+        )
+    return policy
+
+
+_Data = tuple[NDArray[np.uint64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+
+
+def _checked(
+    config: TeamConfig, seeds: ArrayLike, actions: ArrayLike, alerts: ArrayLike, length: ArrayLike
+) -> _Data:
+    """The windows as arrays that fit together; their actions are checked as they are played."""
+    shape = np.shape(actions)
+    if len(shape) != 2 or shape[1] > config.horizon:
+        raise ValueError(
+            f"actions have shape (E, T) with at most {config.horizon} steps, not {shape}"
+        )
+    for name, given, expected in (
+        ("seeds", seeds, shape[:1]),
+        ("alerts", alerts, shape),
+        ("length", length, shape[:1]),
+    ):
+        if np.shape(given) != expected:
+            raise ValueError(f"{name} has shape {expected}, not {np.shape(given)}")
+    steps = np.asarray(length)
+    wrong = (steps < 0) | (steps > shape[1])
+    if wrong.any():
+        raise ValueError(f"length lies in 0 to {shape[1]}, but got {steps[wrong][0]}")
+    return np.asarray(seeds), np.asarray(actions), np.asarray(alerts), steps

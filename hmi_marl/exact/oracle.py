@@ -1,0 +1,342 @@
+r"""The exact optimum of the alert problem, and what any alert policy can reach.
+
+With attention seen, alerting is a finite Markov decision process of its own: the state is
+(d, i, c) of :mod:`hmi_marl.envs.attention`, the action a^A, the reward the three attention terms
+of the paper's reward table, and nothing that the car does changes it. Dynamic programming over
+(t, d, i, c) therefore gives exact answers:
+
+.. math::
+    V_t(s) = \max_a \sum_{s'} P(s' | s, a) [ r(s, a, s') + V_{t+1}(s') ], \quad V_T = 0
+
+for an episode of T steps from d = i = c = 0. Since i and c move for sure, each state has two
+successors, and a step of it costs O(N).
+
+Alerts of k strengths, and alerts that weary (:mod:`hmi_marl.envs.alerts`), are the same problem
+with a^A and i in 0 .. k and, with fatigue, a fourth axis f in 0 .. F, which moves for sure as
+well. In what follows S stands for the shape of the states: (2, 2, window) with the paper's alerts,
+(2, k + 1, window) with k strengths, and (2, k + 1, window, F + 1) with fatigue.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
+from hmi_marl.envs.attention import check_window, successors
+from hmi_marl.envs.drivers import Driver, get_driver
+from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
+from hmi_marl.exact.identify import identify as identify  # exact as well: who drives
+
+DEFAULT_WINDOW = 7
+DEFAULT_HORIZON = 100
+_TIE = 1e-12
+
+
+@dataclass(frozen=True)
+class AlertReturns:
+    """Exact expectations over one episode of an alert policy for one driver."""
+
+    driver: Driver
+    window: int
+    """N, in steps."""
+    horizon: int
+    """Steps in the episode."""
+    rewards: dict[str, NDArray[np.float64]]
+    """Expected reward of each attention term in each step, shape (horizon,)."""
+    alert_rate: NDArray[np.float64]
+    """Probability of an alert in each step, shape (horizon,)."""
+    rate_by_strength: NDArray[np.float64]
+    """The same for each strength, shape (k, horizon)."""
+
+    @property
+    def distraction_return(self) -> float:
+        """Expected sum of R_distraction."""
+        return float(self.rewards["distraction"].sum())
+
+    @property
+    def total_return(self) -> float:
+        """Expected attention return: the distraction, alert and accept-alert terms."""
+        return float(sum(term.sum() for term in self.rewards.values()))
+
+    @property
+    def alerts(self) -> float:
+        """Expected number of alerts."""
+        return float(self.alert_rate.sum())
+
+    def return_after(
+        self, steps: ArrayLike, terms: Sequence[str] = ATTENTION_TERMS
+    ) -> NDArray[np.float64]:
+        """Expected sum of some reward terms over the first ``steps`` steps, of any shape.
+
+        Raises:
+            ValueError: not whole numbers from 0 to the horizon.
+        """
+        count = np.asarray(steps)
+        whole = np.issubdtype(count.dtype, np.integer)
+        if not whole or np.any((count < 0) | (count > self.horizon)):
+            raise ValueError(f"steps are whole numbers from 0 to {self.horizon}, but got {steps!r}")
+        by_step = np.sum([self.rewards[term] for term in terms], axis=0)
+        return np.concatenate(([0.0], np.cumsum(by_step)))[count]
+
+
+@dataclass(frozen=True)
+class AlertSolution(AlertReturns):
+    """The optimum: its exact returns, its policy and its value function."""
+
+    policy: NDArray[np.int8]
+    """policy[t, d, i, c] is a^A: 1 to alert, 0 not to; of k strengths, which of them. Shape
+    (horizon, 2, 2, window), in general (horizon, *S), so policy[t, d, i, c, f] with fatigue."""
+    values: NDArray[np.float64]
+    """Expected return from step t on. Shape (horizon + 1, *S); the last is 0."""
+
+    @property
+    def alert_probability(self) -> NDArray[np.float64]:
+        """The policy as :func:`evaluate` takes one: a 0 or 1 for each alert, (k, horizon, *S).
+
+        With a single strength it is the policy itself, (horizon, *S).
+        """
+        strengths = len(self.rate_by_strength)
+        if strengths == 1:
+            return self.policy.astype(np.float64)
+        return _each(self.policy, strengths)
+
+
+class Reachable(NamedTuple):
+    """The range of distraction returns between the worst and the best alert policy."""
+
+    least: float
+    most: float
+
+
+def check_horizon(horizon: int) -> int:
+    """Return the number of steps, or raise if it is not a positive integer."""
+    if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)):
+        raise TypeError(f"horizon is a whole number of steps, not {horizon!r}")
+    if horizon < 1:
+        raise ValueError(f"horizon is at least 1 step, but got {horizon}")
+    return int(horizon)
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """One driver's alert problem. Arrays have shape (k + 1, *S), what a^A does in every state."""
+
+    p_distracted: NDArray[np.float64]
+    """p(d_t = 1)."""
+    place: NDArray[np.int64]
+    """Where (i_t, c_t), or (i_t, c_t, f_t), lies among all such, in the order of S."""
+    rewards: dict[str, NDArray[np.float64]]
+    """Expected reward of each attention term."""
+
+    @classmethod
+    def of(cls, driver: Driver, window: int, alerts: Alerts, weights: RewardWeights) -> _Chain:
+        after = successors(driver, window, alerts)
+        known = (after.accepted, after.counter, after.fatigue)
+        sizes = (alerts.choices, window, alerts.levels + 1)
+        action, before, now = np.indices((alerts.choices, 2, 2))
+        terms = attention_terms(
+            weights, alert=alerts.strength(action), distracted_before=before, distracted=now
+        )
+        p_now = np.stack([1.0 - after.distracted, after.distracted], axis=-1)
+        rewards = {
+            name: np.einsum("ad...e,ade->ad...", p_now, terms[name]) for name in ATTENTION_TERMS
+        }
+        return cls(after.distracted, np.ravel_multi_index(known, sizes), rewards)
+
+    def expected(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of ``value``, shape S, in the next step: shape (k + 1, *S)."""
+        attentive, distracted = value.reshape(2, -1)
+        p = self.p_distracted
+        return (1.0 - p) * attentive[self.place] + p * distracted[self.place]
+
+    def action_values(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected return of every a^A, where ``value``, shape S, is that of the next step on."""
+        return sum(self.rewards.values()) + self.expected(value)
+
+    def flow(self, joint: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probability of each state in the next step, from that of [a, state] in this one."""
+        states = joint.shape[1:]
+        places, count = self.place.ravel(), math.prod(states[1:])
+        after = [
+            np.bincount(places, (joint * p).ravel(), minlength=count)
+            for p in (1.0 - self.p_distracted, self.p_distracted)
+        ]
+        return np.asarray(after, np.float64).reshape(states)
+
+
+def _each(policy: NDArray[np.int8], strengths: int) -> NDArray[np.float64]:
+    """1 where the policy gives the alert, for each of the alerts 1 .. k: shape (k, ...)."""
+    return np.stack([policy == alert for alert in range(1, strengths + 1)]).astype(np.float64)
+
+
+def solve_alerts(
+    driver: str | Driver,
+    window: int = DEFAULT_WINDOW,
+    horizon: int = DEFAULT_HORIZON,
+    weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
+) -> AlertSolution:
+    """The alert policy with the highest attention return, by dynamic programming.
+
+    Where several choices are equally good the policy takes the weakest, no alert before all others.
+
+    Args:
+        driver: a known driver's name, or a Driver.
+        window: N, the intervention window in steps.
+        horizon: steps in the episode.
+        weights: of the reward terms; the paper's by default.
+        strengths: of the alerts, rising within (0, 1]; the paper's one by default.
+        fatigue: how alerts weary the driver; they do not by default.
+
+    Raises:
+        ValueError: unknown driver, window < 1, horizon < 1, or strengths that do not rise.
+    """
+    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
+    alerts = Alerts(tuple(strengths), fatigue)
+    weights = weights or RewardWeights()
+    chain, states = _Chain.of(driver, window, alerts, weights), alerts.shape(window)
+    policy = np.zeros((horizon, *states), np.int8)
+    values = np.zeros((horizon + 1, *states))
+    for t in reversed(range(horizon)):
+        action_values = chain.action_values(values[t + 1])
+        good = action_values >= action_values.max(axis=0) - _TIE
+        policy[t] = good.argmax(axis=0)  # the first that is good
+        values[t] = np.take_along_axis(action_values, policy[None, t].astype(np.int64), 0)[0]
+    given: dict[str, Any] = {"strengths": strengths, "fatigue": fatigue}
+    rule = _each(policy, alerts.strongest)
+    returns = evaluate(rule, driver, window, horizon, weights, **given)
+    return AlertSolution(**vars(returns), policy=policy, values=values)
+
+
+def alert_losses(
+    driver: str | Driver,
+    window: int = DEFAULT_WINDOW,
+    horizon: int = DEFAULT_HORIZON,
+    weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
+) -> NDArray[np.float64]:
+    """Attention return that each a^A gives away in each state, alerting optimally from there on.
+
+    Added up over the steps of an episode it is an HMI's distance from the optimum, with far less
+    noise than the difference of two returns: a policy's expected return is the optimum's less the
+    expected sum of its losses.
+
+    Arguments as in :func:`solve_alerts`.
+
+    Returns:
+        losses[t, a, d, i, c], or [..., f] with fatigue: V_t(s) - Q_t(s, a), at least 0, shape
+        (horizon, k + 1, *S).
+    """
+    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
+    alerts = Alerts(tuple(strengths), fatigue)
+    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
+    states = alerts.shape(window)
+    losses, value = np.zeros((horizon, alerts.choices, *states)), np.zeros(states)
+    for t in reversed(range(horizon)):
+        action_values = chain.action_values(value)
+        value = action_values.max(axis=0)
+        losses[t] = value - action_values
+    return losses
+
+
+def evaluate(
+    alert_probability: ArrayLike,
+    driver: str | Driver,
+    window: int = DEFAULT_WINDOW,
+    horizon: int = DEFAULT_HORIZON,
+    weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
+) -> AlertReturns:
+    """Exact expected returns of a given HMI policy that sees the driver's attention.
+
+    Args:
+        alert_probability: of the policy in [t, d, i, c], each in [0, 1]; any shape that
+            broadcasts to (horizon, 2, 2, window), so that a single number is a random HMI. With
+            k strengths, of each of them: any shape that broadcasts to (k, horizon, *S), where
+            what is left of 1 is the probability of no alert.
+        driver, window, horizon, weights, strengths, fatigue: as in :func:`solve_alerts`.
+
+    Raises:
+        ValueError: a probability outside [0, 1] or NaN, several whose sum is above 1, or a shape
+            that does not fit.
+    """
+    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
+    alerts = Alerts(tuple(strengths), fatigue)
+    states = alerts.shape(window)
+    probability = _checked_probability(alert_probability, alerts, (horizon, *states))
+    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
+    by_step = {name: np.zeros(horizon) for name in chain.rewards}
+    rate_by_strength = np.zeros((alerts.choices - 1, horizon))
+    occupancy = np.zeros(states)
+    occupancy.flat[0] = 1.0
+    for t in range(horizon):
+        alerting = probability[:, t]
+        silence = np.maximum(0.0, 1.0 - alerting.sum(axis=0))
+        joint = np.concatenate([silence[None], alerting]) * occupancy
+        rate_by_strength[:, t] = joint[1:].reshape(len(alerting), -1).sum(axis=1)
+        for name, reward in chain.rewards.items():
+            by_step[name][t] = (joint * reward).sum()
+        occupancy = chain.flow(joint)
+    rate = rate_by_strength.sum(axis=0)
+    return AlertReturns(driver, window, horizon, by_step, rate, rate_by_strength)
+
+
+def _checked_probability(
+    alert_probability: ArrayLike, alerts: Alerts, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """The probability of each alert in every step and state, (k, horizon, *S), or an error."""
+    given, wanted = np.asarray(alert_probability, np.float64), (alerts.choices - 1, *shape)
+    try:
+        probability = np.broadcast_to(given, wanted)
+    except ValueError:
+        axes = "(alerts, horizon, 2, alerts + 1, window"
+        axes += ", levels + 1)" if alerts.fatigue else ")"
+        raise ValueError(
+            f"alert_probability of shape {given.shape} does not broadcast to {axes} = {wanted}"
+        ) from None
+    if not np.all((given >= 0) & (given <= 1)):
+        raise ValueError("every alert probability lies in [0, 1]")
+    if len(probability) > 1 and probability.sum(axis=0).max() > 1.0 + _TIE:
+        raise ValueError(
+            f"the probabilities of the {len(probability)} alerts add up to more than 1 somewhere; "
+            "give one for each, shape (alerts, ...)"
+        )
+    return probability
+
+
+def reachable(
+    driver: str | Driver,
+    window: int = DEFAULT_WINDOW,
+    horizon: int = DEFAULT_HORIZON,
+    weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
+) -> Reachable:
+    """The least and the most distraction return that any alert policy can reach.
+
+    Arguments as in :func:`solve_alerts`. History-dependent and random policies are covered too,
+    since in a Markov decision process a Markov policy attains both ends.
+    """
+    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
+    alerts = Alerts(tuple(strengths), fatigue)
+    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
+    ends = []
+    for choose in (np.min, np.max):
+        value = np.zeros(alerts.shape(window))
+        for _ in range(horizon):
+            value = choose(chain.rewards["distraction"] + chain.expected(value), axis=0)
+        ends.append(float(value.flat[0]))
+    return Reachable(*ends)

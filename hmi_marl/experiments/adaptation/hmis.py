@@ -1,0 +1,117 @@
+"""Who sits in the vehicle AI's seat when a driver is not known: the HMIs that are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.adaptive.catalogue import Trained, make_adaptive
+from hmi_marl.agents.adaptive.hmis import ExpectedValueHMI
+from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
+from hmi_marl.agents.catalogue import make_hmi
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, Traits
+from hmi_marl.envs.seats import Policy
+
+KNOWING, AVERAGE, NONE = "knows the driver", "AvgHMI", "NoHMI"
+LEARNED_KNOWING, LEARNED_AVERAGE = "learned, knows the driver", "learned AvgHMI"
+CHOOSING, CONDITIONED, EXPECTED = "chooses by type", "conditioned on z", "expected value"
+BAYES = ", Bayes"
+ADAPTIVE = {
+    CHOOSING: ("choosing", False),
+    CONDITIONED: ("conditioned", False),
+    EXPECTED: ("expected", False),
+    CHOOSING + BAYES: ("choosing", True),
+    CONDITIONED + BAYES: ("conditioned", True),
+    EXPECTED + BAYES: ("expected", True),
+}
+"""Adaptive HMIs: their kind, and whether they go by the exact posterior instead of the encoder."""
+
+
+class ToldEvidence:
+    """Whoever drives is told: evidence that leaves no doubt.
+
+    Args:
+        drivers: everybody who may drive.
+    """
+
+    def __init__(self, drivers: Sequence[Driver]) -> None:
+        self.drivers = tuple(drivers)
+        self._table = Traits.of(drivers).as_array()
+        self.reset(1)
+
+    def tell(self, traits: Traits) -> None:
+        """Who drives from now on, N of them.
+
+        Raises:
+            ValueError: somebody who is none of the candidates.
+        """
+        same = (traits.as_array()[:, None] == self._table).all(axis=2)
+        if not same.any(axis=1).all():
+            raise ValueError("a driver is told who is none of the candidates")
+        self._who = same.argmax(axis=1)
+
+    def reset(self, count: int) -> None:
+        """See :meth:`Evidence.reset`."""
+        self._who = np.zeros(count, np.int64)
+
+    def begin(self, which: NDArray[np.bool_]) -> None:
+        """See :meth:`Evidence.begin`."""
+
+    def observe(
+        self, observations: NDArray[np.float32], new: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """See :meth:`Evidence.observe`."""
+        is_it = self._who[:, None] == np.arange(len(self.drivers))
+        return np.where(new[:, None] & ~is_it, -np.inf, 0.0)
+
+
+def hmi_names(drivers: Sequence[Driver]) -> tuple[str, ...]:
+    """All HMIs that can be made for a group in which these drive."""
+    only = drivers[0].name if len(drivers) == 1 else ""
+    learned = (LEARNED_KNOWING,) if only in PAPER_DRIVERS else ()
+    return (KNOWING, AVERAGE, NONE, *learned, LEARNED_AVERAGE, *ADAPTIVE)
+
+
+@dataclass
+class Hmis:
+    """Makes the HMIs for one group of drivers."""
+
+    config: TeamConfig
+    """Of the teams."""
+    trained: Trained
+    """What was learnt."""
+    drivers: Sequence[Driver]
+    """Everybody who drives in the group."""
+    candidates: Sequence[Driver]
+    """Who might be at the wheel, as far as adaptive HMIs know."""
+    revealing: float
+    """Assumed share of steps in which a^H differs from the last applied action."""
+    caution: float
+    """Of the HMI that goes by expected value."""
+    told: ToldEvidence = field(init=False)
+    """By which the knowing HMI is told who drives."""
+
+    def __post_init__(self) -> None:
+        self.told = ToldEvidence(self.drivers)
+
+    def make(self, name: str) -> Policy:
+        """One of :func:`hmi_names`, new."""
+        config = self.config
+        if name in ADAPTIVE:
+            kind, exact = ADAPTIVE[name]
+            return make_adaptive(
+                kind, config, exact, self.candidates, self.trained, self.revealing, self.caution
+            )
+        if name == KNOWING:
+            told = TraitEstimator(self.told, config, change_rate=1.0)
+            return ExpectedValueHMI(told, config, self.revealing, caution=0.0)
+        if name == AVERAGE:
+            return make_hmi(f"belief:average:{self.revealing}", config)
+        if name == NONE:
+            return make_hmi("never", config)
+        model = "average" if name == LEARNED_AVERAGE else self.drivers[0].name
+        return self.trained.hidden_hmi(model, config)

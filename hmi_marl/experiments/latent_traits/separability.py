@@ -1,0 +1,255 @@
+"""How well latent vectors keep the types of drivers apart.
+
+Everything here is a pure function over arrays. A vector is the posterior mean of z given a pool of
+windows, P vectors of Z numbers in an array of shape (P, Z); a type is an integer, one a vector.
+
+**Average KL** (under the paper's figure of embeddings). Each type's vectors are summed up by a
+Gaussian N(μ, Σ) with full, unbiased covariance, and
+
+    KL(N0 || N1) = ½ [tr(Σ1⁻¹ Σ0) + (μ1 - μ0)ᵀ Σ1⁻¹ (μ1 - μ0) - Z + ln(det Σ1 / det Σ0)]
+
+is averaged over all ordered pairs of different types. It does not depend on the units or the axes
+of z, grows without bound as clusters tighten, and is too high for few vectors, since an inverted
+sample covariance is: compare it only between equal numbers of vectors.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.extras import needing
+from hmi_marl.reporting.statistics import Estimate, accuracy
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+SMALLEST_SPREAD = 1e-6
+"""Of a type's cluster in any direction, in standard deviations of all vectors. A cluster that is
+thinner (float32 hardly tells it from a plane) counts as singular and is thickened by this much."""
+
+
+@dataclass(frozen=True)
+class Separability:
+    """How well vectors keep driver types apart. All but the training is on held-out vectors."""
+
+    linear_probe: Estimate
+    """Accuracy of multinomial logistic regression."""
+    nearest_centroid: Estimate
+    """Accuracy of the nearest of the types' training means."""
+    chance: float
+    """Accuracy of always naming the most frequent held-out type: 1 / types where all are equal."""
+    silhouette: float
+    """Of the true types, -1 to 1: (b - a) / max(a, b) averaged over vectors, where a and b are the
+    mean distances to the own type and to the nearest other one."""
+    adjusted_rand: float
+    """Agreement of k-means clusters, as many as types, with the types: 1 full, 0 by chance."""
+    average_kl: float
+    """In nats, as :func:`average_kl`."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Accuracies with their intervals, the rest as numbers."""
+        return {
+            name: value.as_json() if isinstance(value, Estimate) else value
+            for name, value in vars(self).items()
+        }
+
+
+def gaussian_kl(mean0: ArrayLike, cov0: ArrayLike, mean1: ArrayLike, cov1: ArrayLike) -> float:
+    """KL(N0 || N1) in nats; the equation is in the module's docstring.
+
+    Args:
+        mean0: shape (Z,).
+        cov0: shape (Z, Z).
+        mean1: shape (Z,).
+        cov1: shape (Z, Z).
+
+    Raises:
+        ValueError: shapes that differ, or a covariance that is not symmetric positive definite.
+    """
+    middle0, middle1 = np.asarray(mean0, np.float64), np.asarray(mean1, np.float64)
+    if middle0.ndim != 1 or middle0.shape != middle1.shape:
+        raise ValueError(f"means have one shape (Z,), not {middle0.shape} and {middle1.shape}")
+    root0, root1 = (_cholesky(cov, len(middle0)) for cov in (cov0, cov1))
+    spread = np.linalg.solve(root1, root0)
+    shift = np.linalg.solve(root1, middle1 - middle0)
+    log_det = 2.0 * float(np.log(np.diag(root1) / np.diag(root0)).sum())
+    kl = 0.5 * (float((spread**2).sum() + (shift**2).sum()) - len(middle0) + log_det)
+    return max(kl, 0.0)  # rounding may take it below
+
+
+def _cholesky(cov: ArrayLike, size: int) -> Array:
+    matrix = np.asarray(cov, np.float64)
+    if matrix.shape != (size, size):
+        raise ValueError(f"a covariance has shape {(size, size)}, not {matrix.shape}")
+    try:
+        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+            raise np.linalg.LinAlgError
+        return np.asarray(np.linalg.cholesky(matrix), np.float64)
+    except np.linalg.LinAlgError:
+        text = f"a covariance is symmetric positive definite, not {matrix.tolist()}"
+        raise ValueError(text) from None
+
+
+def kl_matrix(means: ArrayLike, types: ArrayLike) -> Array:
+    """KL(row || column) between the types' Gaussians, types in rising order, in nats.
+
+    Axes of z on which all vectors agree tell nothing and are left out. Where a cluster is singular
+    (:data:`SMALLEST_SPREAD`), SMALLEST_SPREAD² of each axis' variance over all vectors is added to
+    the diagonal of its covariance; the KL is then large, and depends on that number.
+
+    Args:
+        means: shape (P, Z).
+        types: integers, shape (P,).
+
+    Returns:
+        Shape (C, C) for C types.
+
+    Raises:
+        ValueError: vectors that are not finite or do not fit the types, fewer than two types, or a
+            type with fewer than Z + 2 vectors.
+    """
+    vectors, labels = checked_vectors(means, types)
+    kinds, counts = np.unique(labels, return_counts=True)
+    least = vectors.shape[1] + 2
+    if counts.min() < least:
+        raise ValueError(
+            f"a Gaussian in {vectors.shape[1]} dimensions takes {least} vectors of each type or "
+            f"more, but type {kinds[counts.argmin()]} has {counts.min()}"
+        )
+    # The KL does not depend on units, and in these the smallest spread has a meaning.
+    spread = vectors.std(axis=0)
+    used = np.ptp(vectors, axis=0) > 0.0
+    scaled = (vectors[:, used] - vectors[:, used].mean(axis=0)) / spread[used]
+    if scaled.shape[1] == 0:
+        return np.zeros((len(kinds), len(kinds)))
+    gaussians = [_gaussian(scaled[labels == kind]) for kind in kinds]
+    return np.array([[gaussian_kl(*own, *other) for other in gaussians] for own in gaussians])
+
+
+def _gaussian(vectors: Array) -> tuple[Array, Array]:
+    cov = np.cov(vectors, rowvar=False).reshape(vectors.shape[1], -1)
+    if np.linalg.eigvalsh(cov)[0] < SMALLEST_SPREAD**2:
+        cov = cov + SMALLEST_SPREAD**2 * np.eye(len(cov))
+    return vectors.mean(axis=0), cov
+
+
+def average_kl(means: ArrayLike, types: ArrayLike) -> float:
+    """The mean of :func:`kl_matrix` over all ordered pairs of different types, in nats."""
+    matrix = kl_matrix(means, types)
+    return float(matrix[~np.eye(len(matrix), dtype=bool)].mean())
+
+
+def separability(
+    train_means: ArrayLike,
+    train_types: ArrayLike,
+    means: ArrayLike,
+    types: ArrayLike,
+    groups: ArrayLike | None = None,
+    seed: int = 0,
+) -> Separability:
+    """How well held-out vectors keep driver types apart.
+
+    The linear probe standardises by the training vectors. All other measures take distances in z
+    as they are, since its prior N(0, I) gives them a scale.
+
+    Args:
+        train_means: shape (P', Z).
+        train_types: integers, shape (P',).
+        means: held-out vectors, shape (P, Z).
+        types: theirs, shape (P,).
+        groups: which held-out vectors are not independent (of the same episodes), as labels of any
+            kind, shape (P,). The Wilson intervals then count groups, not vectors, as trials: as
+            wide as if the members of a group always agreed. None: all are independent.
+        seed: of k-means.
+
+    Raises:
+        ValueError: as :func:`kl_matrix`; or different types or Z in training and held-out vectors;
+            or groups that do not fit the vectors.
+        ModuleNotFoundError: scikit-learn is not installed.
+    """
+    with needing("judging latent vectors"):
+        from sklearn.cluster import KMeans
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.linear_model import LogisticRegression
+        from sklearn.metrics import adjusted_rand_score, silhouette_score
+        from sklearn.preprocessing import StandardScaler
+
+    fitted, known = checked_vectors(train_means, train_types, "training vectors")
+    vectors, labels = checked_vectors(means, types)
+    same_size(fitted, vectors)
+    kinds, counts = np.unique(labels, return_counts=True)
+    if not np.array_equal(np.unique(known), kinds):
+        raise ValueError(
+            f"trained on the types {np.unique(known).tolist()}, but held out are {kinds.tolist()}"
+        )
+    trials = len(labels) if groups is None else len(np.unique(_checked_groups(groups, labels)))
+    kl = average_kl(vectors, labels)  # first: it is the one that refuses too few vectors
+    scaler = StandardScaler().fit(fitted)
+    probe = LogisticRegression(max_iter=10_000).fit(scaler.transform(fitted), known)
+    centroids = np.stack([fitted[known == kind].mean(axis=0) for kind in kinds])
+    nearest = np.linalg.norm(vectors[:, None] - centroids, axis=-1).argmin(axis=1)
+    with warnings.catch_warnings():
+        # Vectors that have collapsed on fewer places than types; the index then says so.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        clusters = KMeans(len(kinds), n_init=10, random_state=seed).fit_predict(vectors)
+    return Separability(
+        linear_probe=accuracy(probe.predict(scaler.transform(vectors)) == labels, trials),
+        nearest_centroid=accuracy(kinds[nearest] == labels, trials),
+        chance=float(counts.max() / len(labels)),
+        silhouette=float(silhouette_score(vectors, labels)),
+        adjusted_rand=float(adjusted_rand_score(labels, clusters)),
+        average_kl=kl,
+    )
+
+
+def checked_vectors(
+    means: ArrayLike, types: ArrayLike, what: str = "vectors"
+) -> tuple[Array, Labels]:
+    """Vectors, shape (P, Z), and their types, shape (P,), as arrays.
+
+    Raises:
+        ValueError: not these shapes, numbers that are not finite, types that are no integers, or
+            fewer than two types.
+    """
+    vectors, labels = checked_means(means, what), np.asarray(types)
+    if labels.shape != (len(vectors),):
+        raise ValueError(f"{len(vectors)} {what} have {len(vectors)} types, not {labels.shape}")
+    if not np.issubdtype(labels.dtype, np.integer):
+        raise ValueError(f"types of {what} are integers, not {labels.dtype}")
+    if len(np.unique(labels)) < 2:
+        raise ValueError(f"{what} of two types or more can be kept apart, not of one")
+    return vectors, labels.astype(np.int64)
+
+
+def checked_means(means: ArrayLike, what: str) -> Array:
+    """Vectors as an array of shape (P, Z).
+
+    Raises:
+        ValueError: not this shape, none at all, or numbers that are not finite.
+    """
+    vectors = np.asarray(means, np.float64)
+    if vectors.ndim != 2 or vectors.size == 0:
+        raise ValueError(f"{what} have shape (P, Z), not {vectors.shape}")
+    if not np.isfinite(vectors).all():
+        raise ValueError(f"{what} are finite, but {(~np.isfinite(vectors)).sum()} numbers are not")
+    return vectors
+
+
+def _checked_groups(groups: ArrayLike, labels: Labels) -> NDArray[Any]:
+    array = np.asarray(groups)
+    if array.shape != labels.shape:
+        raise ValueError(f"groups have shape {labels.shape} as types have, not {array.shape}")
+    return array
+
+
+def same_size(fitted: Array, vectors: Array) -> None:
+    """Raise ``ValueError`` unless training and held-out vectors have one Z."""
+    if fitted.shape[1] != vectors.shape[1]:
+        raise ValueError(
+            f"training vectors have {fitted.shape[1]} dimensions, held-out ones {vectors.shape[1]}"
+        )

@@ -1,0 +1,265 @@
+"""The table: HMIs in rows, drivers in columns, over seeded episodes.
+
+Every cell plays the same seeds, so that cells differ by driver and HMI alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.hmis import AttentionRule, OptimalAlert
+from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.envs.config import TeamConfig, TeamSettings
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
+from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.worlds import check_world
+from hmi_marl.exact import oracle
+from hmi_marl.experiments.alert_quality import AlertJudge, ExactRules, exact_settings
+from hmi_marl.experiments.episodes import Episodes, play_episodes
+from hmi_marl.plain import plain
+from hmi_marl.reporting import statistics
+from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.workers import check_workers, results
+
+PAPER_HMIS = ("NoHMI", "always", "AvgHMI", "own")
+EPISODES_PER_TASK = {"highway": 4, "batched": 256}
+"""By world; the batched one is at its best with many at once."""
+
+
+@dataclass(frozen=True)
+class TableSettings(TeamSettings):
+    """What to put in a table, as it was typed: nothing is checked yet."""
+
+    drivers: tuple[str, ...] = PAPER_DRIVERS
+    """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    hmis: tuple[str, ...] = PAPER_HMIS
+    """Rows: NoHMI (or never), always, random[:RATE], when-distracted, AvgHMI (or average), own (or
+    optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or
+    trained:NAME."""
+    driver_policy: str = "rule"
+    """Who steers: rule, random, the folder of a trained run, or trained:NAME."""
+    episodes: int = 16
+    """Episodes in each cell."""
+    seed: int = 0
+    """Seed of the first episode; the others count on from it."""
+    world: str = "highway"
+    """Which world to drive in."""
+
+
+@dataclass(frozen=True)
+class TableConfig(TableSettings):
+    """What to put in a table, checked.
+
+    Raises:
+        ValueError: unknown driver, HMI, policy or world, the same driver or HMI twice, no
+            episodes, or seeds out of range.
+        TypeError: a value of another kind.
+    """
+
+    def __post_init__(self) -> None:
+        _check_names("drivers", self.drivers)
+        _check_names("hmis", self.hmis)
+        if isinstance(self.episodes, bool) or not isinstance(self.episodes, int):
+            raise TypeError(f"episodes is a whole number, not {self.episodes!r}")
+        if self.episodes < 1:
+            raise ValueError(f"a cell needs at least one episode, but got {self.episodes}")
+        object.__setattr__(self, "seed", check_seed(self.seed))
+        check_seed(self.seed + self.episodes - 1)
+        check_world(self.world)
+        for driver in self.drivers:
+            config = self.team(driver)
+            make_driver_policy(self.driver_policy, config)
+            for hmi in self.hmis:
+                make_hmi(hmi, config)
+
+
+def _check_names(field: str, names: Sequence[str]) -> None:
+    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"{field} takes a tuple of names, not {names!r}")
+    if not names:
+        raise ValueError(f"a table needs at least one driver and one HMI, but {field} is empty")
+    plainly = [name if "/" in name else name.lower() for name in names]
+    twice = [name for k, name in enumerate(names) if plainly[k] in plainly[:k]]
+    if twice:
+        raise ValueError(f"{field} names {twice[0]!r} twice; a table has one column or row for it")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One HMI with one driver."""
+
+    driver: str
+    hmi: str
+    episodes: int
+    steps: Estimate
+    """Length of an episode in steps; a crash may end it early."""
+    speed_return: Estimate
+    distraction_return: Estimate
+    attention_return: Estimate
+    """Distraction, alert and accept-alert terms together."""
+    alerts: Estimate
+    """Per minute of driving."""
+    crash_rate: Estimate
+    """Share of episodes."""
+    min_time_headway: Estimate
+    """Shortest of an episode [s]."""
+    exact_distraction_return: float | None
+    """The exact expectation over an episode that runs its whole time; None if not known. For a
+    learned HMI that sees attention it is that of the optimum for the driver it was trained for."""
+    exact_distraction_return_same_steps: float | None
+    """The same, over as many steps as the episodes really had."""
+    optimal_attention_return_same_steps: float
+    """Attention return of the exact optimum for this driver, attention seen, over as many steps."""
+    optimal_distraction_return: float
+    """Of the exact alert optimum for this driver, attention seen."""
+    reachable_distraction_return: oracle.Reachable
+    """Least and most that any alert policy can reach."""
+    rule_shortfall: float
+    """What "the strongest alert exactly when distracted" loses to the exact optimum for this driver
+    in an episode that runs its whole time, in attention return; 0 where it is the optimum."""
+    share_following_rule: float | None = None
+    """Share of steps in which the HMI did what that rule does; None if nothing judged them."""
+    share_of_gain: float | None = None
+    """Of what the best alerts, attention seen, gain over none, by exact values in every step: 1
+    the optimum, 0 no alerts; None if alerts can gain nothing or nothing judged them."""
+    learned: bool = False
+    """Whether the HMI is a learned policy."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain JSON content: ``alerts`` and ``crash_rate`` as numbers with ``*_interval``."""
+        content: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            if name in ("alerts", "crash_rate"):
+                estimate = value.as_json()
+                content[name] = estimate["mean"]
+                content[f"{name}_interval"] = [estimate["low"], estimate["high"]]
+            elif isinstance(value, Estimate):
+                content[name] = value.as_json()
+            elif isinstance(value, oracle.Reachable):
+                content[name] = value._asdict()
+            else:
+                content[name] = value
+        return content
+
+
+def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:
+    """Sum up the episodes of one cell, beside what is known exactly."""
+    team = config.team(driver)
+    settings, policy = exact_settings(team), make_hmi(hmi, team)
+    best, rules = oracle.solve_alerts(**settings), ExactRules.of(team)
+    exact = same_steps = following = lost = None
+    rule = known_rule(policy, team)
+    if rule is not None:
+        returns = oracle.evaluate(rule, **settings)
+        exact = returns.distraction_return
+        same_steps = float(returns.return_after(episodes.length, ["distraction"]).mean())
+        if isinstance(policy, AttentionRule):  # which a learned HMI may have missed
+            lost = rules.optimum - returns.total_return
+    if episodes.alerting is not None:
+        played = int(episodes.length.sum())
+        following = float(episodes.alerting.followed.sum() / played)
+        if lost is None:
+            lost = float(episodes.alerting.lost.sum() / played * team.horizon)
+    minutes = episodes.length / team.scene.policy_frequency / 60
+    return Cell(
+        driver=driver,
+        hmi=hmi,
+        episodes=len(episodes.seeds),
+        steps=statistics.mean(episodes.length, lowest=0.0),
+        speed_return=statistics.mean(episodes.returns["speed_reward"]),
+        distraction_return=statistics.mean(episodes.returns["distraction"]),
+        attention_return=statistics.mean(episodes.attention_return()),
+        alerts=statistics.mean(episodes.alerts / minutes, lowest=0.0),
+        crash_rate=statistics.share(int(episodes.crashed.sum()), len(episodes.crashed)),
+        min_time_headway=statistics.mean(episodes.min_time_headway, lowest=0.0),
+        exact_distraction_return=exact,
+        exact_distraction_return_same_steps=same_steps,
+        optimal_attention_return_same_steps=float(best.return_after(episodes.length).mean()),
+        optimal_distraction_return=best.distraction_return,
+        reachable_distraction_return=oracle.reachable(**settings),
+        rule_shortfall=max(0.0, rules.optimum - rules.when_distracted),
+        share_following_rule=following,
+        share_of_gain=None if lost is None else rules.share_of_gain(lost),
+        learned=isinstance(policy, LearnedPolicy),
+    )
+
+
+def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
+    """The alert rule over (t, d, i, c) that an HMI follows, or was trained to follow, if known.
+
+    A learned HMI that sees attention should have become the optimum for the driver that it was
+    trained for, or, trained for several, for the one at the wheel.
+    """
+    if isinstance(hmi, AttentionRule):
+        return hmi.alert_probability()
+    if not isinstance(hmi, LearnedPolicy) or "distracted" not in dict(hmi.card.reads):
+        return None
+    trained = hmi.card.training.get("team", {})
+    here = plain(team)
+    old = {"alert_strengths": [1.0], "fatigue": None}  # of cards that do not tell it
+    chain = ("alert_window", "weights", *old)
+    same = all((old | trained).get(name) == here[name] for name in chain)
+    if not same or trained["reward"] not in ("team", "attention"):
+        return None
+    trained_for = trained["driver"].get("drivers", [])
+    if len(trained_for) == 1:
+        return OptimalAlert(Driver(**trained_for[0]), team).alert_probability()
+    return (
+        None
+        if team.only_driver is None
+        else OptimalAlert(team.only_driver, team).alert_probability()
+    )
+
+
+def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episodes:
+    """Some of the episodes of one cell."""
+    team = config.team(driver)
+    seats = make_driver_policy(config.driver_policy, team), make_hmi(hmi, team)
+    return play_episodes(team, *seats, np.array(seeds, np.uint64), config.world, AlertJudge(team))
+
+
+def make_table(
+    config: TableConfig, workers: int | None = None, progress: Callable[[int], Any] = id
+) -> list[Cell]:
+    """Play every cell and sum it up, row by row. The result does not depend on ``workers``.
+
+    Workers begin by importing the script that started them: unless ``workers`` is 1, a script
+    that calls this needs an ``if __name__ == "__main__":`` around what it does.
+
+    Args:
+        config: what to put in the table.
+        workers: processes to share the episodes among; the number of cores by default.
+        progress: called with the number of episodes that have just been finished.
+
+    Raises:
+        ValueError: workers < 1.
+    """
+    workers = check_workers(workers)
+    wanted = [(driver, hmi) for hmi in config.hmis for driver in config.drivers]
+    played: dict[tuple[str, str], list[Episodes]] = {cell: [] for cell in wanted}
+    tasks = [(*cell, seeds) for cell in wanted for seeds in _chunks(config)]
+    play_task = partial(_play_task, config)
+    for (driver, hmi, _), episodes in zip(tasks, results(play_task, tasks, workers), strict=True):
+        played[driver, hmi].append(episodes)
+        progress(len(episodes.seeds))
+    return [
+        make_cell(config, driver, hmi, Episodes.join(episodes))
+        for (driver, hmi), episodes in played.items()
+    ]
+
+
+def _chunks(config: TableConfig) -> list[range]:
+    end, size = config.seed + config.episodes, EPISODES_PER_TASK[config.world]
+    return [range(start, min(start + size, end)) for start in range(config.seed, end, size)]
+
+
+def _play_task(config: TableConfig, task: tuple[str, str, range]) -> Episodes:
+    return play_cell(config, *task)

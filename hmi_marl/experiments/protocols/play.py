@@ -1,0 +1,143 @@
+"""Playing every pair of a comparison of protocols, and adding up what each driver came to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.envs.drivers import get_driver
+from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
+from hmi_marl.experiments.episodes import Episodes, play_episodes
+from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED
+from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings, Pair
+from hmi_marl.workers import results
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What some episodes came to in all."""
+
+    episodes: int
+    crashes: int
+    steps: int
+    minutes: float
+    """Of driving."""
+    alerts: int
+    time_headway: float
+    """Mean over episodes of each one's median while somebody is ahead [s]; NaN if nobody was."""
+    terms: dict[str, float]
+    """Of each reward term."""
+
+    @classmethod
+    def of(cls, episodes: Episodes, which: NDArray[np.bool_], frequency: float) -> Sums:
+        """Add up the episodes that are marked."""
+        headways = episodes.median_time_headway[which]
+        headways = headways[np.isfinite(headways)]
+        steps = int(episodes.length[which].sum())
+        return cls(
+            episodes=int(which.sum()),
+            crashes=int(episodes.crashed[which].sum()),
+            steps=steps,
+            minutes=steps / frequency / 60.0,
+            alerts=int(episodes.alerts[which].sum()),
+            time_headway=float(headways.mean()) if len(headways) else math.nan,
+            terms={name: float(values[which].sum()) for name, values in episodes.returns.items()},
+        )
+
+    @classmethod
+    def join(cls, several: Iterable[Sums]) -> Sums:
+        """Put them together, as if one; at least one of them."""
+        parts = list(several)
+        heard = [part for part in parts if math.isfinite(part.time_headway)]
+        weights = [part.episodes for part in heard]
+        return cls(
+            episodes=sum(part.episodes for part in parts),
+            crashes=sum(part.crashes for part in parts),
+            steps=sum(part.steps for part in parts),
+            minutes=sum(part.minutes for part in parts),
+            alerts=sum(part.alerts for part in parts),
+            time_headway=(
+                float(np.average([part.time_headway for part in heard], weights=weights))
+                if heard
+                else math.nan
+            ),
+            terms={name: sum(part.terms[name] for part in parts) for name in parts[0].terms},
+        )
+
+    def per_episode(self, names: Sequence[str] = TERMS) -> float:
+        """Mean return of an episode, of these terms together."""
+        return _ratio(sum(self.terms[name] for name in names), self.episodes)
+
+    def per_step(self, names: Sequence[str] = TERMS) -> float:
+        """Mean reward of a step."""
+        return _ratio(sum(self.terms[name] for name in names), self.steps)
+
+    def metrics(self) -> dict[str, float]:
+        """Everything by name; NaN where there was nothing."""
+        return {
+            "team_return": self.per_episode(),
+            **{name: self.per_episode([name]) for name in TERMS},
+            "attention_return": self.per_episode(ATTENTION_TERMS),
+            "team_return_per_step": self.per_step(),
+            "crash_rate": _ratio(self.crashes, self.episodes),
+            "alerts_per_minute": _ratio(self.alerts, self.minutes),
+            "length": _ratio(self.steps, self.episodes),
+            "time_headway": self.time_headway,
+        }
+
+
+def _ratio(amount: float, count: float) -> float:
+    return amount / count if count else math.nan
+
+
+Played = Mapping[Pair, Mapping[str, Sums]]
+"""What every pair's episodes came to: by the driver's name, and ``EVERYBODY``."""
+
+
+def play_pair(settings: CompareSettings, folder: Path, pair: Pair) -> dict[str, Sums]:
+    """Play a pair's episodes; add them up for each driver and for ``EVERYBODY``."""
+    team = settings.team(pair.end_at_crash)
+    runs = {run.name for run in settings.runs}
+    driver, hmi = (str(folder / name) if name in runs else name for name in (pair.driver, pair.hmi))
+    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + settings.episodes, dtype=np.uint64)
+    seats = make_driver_policy(driver, team), make_hmi(hmi, team)
+    episodes = play_episodes(team, *seats, seeds, world="batched")
+    drawn = team.population.draw(seeds).as_array()
+    add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
+    sums = {EVERYBODY: add(np.ones(len(seeds), np.bool_))}
+    for name in settings.drivers:
+        known = get_driver(name)
+        sums[known.name] = add((drawn == np.array(known.traits)).all(axis=1))
+    return sums
+
+
+def play_all(
+    settings: CompareSettings, folder: Path, workers: int, progress: Callable[[int], object] = id
+) -> Played:
+    """Play every pair; the result does not depend on ``workers``.
+
+    Args:
+        settings: what is compared.
+        folder: where the runs are.
+        workers: pairs at a time.
+        progress: called with the number of episodes that have just been finished.
+    """
+    pairs, play_one = settings.pairs(), partial(play_pair, settings, folder)
+    played: dict[Pair, Mapping[str, Sums]] = {}
+    for pair, sums in zip(pairs, results(play_one, pairs, workers), strict=True):
+        played[pair] = sums
+        progress(settings.episodes)
+    return played
+
+
+def read_curves(settings: CompareSettings, folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """The rows of every run's learning curve, by the run's name."""
+    return {job.folder.name: job.curve() for job in settings.jobs(folder)}

@@ -1,0 +1,231 @@
+"""The paper's claims in its own order, each with the function that holds it against our data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from hmi_marl.reproduction import findings
+from hmi_marl.reproduction.findings import (
+    DISTRACTION,
+    SPEED,
+    Check,
+    Finding,
+    Results,
+    Verdict,
+    kinds_apart,
+    personalised_beats,
+    untestable,
+)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One of them."""
+
+    where: str
+    """In the paper."""
+    text: str
+    """Quoted, or in short."""
+    needs: tuple[str, ...]
+    """Stages whose numbers the check goes by."""
+    check: Check
+
+    def finding(self, results: Results) -> Finding:
+        """What our data say; if they are there."""
+        missing = [name for name in self.needs if name not in results]
+        if missing:
+            return Finding(Verdict.MISSING, f"this run has no stage {' and '.join(missing)}")
+        return self.check(results)
+
+
+LOW, HIGH = ("lisa", "marge"), ("bart", "homer")
+CONFIDENT, CAUTIOUS = ("lisa", "bart"), ("marge", "homer")
+METRICS, DISTINGUISH = "Sec. VIII-C, table of metrics", "Sec. VIII-B, figure of embeddings"
+
+CLAIMS = (
+    Claim(
+        "Contributions, Sec. VI",
+        "The model of distraction and cautiousness is validated by 500 human subjects.",
+        (),
+        untestable("a survey of people; nothing here stands for people"),
+    ),
+    Claim(
+        "Sec. IV",
+        "Lisa and Bart most likely ignore HMI assistance; Marge and Homer are very receptive.",
+        ("table",),
+        findings.receptive_drivers,
+    ),
+    Claim(
+        "Sec. IV",
+        "The binary alert can be extended to any discrete signal.",
+        ("graded",),
+        findings.graded_alerts,
+    ),
+    Claim(
+        "Sec. V",
+        "A single observation hides who drives; aggregating many makes it possible to tell.",
+        ("traits",),
+        findings.more_is_clearer,
+    ),
+    Claim(
+        "Sec. VI",
+        "Inflating other vehicles models the tendency to leave large headway.",
+        ("driver",),
+        findings.caution_keeps_distance,
+    ),
+    Claim(
+        "Sec. VIII-A",
+        "Labels of preferences can be obtained more easily than labels of drivers.",
+        (),
+        untestable("a matter of asking people"),
+    ),
+    Claim(
+        DISTINGUISH,
+        "The ability to distinguish drivers is heavily influenced by the level of supervision "
+        "(average KL 435 without, 4940 by driver, 2872 by preference).",
+        ("traits",),
+        findings.supervision_counts,
+    ),
+    Claim(
+        DISTINGUISH,
+        "Supervision by labels or by preferences is sufficient to distinguish driver types.",
+        ("traits",),
+        findings.supervision_suffices,
+    ),
+    Claim(
+        DISTINGUISH,
+        "By driver: often distracted drivers are well separated from the others.",
+        ("traits",),
+        kinds_apart("id", LOW, HIGH, "Lisa and Marge against Bart and Homer"),
+    ),
+    Claim(
+        DISTINGUISH,
+        "By driver: the two often distracted ones are highly separated as well.",
+        ("traits",),
+        kinds_apart("id", ["bart"], ["homer"], "Bart against Homer"),
+    ),
+    Claim(
+        DISTINGUISH,
+        "By preference: the two preferences separate into clusters.",
+        ("traits",),
+        kinds_apart("preference", CONFIDENT, CAUTIOUS, "Lisa and Bart against Marge and Homer"),
+    ),
+    Claim(
+        DISTINGUISH,
+        "By preference: there is more separation where drivers are more distracted.",
+        ("traits",),
+        findings.distraction_separates,
+    ),
+    Claim(
+        DISTINGUISH,
+        "That levels of confidence are not told apart among the attentive is due to the scenario.",
+        ("traits",),
+        findings.scenario_hides,
+    ),
+    Claim(
+        METRICS,
+        "The distraction returns that the table prints.",
+        (),
+        findings.reachable_cells,
+    ),
+    Claim(
+        METRICS,
+        "Distraction is least with driver-specific HMIs: -101.2 on average against -283.0 with "
+        "AvgHMI.",
+        ("table",),
+        personalised_beats("average", DISTRACTION),
+    ),
+    Claim(
+        METRICS,
+        "... and against -470.8 with no HMI.",
+        ("table",),
+        personalised_beats("none", DISTRACTION),
+    ),
+    Claim(
+        METRICS,
+        "Bart is distracted the most, whatever the HMI.",
+        ("table",),
+        findings.bart_is_distracted_most,
+    ),
+    Claim(
+        METRICS,
+        "AvgHMI does a good job for Marge and Homer, who are receptive.",
+        ("table",),
+        findings.average_hmi_helps,
+    ),
+    Claim(
+        METRICS,
+        "AvgHMI helps Marge even more than her own HMI (-45 against -80).",
+        ("table",),
+        findings.average_beats_marges,
+    ),
+    Claim(
+        METRICS,
+        "That comes at a cost: with AvgHMI Marge and Homer are slower than with their own "
+        "(421 against 446, 391 against 458), Homer more so.",
+        ("table",),
+        findings.average_costs_speed,
+    ),
+    Claim(
+        METRICS,
+        "Drivers are faster with their own HMI: 448 on average against 423 with AvgHMI.",
+        ("table",),
+        personalised_beats("average", SPEED),
+    ),
+    Claim(
+        METRICS,
+        "... and against 427 with no HMI.",
+        ("table",),
+        personalised_beats("none", SPEED),
+    ),
+    Claim(
+        METRICS,
+        "Without assistance everybody but Lisa is slower.",
+        ("table",),
+        findings.no_help_costs_speed,
+    ),
+    Claim(
+        "Conclusions",
+        "Latent structure of different drivers can be uncovered.",
+        ("traits",),
+        findings.structure_uncovered,
+    ),
+    Claim(
+        "Abstract, Conclusions",
+        "The representation may be useful for interaction: it allows to deploy policies "
+        "appropriate for specific drivers.",
+        ("adapt",),
+        findings.representation_is_useful,
+    ),
+    Claim(
+        "Conclusions",
+        "Personal HMIs produce higher rewards than one for an average-case human.",
+        ("table", "hidden"),
+        findings.personal_rewards,
+    ),
+)
+"""Adding one is adding it here."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A claim and what became of it."""
+
+    claim: Claim
+    finding: Finding
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content."""
+        return {
+            "where": self.claim.where,
+            "claim": self.claim.text,
+            "needs": list(self.claim.needs),
+            "verdict": str(self.finding.verdict),
+            "told": self.finding.told,
+        }
+
+
+def judge(results: Results) -> list[Judged]:
+    """Every claim, held against the numbers of the stages that have been run."""
+    return [Judged(claim, claim.finding(results)) for claim in CLAIMS]

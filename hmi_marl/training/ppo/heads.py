@@ -1,0 +1,197 @@
+"""Categorical heads for rsl_rl: one seat's action, or the composite π_H∘π_AI of both seats.
+
+rsl_rl stores actions as floats; these heads take and give indices as floats, shape (..., columns).
+"""
+
+from __future__ import annotations
+
+import torch
+from rsl_rl.modules.distribution import Distribution  # type: ignore[import-untyped]
+
+from hmi_marl.agents.learned.policy import INTENTS
+
+
+class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
+    """One of ``choices`` actions. Parameters: log-probabilities of shape (..., choices)."""
+
+    def __init__(self, output_dim: int, choices: int) -> None:
+        super().__init__(output_dim)
+        self.choices = choices
+
+    @property
+    def input_dim(self) -> int:
+        """Logits that it takes."""
+        return self.choices
+
+    def update(self, mlp_output: torch.Tensor) -> None:
+        """Take the network's logits, shape (..., choices)."""
+        self._log_probs = torch.log_softmax(mlp_output, dim=-1)
+
+    def sample(self) -> torch.Tensor:
+        """Indices as floats, shape (..., 1)."""
+        return draw(self._log_probs)
+
+    def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
+        """The likeliest action, shape (..., 1)."""
+        return self.as_deterministic_output_module()(mlp_output)
+
+    def as_deterministic_output_module(self) -> torch.nn.Module:
+        """The same as a module, for rsl_rl's exports to TorchScript and ONNX."""
+        return LikeliestAction()
+
+    @property
+    def mean(self) -> torch.Tensor:
+        """Probabilities, the mean of the one-hot action."""
+        return self._log_probs.exp()
+
+    @property
+    def std(self) -> torch.Tensor:
+        """Standard deviations of the one-hot action."""
+        return spread(self._log_probs)
+
+    @property
+    def entropy(self) -> torch.Tensor:
+        """Shape (...)."""
+        return entropy(self._log_probs)
+
+    @property
+    def params(self) -> tuple[torch.Tensor, ...]:
+        """Log-probabilities."""
+        return (self._log_probs,)
+
+    def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
+        """Log π(a), shape (...), of indices of shape (..., 1)."""
+        return self._log_probs.gather(-1, outputs.long()).squeeze(-1)
+
+    def kl_divergence(
+        self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]
+    ) -> torch.Tensor:
+        """KL(old || new), shape (...)."""
+        return divergence(old_params[0], new_params[0])
+
+
+class IntentThenAlert(Distribution):  # type: ignore[misc]
+    r"""a^H, then a^A given the a^H that was drawn: π(a^H) π(a^A | a^H).
+
+    Takes 5 logits of a^H and then, for each a^H, A of a^A, of which there are A = 2 (k + 1 with k
+    strengths of alert). Entropy and KL follow the chain rule,
+    H(a^H, a^A) = H(a^H) + Σ π(a^H) H(a^A | a^H), and need no sampling.
+    """
+
+    def __init__(self, output_dim: int, alerts: int = 2) -> None:
+        super().__init__(output_dim)
+        self.alerts = alerts
+
+    @property
+    def input_dim(self) -> int:
+        """Logits that it takes."""
+        return INTENTS + INTENTS * self.alerts
+
+    def update(self, mlp_output: torch.Tensor) -> None:
+        """Take the network's logits, shape (..., 5 + 5 A)."""
+        intent, alert = self._split(mlp_output)
+        self._intent = torch.log_softmax(intent, dim=-1)
+        self._alert = torch.log_softmax(alert, dim=-1)
+
+    def sample(self) -> torch.Tensor:
+        """a^H and a^A as floats, shape (..., 2)."""
+        intent = draw(self._intent)
+        return torch.cat([intent, draw(_row(self._alert, intent))], dim=-1)
+
+    def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
+        """The likeliest a^H, and the likeliest a^A given that, shape (..., 2)."""
+        return self.as_deterministic_output_module()(mlp_output)
+
+    def as_deterministic_output_module(self) -> torch.nn.Module:
+        """The same as a module, for rsl_rl's exports to TorchScript and ONNX."""
+        return LikeliestPair(INTENTS, self.alerts)
+
+    @property
+    def mean(self) -> torch.Tensor:
+        """Probabilities of a^H, and of a^A given each a^H, shape (..., 5 + 5 A)."""
+        return torch.cat([self._intent, self._alert.flatten(-2)], dim=-1).exp()
+
+    @property
+    def std(self) -> torch.Tensor:
+        """Standard deviations of the one-hot actions."""
+        return spread(torch.cat([self._intent, self._alert.flatten(-2)], dim=-1))
+
+    @property
+    def entropy(self) -> torch.Tensor:
+        """Of the pair, shape (...)."""
+        return entropy(self._intent) + (self._intent.exp() * entropy(self._alert)).sum(-1)
+
+    @property
+    def params(self) -> tuple[torch.Tensor, ...]:
+        """Log-probabilities of a^H, shape (..., 5), and of a^A given a^H, shape (..., 5, A)."""
+        return self._intent, self._alert
+
+    def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
+        """Log π(a^H, a^A), shape (...), of indices of shape (..., 2)."""
+        intent, alert = outputs[..., :1].long(), outputs[..., 1:].long()
+        given = _row(self._alert, intent).gather(-1, alert)
+        return (self._intent.gather(-1, intent) + given).squeeze(-1)
+
+    def kl_divergence(
+        self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]
+    ) -> torch.Tensor:
+        """KL(old || new) of the pair, shape (...)."""
+        of_alert = divergence(old_params[1], new_params[1])
+        return divergence(old_params[0], new_params[0]) + (old_params[0].exp() * of_alert).sum(-1)
+
+    def _split(self, logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return logits[..., :INTENTS], torch.unflatten(
+            logits[..., INTENTS:], -1, (INTENTS, self.alerts)
+        )
+
+
+class LikeliestAction(torch.nn.Module):
+    """The likeliest action from its logits; TorchScript and ONNX can hold it."""
+
+    def forward(self, logits: torch.Tensor) -> torch.Tensor:
+        """An index as a float, shape (..., 1), for logits of shape (..., choices)."""
+        return logits.argmax(dim=-1, keepdim=True).to(logits.dtype)
+
+
+class LikeliestPair(torch.nn.Module):
+    """The likeliest a^H, and the likeliest a^A given that; TorchScript and ONNX can hold it."""
+
+    def __init__(self, intents: int, alerts: int) -> None:
+        super().__init__()
+        self.intents = intents
+        self.alerts = alerts
+
+    def forward(self, logits: torch.Tensor) -> torch.Tensor:
+        """Indices as floats, shape (..., 2), for logits of shape (..., intents + intents A)."""
+        intent = logits[..., : self.intents].argmax(dim=-1, keepdim=True)
+        alerts = torch.unflatten(logits[..., self.intents :], -1, (self.intents, self.alerts))
+        alert = _row(alerts, intent).argmax(dim=-1, keepdim=True)
+        return torch.cat([intent, alert], dim=-1).to(logits.dtype)
+
+
+def draw(log_probs: torch.Tensor) -> torch.Tensor:
+    """One index per row as a float, shape (..., 1), by inverting the cumulative distribution."""
+    below = log_probs.exp().cumsum(-1)[..., :-1]
+    chance = torch.rand(log_probs.shape[:-1], device=log_probs.device)
+    return (chance.unsqueeze(-1) >= below).sum(-1, keepdim=True).to(log_probs.dtype)
+
+
+def spread(log_probs: torch.Tensor) -> torch.Tensor:
+    """Standard deviation of each component of the one-hot action, sqrt(p (1 - p))."""
+    probs = log_probs.exp()
+    return (probs * (1.0 - probs)).sqrt()
+
+
+def entropy(log_probs: torch.Tensor) -> torch.Tensor:
+    """Over the last dimension."""
+    return -(log_probs.exp() * log_probs).sum(-1)
+
+
+def divergence(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
+    """KL(old || new) over the last dimension of log-probabilities."""
+    return (old.exp() * (old - new)).sum(-1)
+
+
+def _row(table: torch.Tensor, intent: torch.Tensor) -> torch.Tensor:
+    """The row of a^H, shape (..., A), out of (..., 5, A)."""
+    return torch.take_along_dim(table, intent.long().unsqueeze(-1), dim=-2).squeeze(-2)

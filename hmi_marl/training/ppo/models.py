@@ -1,0 +1,136 @@
+"""rsl_rl's models for the seats, and their weights as learned policies keep them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rsl_rl.models import MLPModel, RNNModel  # type: ignore[import-untyped]
+from rsl_rl.modules import MLP  # type: ignore[import-untyped]
+from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
+from tensordict import TensorDict
+
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.policy import INTENTS, PolicyCard
+from hmi_marl.envs.config import DRIVER
+from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
+
+GROUPS = {"actor": ["actor"], "critic": ["critic"]}
+"""What actor and critic read: each the group of its own name."""
+
+
+def make_actor(card: PolicyCard) -> MLPModel:
+    """An actor for one seat, as its card says."""
+    network = card.network
+    head = {"class_name": OneAction, "choices": card.actions}
+    template = _template("actor", card.inputs)
+    sizes = (template, GROUPS, "actor", 1, network.hidden, network.activation)
+    if not network.memory:
+        return MLPModel(*sizes, distribution_cfg=head)
+    return MemoryModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.memory)
+
+
+class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
+    """rsl_rl's recurrent model whose layers also read the inputs, beside the memory."""
+
+    def get_latent(
+        self,
+        obs: TensorDict,
+        masks: torch.Tensor | None = None,
+        hidden_state: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """The memory, then the inputs: shape (..., memory + inputs)."""
+        inputs = MLPModel.get_latent(self, obs)
+        remembered = self.rnn(inputs, masks, hidden_state).squeeze(0)
+        if masks is not None:
+            inputs = unpad_trajectories(inputs, masks)
+        return torch.cat([remembered, inputs], dim=-1)
+
+    def _get_latent_dim(self) -> int:
+        return int(self.latent_dim + self.obs_dim)
+
+
+class TwoSeats(torch.nn.Module):
+    """The networks of both seats side by side, each reading its own part of the input."""
+
+    def __init__(self, driver: PolicyCard, vehicle_ai: PolicyCard) -> None:
+        super().__init__()
+        self.driver = _mlp(driver)
+        self.vehicle_ai = _mlp(vehicle_ai)
+        self._of_driver = driver.inputs
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Logits of a^H, then of a^A for each a^H: shape (..., 15) with one kind of alert."""
+        of_driver, of_vehicle_ai = inputs[..., : self._of_driver], inputs[..., self._of_driver :]
+        return torch.cat([self.driver(of_driver), self.vehicle_ai(of_vehicle_ai)], dim=-1)
+
+
+def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
+    """The composite π_H∘π_AI. Each half sees its own seat alone, so that it can sit there alone.
+
+    Raises:
+        ValueError: a recurrent network, or a vehicle AI that is not ``by_intent``.
+    """
+    if driver.network.memory or vehicle_ai.network.memory:
+        raise ValueError("the composite policy has no memory; choose memory = 0")
+    if not vehicle_ai.by_intent:
+        raise ValueError("in the composite policy the vehicle AI gives logits by intent")
+    template = _template("actor", driver.inputs + vehicle_ai.inputs)
+    head = {"class_name": IntentThenAlert, "alerts": vehicle_ai.actions}
+    model = MLPModel(template, GROUPS, "actor", 2, (1,), distribution_cfg=head)
+    model.mlp = TwoSeats(driver, vehicle_ai)
+    return model
+
+
+def make_critic(inputs: int, network: NetworkConfig) -> MLPModel:
+    """V of what it reads; never recurrent."""
+    template = _template("critic", inputs)
+    return MLPModel(template, GROUPS, "critic", 1, network.hidden, network.activation)
+
+
+def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
+    """The actor's weights, by the names of :meth:`NetworkConfig.shapes`."""
+    weights = layers_of(actor.mlp)
+    return weights | memory_of(actor.rnn.rnn) if actor.is_recurrent else weights
+
+
+def weights_of_both(actor: MLPModel) -> tuple[dict[str, NDArray[np.float32]], ...]:
+    """The weights of the composite policy's two halves, the driver's first."""
+    return layers_of(actor.mlp.driver), layers_of(actor.mlp.vehicle_ai)
+
+
+_MEMORY = {
+    "input_weight": "weight_ih_l0",
+    "hidden_weight": "weight_hh_l0",
+    "input_bias": "bias_ih_l0",
+    "hidden_bias": "bias_hh_l0",
+}
+
+
+def _mlp(card: PolicyCard) -> MLP:
+    outputs = INTENTS if card.seat == DRIVER else card.outputs
+    return MLP(card.inputs, outputs, card.network.hidden, card.network.activation)
+
+
+def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
+    """The weights of its linear layers, by the names of :meth:`NetworkConfig.shapes`."""
+    linear = [layer for layer in mlp.modules() if isinstance(layer, torch.nn.Linear)]
+    weights = {}
+    for place, layer in enumerate(linear):
+        weights[f"layer{place}.weight"] = array_of(layer.weight)
+        weights[f"layer{place}.bias"] = array_of(layer.bias)
+    return weights
+
+
+def memory_of(gru: torch.nn.GRU) -> dict[str, NDArray[np.float32]]:
+    """The weights of a recurrent layer, by the names of :meth:`NetworkConfig.shapes`."""
+    return {f"memory.{name}": array_of(getattr(gru, its)) for name, its in _MEMORY.items()}
+
+
+def array_of(tensor: torch.Tensor) -> NDArray[np.float32]:
+    """A copy for NumPy, without gradients."""
+    return tensor.detach().cpu().numpy().copy()
+
+
+def _template(group: str, size: int) -> TensorDict:
+    return TensorDict({group: torch.zeros(1, size)}, batch_size=[1])

@@ -1,0 +1,57 @@
+"""Best responses in rounds: the driver learns beside the HMI as it stands, then the HMI."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.rewards import Sharing
+from hmi_marl.training.protocols.phase import LEARNT, Phase
+from hmi_marl.training.protocols.settings import TrainSettings, check_count
+
+
+@dataclass(frozen=True)
+class Alternating(TrainSettings):
+    """Alternating: in every round each policy learns while the other stays as it is.
+
+    Example: hmi-marl train alternating --rounds 4 --out runs/rounds
+    """
+
+    rounds: int = 4
+    """In the first one the driver has no HMI yet."""
+    driver_steps: int = 12_000_000
+    """Environment steps in which the driver learns, over all rounds."""
+    hmi_steps: int = 2_000_000
+    """Environment steps in which the HMI learns, over all rounds."""
+    driver_reward: Sharing = "driving"
+    """What the driver learns from. Beside no HMI, as in the first round, a step of a distracted
+    driver is worth less than nothing to the team, so that "team" teaches them to crash."""
+    hmi_reward: Sharing = "team"
+    """What the HMI learns from."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("rounds", "driver_steps", "hmi_steps"):
+            check_count(name, getattr(self, name))
+
+    def phases(self) -> tuple[Phase, ...]:
+        """See :meth:`TrainSettings.phases`."""
+        steps = {DRIVER: self.driver_steps, VEHICLE_AI: self.hmi_steps}
+        rewards = {DRIVER: self.driver_reward, VEHICLE_AI: self.hmi_reward}
+        phases = []
+        for k in range(self.rounds):
+            for seat in (DRIVER, VEHICLE_AI):
+                team = self.team(self.drivers, rewards[seat])
+                first = k == 0 and seat == DRIVER
+                phases.append(
+                    Phase(
+                        f"round {k + 1}, {seat}",
+                        seat,
+                        team,
+                        max(1, steps[seat] // self.rounds),
+                        "never" if first else LEARNT,
+                        (self.card(seat, team),),
+                        progress=(k / self.rounds, (k + 1) / self.rounds),
+                    )
+                )
+        return tuple(phases)

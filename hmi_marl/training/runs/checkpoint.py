@@ -1,0 +1,107 @@
+"""How far a training run has come: one safetensors file, JSON in its header, written at once.
+
+Nothing of the environment is kept: a batch is a whole episode of every team from its start, and
+its seeds, like all that the learner draws, follow from the run's seed and the batch's number.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as save_tensors
+
+from hmi_marl.files import write_bytes
+from hmi_marl.training.runs.jobs import CHECKPOINT as CHECKPOINT
+
+OPTIMIZER = "optimizer"
+FORMAT = "hmi-marl checkpoint 1"
+
+
+@dataclass
+class Checkpoint:
+    """Where a run stands."""
+
+    phase: int = 0
+    """The phase that goes on; the number of phases if all is done."""
+    iteration: int = 0
+    """Batches learnt from in that phase."""
+    steps: int = 0
+    """Environment steps taken in the whole run, over all processes."""
+    seconds: float = 0.0
+    """Spent so far."""
+    tensors: dict[str, dict[str, torch.Tensor]] = field(default_factory=dict)
+    """What each learner has learnt, by its name."""
+    curve: list[dict[str, Any]] = field(default_factory=list)
+    """A row for each batch."""
+
+    def save(self, path: Path) -> None:
+        """Write it, atomically."""
+        flat = {
+            f"{learner}/{name}": tensor.detach().cpu().contiguous()
+            for learner, tensors in self.tensors.items()
+            for name, tensor in tensors.items()
+        }
+        header = {
+            "format": FORMAT,
+            "phase": self.phase,
+            "iteration": self.iteration,
+            "steps": self.steps,
+            "seconds": self.seconds,
+            "curve": self.curve,
+        }
+        write_bytes(path, save_tensors(flat, {"hmi_marl": json.dumps(header)}))
+
+    @classmethod
+    def load(cls, path: Path) -> Checkpoint:
+        """Read one.
+
+        Raises:
+            ValueError: damaged, or not one of ours.
+        """
+        try:
+            with safe_open(path, "pt") as file:
+                header = json.loads((file.metadata() or {}).get("hmi_marl", "{}"))
+                flat = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        except (SafetensorError, json.JSONDecodeError) as error:
+            raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
+        if not isinstance(header, dict) or header.pop("format", None) != FORMAT:
+            raise ValueError(f"{path} is not a checkpoint that can be read here")
+        tensors: dict[str, dict[str, torch.Tensor]] = {}
+        for full_name, tensor in flat.items():
+            learner, name = full_name.split("/", 1)
+            tensors.setdefault(learner, {})[name] = tensor
+        try:
+            return cls(tensors=tensors, **header)
+        except TypeError as error:
+            raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
+
+
+def flat_moments(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """What an optimiser's state dict holds of each parameter, by flat names."""
+    return {
+        f"{OPTIMIZER}.{parameter}.{name}": torch.as_tensor(value)
+        for parameter, moments in state["state"].items()
+        for name, value in moments.items()
+    }
+
+
+def with_moments(state: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+    """An optimiser's state dict with the moments that :func:`flat_moments` told of another.
+
+    Args:
+        state: of the optimiser that goes on.
+        tensors: by flat names; those that are not of an optimiser are left alone.
+    """
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for full_name, value in tensors.items():
+        kind, name = full_name.split(".", 1)
+        if kind == OPTIMIZER:
+            parameter, moment = name.split(".")
+            moments.setdefault(int(parameter), {})[moment] = value
+    return {**state, "state": moments}

@@ -1,0 +1,105 @@
+import numba
+import numpy as np
+import pytest
+from evidence_models import HIDDEN, save_trained
+
+from hmi_marl.agents import make_driver_policy, make_hmi
+from hmi_marl.agents.adaptive.catalogue import TYPES
+from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
+from hmi_marl.agents.adaptive.hmis import ChoosingHMI, ConditionedHMI, ExpectedValueHMI
+from hmi_marl.envs.drivers import DRIVERS, Traits
+from hmi_marl.exact.evidence import ChainEvidence
+from hmi_marl.experiments.adaptation.hmis import (
+    ADAPTIVE,
+    AVERAGE,
+    BAYES,
+    KNOWING,
+    LEARNED_AVERAGE,
+    LEARNED_KNOWING,
+    NONE,
+    Hmis,
+    ToldEvidence,
+    hmi_names,
+)
+from hmi_marl.experiments.adaptation.trips import HandOver, play_trips
+
+LISA, MARGE, BART, HOMER = TYPES
+SEEDS = np.arange(12, dtype=np.uint64).reshape(4, 3)
+
+
+@pytest.fixture(autouse=True)
+def one_thread(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
+
+
+@pytest.fixture
+def hmis(tmp_path):
+    return Hmis(HIDDEN, save_trained(tmp_path), TYPES, TYPES, revealing=0.4, caution=0.7)
+
+
+def test_who_drives_is_told_without_a_doubt():
+    evidence = ToldEvidence([LISA, BART])
+    evidence.reset(3)
+    evidence.tell(Traits.of([BART, LISA, BART]))
+    told = evidence.observe(np.zeros((3, 1), np.float32), np.array([True, True, False]))
+    assert told.tolist() == [[-np.inf, 0], [0, -np.inf], [0, 0]]
+    evidence.begin(np.ones(3, np.bool_))
+    again = evidence.observe(np.zeros((3, 1), np.float32), np.ones(3, np.bool_))
+    assert again.tolist() == [[-np.inf, 0], [0, -np.inf], [-np.inf, 0]]
+    with pytest.raises(ValueError, match="who is none of the candidates"):
+        evidence.tell(Traits.of([BART, MARGE, BART]))
+
+
+def test_one_learned_for_the_driver_is_there_for_a_type_alone():
+    assert LEARNED_KNOWING in hmi_names([BART])
+    for drivers in ([BART, LISA], [DRIVERS["average"]]):
+        assert LEARNED_KNOWING not in hmi_names(drivers)
+        assert {KNOWING, AVERAGE, NONE, LEARNED_AVERAGE, *ADAPTIVE} == set(hmi_names(drivers))
+
+
+@pytest.mark.parametrize("name", ADAPTIVE)
+def test_adaptive_ones_are_of_the_kind_that_their_name_says(name, hmis):
+    hmi = hmis.make(name)
+    kinds = {"chooses": ChoosingHMI, "conditioned": ConditionedHMI, "expected": ExpectedValueHMI}
+    assert type(hmi) is kinds[name.split()[0]]
+    evidence = ChainEvidence if name.endswith(BAYES) else LearnedEvidence
+    assert type(hmi.estimator.evidence) is evidence
+    if name.startswith("expected"):
+        assert hmi.caution == 0.7
+    assert hmis.make(name) is not hmi
+
+
+def play(hmis, hmi, drivers, change=None, told=None):
+    policy = make_driver_policy("random", HIDDEN)
+    return play_trips(HIDDEN, policy, hmi, Traits.of(drivers), SEEDS[: len(drivers)], change, told)
+
+
+def test_the_knowing_hmi_plays_the_optimum_for_whoever_drives(hmis):
+    # Not marge: in her last step an alert may be worth just as much as none.
+    drivers = [LISA, BART, HOMER]
+    found = play(hmis, hmis.make(KNOWING), drivers, told=hmis.told.tell)
+    for k, driver in enumerate(drivers):
+        own = play(hmis, make_hmi(f"belief:{driver.name}:0.4", HIDDEN), drivers)
+        np.testing.assert_array_equal(found.rewards[k], own.rewards[k])
+        np.testing.assert_array_equal(found.driving[k], own.driving[k])
+
+
+def test_the_knowing_hmi_is_told_of_a_change_at_once(hmis):
+    change = HandOver(1, 10, Traits.of([BART] * 3))
+    played = play(hmis, hmis.make(KNOWING), [LISA, LISA, HOMER], change, hmis.told.tell)
+    before = play(hmis, hmis.make(KNOWING), [LISA, LISA, HOMER], told=hmis.told.tell)
+    np.testing.assert_array_equal(played.rewards[:, 0], before.rewards[:, 0])
+    np.testing.assert_array_equal(played.rewards[:, 1, :10], before.rewards[:, 1, :10])
+    barts = play(hmis, make_hmi("belief:bart:0.4", HIDDEN), [BART] * 3)
+    np.testing.assert_array_equal(played.rewards[:, 2], barts.rewards[:, 2])
+
+
+def test_the_others_are_ordinary_hmis(hmis):
+    average = hmis.make(AVERAGE)
+    assert average.model == DRIVERS["average"]
+    assert average._rule.revealing == 0.4
+    assert hmis.make(NONE).rate == 0.0
+    for name, model in ((LEARNED_AVERAGE, "average"), (LEARNED_KNOWING, "lisa")):
+        expected = hmis.trained.hidden_hmi(model, HIDDEN).weights
+        for key, values in hmis.make(name).weights.items():
+            np.testing.assert_array_equal(values, expected[key])

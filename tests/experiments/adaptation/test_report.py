@@ -1,0 +1,171 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hmi_marl.experiments.adaptation.evaluation import POPULATION, WHEN, Result
+from hmi_marl.experiments.adaptation.hmis import (
+    ADAPTIVE,
+    AVERAGE,
+    EXPECTED,
+    KNOWING,
+    LEARNED_AVERAGE,
+    NONE,
+)
+from hmi_marl.experiments.adaptation.measures import Closed
+from hmi_marl.experiments.adaptation.report import (
+    as_json,
+    as_text,
+    figure,
+    tables,
+    verdicts,
+    write_report,
+)
+from hmi_marl.reporting.statistics import Estimate
+
+HMIS = (KNOWING, AVERAGE, NONE, LEARNED_AVERAGE, *ADAPTIVE)
+NO_SHARE = Estimate(np.nan, np.nan, np.nan)
+
+
+def about(middle, half=0.1):
+    return Estimate(middle, middle - half, middle + half)
+
+
+def steady(name, one=0.95, three=0.98, first=1.0, learned=True):
+    """Of drivers who stay; shares after one trip and three, what the first seconds are worth."""
+
+    def shares(hmi):
+        share = dict(zip(WHEN, (0.5, 0.8, one, three), strict=True))
+        return {when: Closed(about(share[when]), about(50.0), about(2.0)) for when in WHEN}
+
+    return Result(
+        group=name,
+        exact_worth=12.34 if name != POPULATION else None,
+        returns={hmi: [about(100.0)] * 4 for hmi in HMIS},
+        shares={hmi: shares(hmi) for hmi in HMIS},
+        learned_shares={hmi: shares(hmi) for hmi in HMIS} if learned else {},
+        first_seconds={hmi: about(first) for hmi in HMIS},
+        regret={hmi: [1.0] * 80 for hmi in HMIS},
+        belief={} if name == POPULATION else {hmi: [0.5] * 80 for hmi in ADAPTIVE},
+        after_change={},
+    )
+
+
+def changing(name, regret=0.05):
+    return replace(
+        steady(f"change to {name}"),
+        exact_worth=None,
+        shares={},
+        learned_shares={},
+        after_change={hmi: about(regret) for hmi in HMIS},
+    )
+
+
+def results(**changes):
+    given = {
+        "lisa": steady("lisa"),
+        "bart": steady("bart"),
+        "population": steady(POPULATION, learned=False),
+        "change": changing("bart"),
+    }
+    return list((given | changes).values())
+
+
+CLAIMS = [
+    "lisa: 90 % of the gap closed after 1 trip",
+    "lisa: 97 % of the gap closed after 3 trips",
+    "bart: 90 % of the gap closed after 1 trip",
+    "bart: 97 % of the gap closed after 3 trips",
+    "population: 80 % of the gap closed after 3 trips",
+    "lisa: first 5 s not worse than AvgHMI by more than the interval",
+    "bart: first 5 s not worse than AvgHMI by more than the interval",
+    "population: first 5 s not worse than AvgHMI by more than the interval",
+    "change to bart: within 10 % of knowing after 20 s",
+]
+
+
+def test_what_is_asked_of_it():
+    found = verdicts(results())
+    assert list(found) == CLAIMS
+    assert all(found.values())
+
+
+@pytest.mark.parametrize(
+    ("change", "missed"),
+    [
+        ({"lisa": steady("lisa", one=0.89)}, CLAIMS[0]),
+        ({"lisa": steady("lisa", three=0.96)}, CLAIMS[1]),
+        ({"bart": steady("bart", one=0.89)}, CLAIMS[2]),
+        ({"population": steady(POPULATION, three=0.79)}, CLAIMS[4]),
+        ({"lisa": steady("lisa", first=-0.2)}, CLAIMS[5]),
+        ({"change": changing("bart", regret=0.11)}, CLAIMS[8]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_what_is_missed_is_told(change, missed):
+    found = verdicts(results(**change))
+    assert [claim for claim, holds in found.items() if not holds] == [missed]
+    assert f"MISSED  {missed}" in as_text(results(**change))
+
+
+def test_first_seconds_that_are_worse_by_chance_alone_are_no_worse():
+    assert all(verdicts(results(lisa=steady("lisa", first=-0.05))).values())
+
+
+def without_gap(name):
+    given = steady(name)
+    none = {when: Closed(NO_SHARE, about(0.0, 3.0), about(2.0)) for when in WHEN}
+    return replace(given, shares=dict.fromkeys(HMIS, none))
+
+
+def test_where_there_is_no_gap_no_share_is_told():
+    every = [*results(), without_gap("marge")]
+    (shares,) = (rows for title, _, rows in tables(every) if title.startswith("Share of the gap"))
+    marge = [row for row in shares if row[0] == "marge"]
+    assert len(marge) == len(ADAPTIVE)
+    assert all(row[2:6] == ["no gap"] * 4 for row in marge)
+    lisa = next(row for row in shares if row[:2] == ["lisa", EXPECTED])
+    assert lisa[4] == "95.0 [85.0, 105.0]"
+    assert "marge: first 5 s not worse than AvgHMI by more than the interval" in verdicts(every)
+    content = json.dumps(as_json(every), allow_nan=False)
+    assert json.loads(content)["results"][-1]["shares"][EXPECTED]["10 s"]["share"]["mean"] is None
+
+
+def test_tables_are_whole():
+    for _, head, rows in tables(results()):
+        assert rows
+        assert all(len(row) == len(head) for row in rows)
+    titles = [title for title, *_ in tables(results())]
+    assert len(titles) == len(set(titles))
+
+
+def test_the_figure_is_a_picture_that_shows_what_it_is_told():
+    one = figure(results())
+    assert one.startswith(b"\x89PNG")
+    other = replace(steady("lisa"), regret={hmi: [3.0] * 80 for hmi in HMIS})
+    assert figure(results(lisa=other)) != one
+
+
+def test_a_report_is_written(tmp_path):
+    text, _ = write_report(
+        tmp_path, results(), {"playing": 12.0}, "hmi-marl adapt --quick", {"drivers": 40}
+    )
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"adapt.txt", "adapt.json", "adapt.png", "index.html"}
+    assert (tmp_path / "adapt.txt").read_text("utf-8") == text + "\n"
+    content = json.loads((tmp_path / "adapt.json").read_text("utf-8"))
+    assert list(content["verdicts"]) == CLAIMS
+    assert content["command"] == "hmi-marl adapt --quick"
+    assert content["settings"] == {"drivers": 40}
+    assert [result["group"] for result in content["results"]] == [
+        "lisa",
+        "bart",
+        "population",
+        "change to bart",
+    ]
+    page = (tmp_path / "index.html").read_text("utf-8")
+    assert "hmi-marl adapt --quick" in page
+    for claim in CLAIMS:
+        assert claim in page
+        assert claim in text

@@ -1,0 +1,37 @@
+import pytest
+
+from hmi_marl.experiments.adaptation.settings import AdaptReproduction, AdaptSettings
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"drivers": 1}, "an interval needs at least 2, but got drivers = 1"),
+        ({"strangers": 0}, "an interval needs at least 2, but got strangers = 0"),
+        ({"changes": 1}, "an interval needs at least 2, but got changes = 1"),
+        ({"repeats": 0}, "repeats is at least 1"),
+        ({"candidates": 0}, "candidates is at least 1"),
+        ({"revealing": 1.1}, r"revealing is a share in \[0, 1\], but got 1\.1"),
+        ({"revealing": float("nan")}, r"revealing is a share in \[0, 1\]"),
+        ({"caution": -1.0}, "caution is at least 0, but got -1"),
+        ({"seed": -1}, "a seed lies in"),
+    ],
+    ids=str,
+)
+def test_sizes_that_make_no_evaluation_are_refused(changes, told):
+    with pytest.raises(ValueError, match=told):
+        AdaptSettings(**changes)
+
+
+def test_what_is_learnt_for_it_goes_by_the_driver_that_was_learnt(tmp_path):
+    size = AdaptReproduction(drives=1000, updates=7, hmi_steps=99, memory=5, teams=16, seed=3)
+    evidence, hmi = size.evidence(tmp_path), size.conditioned(tmp_path)
+    assert (evidence.drives, evidence.updates, evidence.seed) == (1000, 7, 3)
+    assert (hmi.hmi_steps, hmi.memory, hmi.teams, hmi.seed) == (99, 5, 16, 3)
+    assert evidence.driver_policy == hmi.driver_policy == str(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["drives", "updates", "hmi_steps", "memory"])
+def test_learning_nothing_is_refused(name):
+    with pytest.raises(ValueError, match=f"{name} is at least 1, but got 0"):
+        AdaptReproduction(**{name: 0})

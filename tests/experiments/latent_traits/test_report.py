@@ -1,0 +1,393 @@
+import json
+import math
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hmi_marl.experiments.latent_traits import report as trait_report
+from hmi_marl.experiments.latent_traits.assessment import Assessment
+from hmi_marl.experiments.latent_traits.ceiling import Ceilings
+from hmi_marl.experiments.latent_traits.driving import Driving, DrivingRow
+from hmi_marl.experiments.latent_traits.identification import Embedding, Identified
+from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood
+from hmi_marl.experiments.latent_traits.regression import TraitR2
+from hmi_marl.experiments.latent_traits.report import (
+    accuracy,
+    accuracy_figure,
+    as_json,
+    as_text,
+    average_kl,
+    driving_rows,
+    embeddings_figure,
+    exhibits,
+    identity_rows,
+    left_out,
+    likelihood_rows,
+    over_seeds,
+    ranking_rows,
+    trait_rows,
+    verdicts,
+)
+from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
+from hmi_marl.experiments.latent_traits.separability import Separability
+from hmi_marl.reporting import statistics
+from hmi_marl.reporting.blocks import page_of, show
+from hmi_marl.reporting.statistics import Estimate, share
+
+NOT_KNOWN = Estimate(math.nan, math.nan, math.nan)
+NAMES = ("lisa", "marge<b>", "bart", "homer")
+POOL = 8
+
+
+def told(mean: float, half: float = 0.1) -> Estimate:
+    return Estimate(mean, mean - half, mean + half)
+
+
+def identified(
+    windows: int, hits: int, kl: float, likes: int | None = 90, best: tuple[int, int] | None = None
+) -> Identified:
+    def kept_apart(right: int, chance: float) -> Separability:
+        return Separability(share(right, 100), share(right - 1, 100), chance, 0.5, 0.25, kl)
+
+    return Identified(
+        windows,
+        100,
+        kept_apart(hits, 0.25),
+        None if likes is None else kept_apart(likes, 0.5),
+        None if best is None else Ceilings(share(best[0], 100), share(best[1], 100)),
+    )
+
+
+def one(
+    supervision: str = "none",
+    hits: int = 60,
+    kl: float = 10.0,
+    likes: int | None = 90,
+    best: tuple[int, int] | None = (90, 95),
+    **changed: Any,
+) -> Assessment:
+    """An assessment with pools of one and eight windows."""
+    rng = np.random.default_rng(0)
+    types = np.repeat(np.arange(4), 5)
+    embedding = Embedding(types[:, None] + rng.normal(size=(20, 2)), types, NAMES)
+    drives = Driving(9, told(20.25), told(1.5), told(6.0), told(0.5), NOT_KNOWN, share(1, 9))
+    content: dict[str, Any] = {
+        "supervision": supervision,
+        "identified": [
+            identified(1, 30, 1.0, likes, best),
+            identified(POOL, hits, kl, likes, best),
+        ],
+        "embedding": embedding,
+        "likelihood": [
+            ActionLikelihood("lisa", 4, told(-1.0), told(-1.5), told(0.5), told(-0.5), told(0.5)),
+            ActionLikelihood("marge<b>", 4, told(-1.25), told(-1.5), told(0.25)),
+        ],
+        "driving": [DrivingRow("lisa", drives, replace(drives, speed=told(19.0)))],
+        "ranking": [
+            RewardRanking("lisa", 5, Ranks(NOT_KNOWN, told(0.25)), Ranks(told(0.75), told(0.5)), {})
+        ],
+        "traits": {"beta": TraitR2(told(0.5), told(0.625)), "eta": TraitR2(NOT_KNOWN, NOT_KNOWN)},
+    }
+    return Assessment(**(content | changed))
+
+
+THREE = {
+    "none": [one()],
+    "id": [one("id", hits=88, kl=80.0)],
+    "preference": [one("preference", hits=60, kl=70.0, likes=94)],
+}
+
+
+# Over seeds.
+
+
+def test_seeds_are_averaged() -> None:
+    # Standard error 1, one degree of freedom: t = 12.7062.
+    found = over_seeds([2.0, 4.0])
+    assert (found.mean, found.low) == pytest.approx((3.0, 3.0 - 12.7062), abs=1e-4)
+    assert over_seeds([5.0]) == Estimate(5.0, 5.0, 5.0)
+
+
+def test_accuracies_are_over_pools_of_one_seed_or_over_several_seeds() -> None:
+    single, several = [one(hits=60)], [one(hits=60), one(hits=70), one(hits=80)]
+    assert accuracy(single, POOL) == share(60, 100)
+    assert accuracy(single, 1) == share(30, 100)
+    assert accuracy(single, POOL, "preferences") == share(90, 100)
+    assert accuracy(several, POOL) == statistics.mean([0.6, 0.7, 0.8])
+    assert accuracy(several, 1) == Estimate(0.3, 0.3, 0.3)
+
+
+def test_kl_is_averaged_over_seeds() -> None:
+    assert average_kl([one(kl=10.0)], POOL) == Estimate(10.0, 10.0, 10.0)
+    assert average_kl([one(kl=10.0), one(kl=20.0)], POOL) == statistics.mean([10.0, 20.0])
+    assert average_kl([one(kl=10.0)], 1).mean == 1.0
+
+
+# Claims.
+
+
+def test_what_holds_by_hand() -> None:
+    assert verdicts(THREE, POOL) == {
+        "by driver: accuracy within 3 points of the ceiling (2.0)": True,
+        "by preference: of preferences within 2 points of it (1.0)": True,
+        "unsupervised: 20 points above chance (35.0)": True,
+        "by driver: KL 6 times the unsupervised one (8.0)": True,
+        "by preference: KL 6 times the unsupervised one (7.0)": True,
+    }
+
+
+def test_what_is_missed_by_hand() -> None:
+    missed = {
+        "none": [one(hits=44)],
+        "id": [one("id", hits=86, kl=59.0)],
+        "preference": [one("preference", likes=92, kl=0.0)],
+    }
+    assert verdicts(missed, POOL) == {
+        "by driver: accuracy within 3 points of the ceiling (4.0)": False,
+        "by preference: of preferences within 2 points of it (3.0)": False,
+        "unsupervised: 20 points above chance (19.0)": False,
+        "by driver: KL 6 times the unsupervised one (5.9)": False,
+        "by preference: KL 6 times the unsupervised one (0.0)": False,
+    }
+
+
+def test_claims_are_of_the_size_of_the_pools_and_of_means_over_seeds() -> None:
+    # 30 % of single windows is five points above chance.
+    assert verdicts({"none": [one()]}, 1) == {"unsupervised: 20 points above chance (5.0)": False}
+    seeds = {"none": [one(hits=30), one(hits=70)]}
+    assert verdicts(seeds, POOL) == {"unsupervised: 20 points above chance (25.0)": True}
+
+
+def test_settings_that_are_not_there_claim_nothing() -> None:
+    supervised = {name: THREE[name] for name in ("id", "preference")}
+    assert [claim.split(":")[0] for claim in verdicts(supervised, POOL)] == [
+        "by driver",
+        "by preference",
+    ]
+    assert list(verdicts({"id": THREE["id"]}, POOL)) == [
+        "by driver: accuracy within 3 points of the ceiling (2.0)"
+    ]
+
+
+def test_without_a_ceiling_or_preferences_nothing_is_claimed_of_them() -> None:
+    no_ceiling = {name: [one(name, best=None)] for name in ("id", "preference")}
+    assert verdicts(no_ceiling, POOL) == {}
+    alike = {"preference": [one("preference", likes=None)]}
+    assert verdicts(alike, POOL) == {}
+
+
+def test_vectors_that_are_all_one_are_no_division_by_zero() -> None:
+    def kl_holds(unsupervised: float, supervised: float) -> bool:
+        both = {"none": [one(kl=unsupervised)], "id": [one("id", kl=supervised)]}
+        (holds,) = (value for claim, value in verdicts(both, POOL).items() if "KL" in claim)
+        return holds
+
+    assert kl_holds(0.0, 5.0)
+    assert not kl_holds(0.0, 0.0)
+
+
+# Tables.
+
+
+def test_rows_of_who_drives_by_hand() -> None:
+    rows = identity_rows(THREE, POOL)
+    assert all(len(row) == len(trait_report.IDENTITY_HEAD) for row in rows)
+    assert [row[:2] for row in rows] == [
+        [title, size]
+        for title in ("unsupervised", "by driver", "by preference")
+        for size in ("1", "8")
+    ]
+    # Wilson: 88 of 100.
+    assert rows[3] == [
+        "by driver",
+        "8",
+        "88.0 [80.2, 93.0]",
+        "90.0 [82.6, 94.5]",
+        "87.0",
+        "90.0 [82.6, 94.5]",
+        "95.0 [88.8, 97.8]",
+        "0.50",
+        "0.25",
+        "80",
+        "4940",
+    ]
+    assert rows[2][-1] == "", "the paper's are of pools"
+    assert rows[1][-1] == "435"
+
+
+def test_what_is_not_known_is_a_dash() -> None:
+    (row, _) = identity_rows({"id": [one("id", likes=None, best=None)]}, POOL)
+    assert (row[3], row[5], row[6]) == ("-", "-", "-")
+    (row, _) = identity_rows({"id": [one("id", likes=None)]}, POOL)
+    assert (row[5], row[6]) == ("-", "-")
+    assert trait_rows({"id": [one("id")]})[1] == ["by driver", "eta", "-", "-"]
+
+
+def test_rows_of_the_other_tables_by_hand() -> None:
+    both = {"none": [one(), one(likelihood=[], driving=[], ranking=[], traits=None)]}
+    assert trait_rows(both)[0] == [
+        "unsupervised",
+        "beta",
+        "0.50 [0.40, 0.60]",
+        "0.62 [0.53, 0.72]",
+    ]
+    assert likelihood_rows(both) == [
+        [
+            "unsupervised",
+            "lisa",
+            "-1.000 [-1.100, -0.900]",
+            "-1.500 [-1.600, -1.400]",
+            "0.500 [0.400, 0.600]",
+            "-0.500 [-0.600, -0.400]",
+            "0.500 [0.400, 0.600]",
+        ],
+        [
+            "unsupervised",
+            "marge<b>",
+            "-1.250 [-1.350, -1.150]",
+            "-1.500 [-1.600, -1.400]",
+            "0.250 [0.150, 0.350]",
+            "-",
+            "-",
+        ],
+    ]
+    assert driving_rows(both) == [
+        [
+            "unsupervised",
+            "lisa",
+            "19 / 20.2",
+            "1.5 / 1.5",
+            "6 / 6",
+            "0.5 / 0.5",
+            "- / -",
+            "0.111 / 0.111",
+        ]
+    ]
+    assert ranking_rows(both) == [
+        ["unsupervised", "lisa", "-", "0.25 [0.15, 0.35]", "0.75 [0.65, 0.85]", "0.50 [0.40, 0.60]"]
+    ]
+    for rows, head in (
+        (trait_rows(both), trait_report.TRAITS_HEAD),
+        (likelihood_rows(both), trait_report.LIKELIHOOD_HEAD),
+        (driving_rows(both), trait_report.DRIVING_HEAD),
+        (ranking_rows(both), trait_report.RANKING_HEAD),
+    ):
+        assert all(len(row) == len(head) for row in rows)
+
+
+def test_no_population_no_rows() -> None:
+    assert trait_rows({"none": [one(traits=None)]}) == []
+
+
+# Text and JSON.
+
+
+def test_the_text_tells_everything() -> None:
+    text = as_text(THREE, POOL, {"judging": 61.6})
+    for part in (
+        "Who drives, from so many windows",
+        "Traits of unseen drivers",
+        "Log-likelihood of held-out actions per step [nats]",
+        "The learnt policy / the demonstrations",
+        "Rank correlation of recovered and true driving return",
+        "holds   by driver: accuracy within 3 points of the ceiling (2.0)",
+        "pools of 2, 4, 16.",
+        "judging: 62 s",
+    ):
+        assert part in text
+    assert "nan" not in text
+    assert "MISSED  unsupervised" in as_text({"none": [one(hits=30)]}, POOL, {})
+
+
+def test_what_was_left_out_is_told_and_nothing_else() -> None:
+    every = [identified(size, 60, 10.0, best=(90, 95)) for size in (1, 2, 4, 8, 16)]
+    assert left_out({"none": [one(identified=every)]}) == []
+    assert left_out({"none": [one(identified=every[:3])]}) == [
+        "Too few windows were held out to tell drivers apart by pools of 8, 16."
+    ]
+    people = one(best=None, driving=[], ranking=[], traits=None)
+    assert len(left_out({"none": [people]})) == 3
+    text = as_text({"none": [people]}, POOL, {})
+    assert "There is no exact ceiling." in text
+    assert "Recorded drives cannot be played again" in text
+    for title in ("The learnt policy", "Rank correlation", "Traits of unseen"):
+        assert title not in text
+
+
+def test_json_holds_every_seed_and_no_nan() -> None:
+    several = THREE | {"none": [one(hits=60), one(hits=70)]}
+    content = json.loads(json.dumps(as_json(several, POOL), allow_nan=False))
+    assert content["pool"] == POOL
+    assert list(content["settings"]) == ["none", "id", "preference"]
+    unsupervised = content["settings"]["none"]
+    # The t interval, [0.01, 1.29], as far as an accuracy reaches.
+    expected = statistics.mean([0.6, 0.7]).as_json() | {"high": 1.0}
+    assert unsupervised["accuracy"] == expected
+    assert unsupervised["average_kl"]["mean"] == 10.0
+    assert unsupervised["paper_kl"] == 435.0
+    assert len(unsupervised["seeds"]) == 2
+    first = unsupervised["seeds"][0]
+    assert first["reward_ranking"][0]["demonstrated"]["f"]["mean"] is None
+    assert first["traits"]["eta"]["linear"] == {"mean": None, "low": None, "high": None}
+    assert first["driving"][0]["imitated"]["alert_effect"]["mean"] is None
+    assert content["verdicts"] == verdicts(several, POOL)
+
+
+# Figures and the page.
+
+
+def test_figures_are_pngs() -> None:
+    for content in (embeddings_figure(THREE, POOL), accuracy_figure(THREE)):
+        assert content.startswith(b"\x89PNG\r\n\x1a\n")
+
+
+def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: dict[str, Any] = {}
+
+    class Saved:
+        def savefig(self, content: Any, **settings: Any) -> None:
+            content.write(b"figure")
+
+    def curves(*given: Any) -> Saved:
+        drawn["accuracy"] = given
+        return Saved()
+
+    def panels(given: Any) -> Saved:
+        drawn["panels"] = given
+        return Saved()
+
+    monkeypatch.setattr(trait_report, "draw_accuracy", curves)
+    monkeypatch.setattr(trait_report, "draw_embeddings", panels)
+    assert accuracy_figure(THREE) == embeddings_figure(THREE, POOL) == b"figure"
+    windows, lines, ceiling, chance = drawn["accuracy"]
+    assert (windows, ceiling, chance) == ([1, 8], [0.9, 0.9], 0.25)
+    assert lines["by driver"] == [share(30, 100), share(88, 100)]
+    titles = [(panel.title, panel.average_kl) for panel in drawn["panels"]]
+    assert titles == [("unsupervised", 10.0), ("by driver", 80.0), ("by preference", 70.0)]
+    accuracy_figure({"none": [one(best=None)]})
+    assert drawn["accuracy"][2] is None, "an unknown ceiling is not one of 100 %"
+
+
+def test_the_page_needs_nothing_besides_itself_and_is_escaped() -> None:
+    command = "hmi-marl traits evaluate 'a <folder>' --out \"b & c\""
+    html = page_of(
+        "Traits", exhibits(THREE, POOL), {"judging <1>": 2.0}, command, {"windows": "<5>"}
+    )
+    assert html.startswith("<!doctype html>")
+    sources = re.findall(r'src="([^"]{0,40})', html)
+    assert len(sources) == 2
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert "http" not in html
+    assert not re.search(r"<(script|link|iframe)", html)
+    for raw in ("marge<b>", "<folder>", "judging <1>", "<5>", "b & c"):
+        assert raw not in html
+    for escaped in ("marge&lt;b&gt;", "a &lt;folder&gt;", "judging &lt;1&gt;", "&lt;5&gt;"):
+        assert escaped in html
+    assert "pools of 8; 1 seed(s)" in html
+    assert "holds: unsupervised: 20 points above chance (35.0)" in html
+    assert "by pools of 2, 4, 16." in html
+    assert "MISSED" not in html
+    assert "MISSED: unsupervised" in show(exhibits({"none": [one(hits=30)]}, POOL))

@@ -1,0 +1,190 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from trait_models import save_driver
+
+from hmi_marl.cli import main
+from hmi_marl.envs.drivers import DRIVERS, get_driver
+from hmi_marl.experiments.metrics_table import reproduction_report
+from hmi_marl.experiments.metrics_table.reproduction import (
+    ETA_1,
+    PRINTED,
+    ReproducedTable,
+    ReproductionSettings,
+    agrees_with_exact,
+    shortfall,
+    spec,
+)
+from hmi_marl.experiments.metrics_table.table import TableConfig, make_cell, play_cell
+from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
+from hmi_marl.reporting.statistics import Estimate
+
+TINY = ["--driver-steps", "1", "--hmi-steps", "1", "--episodes", "4", "--teams", "16"]
+
+
+@pytest.fixture(scope="module")
+def cell():
+    config = TableConfig(drivers=("homer",), hmis=("own",), episodes=4, world="batched")
+    return make_cell(config, "homer", "own", play_cell(config, "homer", "own", range(4)))
+
+
+def with_distraction(cell, mean, low, high, exact):
+    return replace(
+        cell,
+        distraction_return=Estimate(mean, low, high),
+        exact_distraction_return_same_steps=exact,
+    )
+
+
+def test_the_averages_of_the_paper_are_those_of_its_text():
+    distraction = {hmi: mean_over_drivers(row) for hmi, row in DISTRACTION_RETURNS.items()}
+    assert distraction == pytest.approx({"own": -101.25, "AvgHMI": -283, "NoHMI": -470.75})
+    speed = {hmi: mean_over_drivers(row) for hmi, row in SPEED_RETURNS.items()}
+    assert speed == pytest.approx({"own": 448.25, "AvgHMI": 422.75, "NoHMI": 426.5})
+
+
+def test_a_driver_can_be_told_on_the_command_line():
+    for driver in (*DRIVERS.values(), *ETA_1.drivers):
+        assert get_driver(spec(driver)) == driver
+
+
+def test_equal_drivers_share_their_hmi_and_others_do_not():
+    runs = {
+        variant.name: [variant.hmi_run(d) for d in variant.drivers] for variant in (PRINTED, ETA_1)
+    }
+    assert runs["printed"] == ["hmi-lisa", "hmi-marge", "hmi-bart", "hmi-homer"]
+    assert runs["eta-1"] == ["hmi-lisa-eta-1", "hmi-marge", "hmi-bart-eta-1", "hmi-homer"]
+
+
+def test_one_driver_policy_learns_with_everybody_who_drives(tmp_path):
+    settings = ReproductionSettings()
+    job = settings.driver_job(tmp_path)
+    assert {get_driver(name).traits for name in job.settings.drivers} == {
+        *(driver.traits for driver in DRIVERS.values()),
+        *(driver.traits for driver in ETA_1.drivers),
+    }
+    hmis = {job.folder.name: job.settings.hmi_for for job in settings.hmi_jobs(tmp_path)}
+    assert len(hmis) == 7
+    assert get_driver(hmis["hmi-lisa-eta-1"]).eta == 1.0
+    assert get_driver(hmis["hmi-average"]) == DRIVERS["average"]
+
+
+@pytest.mark.parametrize("name", ["driver_steps", "hmi_steps", "episodes"])
+def test_a_reproduction_of_nothing_is_refused(name):
+    with pytest.raises(ValueError, match=f"{name} is at least 1"):
+        ReproductionSettings(**{name: 0})
+
+
+def test_a_cell_agrees_within_its_interval_or_two_percent(cell):
+    assert agrees_with_exact(with_distraction(cell, -110, -120, -100, exact=-119))
+    assert agrees_with_exact(with_distraction(cell, -101.9, -102, -101.8, exact=-100))
+    assert not agrees_with_exact(with_distraction(cell, -102.1, -102.2, -102.05, exact=-100))
+
+
+def test_the_shortfall_is_a_share_of_the_optimum_whatever_its_sign(cell):
+    def with_attention(mean, best):
+        return replace(
+            cell,
+            attention_return=Estimate(mean, mean, mean),
+            optimal_attention_return_same_steps=best,
+        )
+
+    assert shortfall(with_attention(980.0, best=1000.0)) == pytest.approx(0.02)
+    assert shortfall(with_attention(-102.0, best=-100.0)) == pytest.approx(0.02)
+    assert shortfall(with_attention(-90.0, best=-100.0)) == pytest.approx(-0.1)
+
+
+def test_the_verdict_on_the_paper_is_out_of_reach_agrees_or_differs(cell):
+    bart = replace(
+        with_distraction(cell, -770, -775, -765, exact=-769),
+        reachable_distraction_return=cell.reachable_distraction_return._replace(
+            least=-800.0, most=-770.0
+        ),
+    )
+    verdict = reproduction_report.paper_verdict
+    assert verdict(bart, "distraction_return", -123.0).startswith("out of reach")
+    assert verdict(bart, "distraction_return", -745.0) == "agrees"
+    fast = replace(cell, speed_return=Estimate(440.0, 435.0, 445.0))
+    assert verdict(fast, "speed_return", 443.0) == "agrees"
+    assert verdict(fast, "speed_return", 428.0) == "agrees"  # within 3 %
+    assert verdict(fast, "speed_return", 404.0) == "differs by +36"
+    assert verdict(fast, "speed_return", 391.0) == "differs by +49"
+
+
+def test_the_diagonal_is_the_papers_own_row():
+    table = ReproducedTable(PRINTED, {})
+    assert table.paper_row("lisa", "lisa") == "own"
+    assert table.paper_row("lisa", "bart") is None
+    assert table.paper_row("AvgHMI", "bart") == "AvgHMI"
+
+
+def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys):
+    out = tmp_path / "table"
+    command = ["reproduce", "table", *TINY, "--workers", "1", "--out", str(out)]
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    for told in ("Distraction return, η as printed", "Speed return, η = 1", "paper *", "reachable"):
+        assert told in printed
+    content = json.loads((out / "table.json").read_text())
+    assert {name: len(cells) for name, cells in content["tables"].items()} == {
+        "printed": 24,
+        "eta-1": 24,
+    }
+    bart = [c for c in content["tables"]["eta-1"] if c["hmi"] == c["driver"] == "bart"]
+    assert bart[0]["paper"] == {"distraction_return": -123.0, "speed_return": 444.0}
+    assert content["average_driver_with_own_hmi"]["printed"]["hmi"] == "AvgHMI"
+    numbers = {name: content[name] for name in content if name not in ("command", "seconds")}
+    assert str(tmp_path) not in json.dumps(numbers)
+    assert "training hmi-bart-eta-1" in content["seconds"]
+    shortfalls = content["attention_shortfall_of_own_hmis"]
+    assert list(shortfalls["printed"]) == ["lisa", "marge", "bart", "homer", "average"]
+    page = (out / "index.html").read_text()
+    assert "<img" in page
+    assert "http" not in page.replace("http-equiv", "")
+    weights = (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns
+    assert main(command) == 0  # nothing is learnt twice
+    assert (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns == weights
+
+
+def test_traits_are_reproduced_and_nothing_is_learnt_twice(tmp_path: Path, monkeypatch, capsys):
+    out = tmp_path / "traits"
+    command = ["reproduce", "traits", "--driver-run", str(save_driver(tmp_path / "driver"))]
+    command += ["--demonstrated", "2000", "--population", "4", "--workers", "1", "--out", str(out)]
+    learn = {"pool": 1, "teams": 2, "ppo.mini-batches": 1, "steps": 1, "imitation-updates": 1}
+    for name, value in (learn | {"encoder-units": 4, "device": "cpu"}).items():
+        command += [f"--learn.{name}", str(value)]
+    command += ["--judge.episodes", "1", "--judge.ranked", "2"]
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    for told in ("Who drives", "Traits of unseen drivers", "KL 6 times", "training traits-id:"):
+        assert told in printed
+    content = json.loads((out / "traits-report.json").read_text())
+    assert list(content["settings"]) == ["none", "id", "preference"]
+    for setting in content["settings"].values():
+        (seed,) = setting["seeds"]
+        assert seed["identified"][0]["ceilings"] is not None
+        assert set(seed["traits"]) == {"beta", "alpha", "eta", "inflation"}
+    page = (out / "index.html").read_text()
+    assert page.count("data:image/png;base64") == 2
+    assert "http" not in page
+    kept = [*out.glob("traits-*/*.safetensors"), *out.glob("*/*.parquet")]
+    assert len(kept) == 3 * 2 + 2 * 2
+    before = {path: path.stat().st_mtime_ns for path in kept}
+    assert main([*command, "--learn.latent", "3"]) == 2  # it needs more windows
+    assert "too few windows to judge by" in capsys.readouterr().err
+
+    def judged(runs, *_):
+        raise ValueError(f"{len(runs)} runs once more")
+
+    monkeypatch.setattr("hmi_marl.experiments.latent_traits.reproduction.assess_runs", judged)
+    assert main(command) == 2
+    assert "3 runs once more" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in kept} == before
+
+
+def test_a_driver_to_demonstrate_must_be_there(tmp_path: Path, capsys):
+    command = ["reproduce", "traits", "--driver-run", str(tmp_path / "nowhere")]
+    assert main([*command, "--out", str(tmp_path / "traits")]) == 2
+    assert "no policy for the seat of driver" in capsys.readouterr().err.splitlines()[-1]

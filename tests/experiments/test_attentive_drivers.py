@@ -1,0 +1,45 @@
+import json
+
+import pytest
+
+from hmi_marl.cli import main
+from hmi_marl.experiments.attentive_drivers import CAUTIOUS, CONFIDENT, Driving, as_text, verdicts
+from hmi_marl.reporting.statistics import Estimate
+
+
+def driving(who, speed, crashes, headway):
+    return Driving(
+        who.name,
+        1_000_000,
+        Estimate(speed, speed - 1, speed + 1),
+        Estimate(crashes, crashes / 2, 2 * crashes),
+        headway,
+    )
+
+
+def test_what_is_asked_of_trained_drivers_is_held_against_them():
+    good = verdicts(driving(CONFIDENT, 461, 0.03, 1.0), driving(CAUTIOUS, 406, 0.1, 1.2))
+    assert list(good.values()) == [True, True, True, True]
+    bad = verdicts(driving(CONFIDENT, 459, 0.04, 1.0), driving(CAUTIOUS, 404, 0.1, 1.19))
+    assert list(bad.values()) == [False, False, False, False]
+
+
+def test_missed_claims_are_told():
+    rows = [driving(CONFIDENT, 459, 0.03, 1.0), driving(CAUTIOUS, 410, 0.1, 1.5)]
+    text = as_text(rows, verdicts(*rows))
+    assert "MISSED  confident: speed return of at least 460" in text
+    assert "holds   cautious keep 1.2 times the headway (1.50)" in text
+
+
+def test_the_command_looks_at_drivers_on_the_way(tmp_path, capsys):
+    command = ["reproduce", "driver", "--steps", "102400", "--snapshots", "2", "--episodes", "4"]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    rows = json.loads((tmp_path / "driver.table.json").read_text())["rows"]
+    assert [(row["driver"], row["steps"]) for row in rows] == [
+        ("confident", 51200),
+        ("cautious", 51200),
+        ("confident", 102400),
+        ("cautious", 102400),
+    ]
+    assert all(row["time_headway"] == pytest.approx(1.5, abs=1.4) for row in rows)
+    assert "million steps" in capsys.readouterr().out

@@ -1,0 +1,114 @@
+import json
+
+import numpy as np
+import pytest
+
+from hmi_marl.cli import main
+from hmi_marl.envs.alerts import Fatigue
+from hmi_marl.exact import oracle
+from hmi_marl.experiments import graded_alerts as graded
+from hmi_marl.experiments.graded_alerts import CASES, Case, GradedRow, GradedSettings, assess
+from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.training.ppo.run import train
+
+WEARY = Case("weary", "average", (0.5, 1.0), (20, 5, 1.0))
+FRESH = Case("fresh", "homer", (0.5, 1.0))
+TINY = GradedSettings(hmi_steps=1, episodes=100, teams=8)
+
+
+def row(learned, optimum, silent):
+    estimate = Estimate(learned, learned - 1, learned + 1)
+    return GradedRow(FRESH, estimate, estimate, optimum, 0.0, silent, 9.0, (4.0, 5.0))
+
+
+def test_share_and_shortfall_by_hand():
+    good = row(learned=980.0, optimum=1000.0, silent=600.0)
+    assert good.shortfall == pytest.approx(0.02)
+    assert good.share == pytest.approx(380 / 400)
+    assert good.holds
+    assert not row(learned=960.0, optimum=1000.0, silent=-600.0).holds
+    # A loss: 3 % of -100 would be 3, but what counts is the gain over silence, 497 of 500.
+    loss = row(learned=-103.0, optimum=-100.0, silent=-600.0)
+    assert (loss.shortfall, loss.share) == (pytest.approx(0.03), pytest.approx(0.994))
+    assert loss.holds
+    assert not row(learned=-120.0, optimum=-100.0, silent=-600.0).holds
+    told = good.as_json()
+    assert told["case"]["strengths"] == (0.5, 1.0)
+    assert told["learned"] == {"mean": 980.0, "low": 979.0, "high": 981.0}
+    assert (told["holds"], told["shortfall"]) == (True, pytest.approx(0.02))
+
+
+def test_the_text_tells_every_case_and_whether_it_holds():
+    text = graded.as_text([row(980.0, 1000.0, 600.0), row(900.0, 1000.0, 600.0)])
+    assert text.count("homer, 0.5 1") == 2
+    assert text.count("holds") == 1
+    assert text.count("MISSED") == 1
+    assert WEARY.describe() == "average, 0.5 1, fatigue 20 5 1"
+
+
+def test_hmis_read_what_the_optimum_depends_on_and_no_more():
+    for case in (*CASES, WEARY, FRESH):
+        (phase,) = TINY.training(case).phases()
+        names = ["time", "distracted", "accepted", "counter"] + ["fatigue"] * bool(case.fatigue)
+        assert [name for name, _ in phase.cards[0].reads] == names
+        assert phase.cards[0].alert_strengths == case.strengths
+        assert phase.team == TINY.team(case)
+
+
+def test_in_most_cases_the_strongest_alert_when_distracted_is_not_enough():
+    # Or learning it would prove nothing.
+    missed = 0
+    for case in CASES:
+        team = GradedSettings().team(case)
+        given = {"strengths": team.alert_strengths, "fatigue": team.fatigue}
+        best = oracle.solve_alerts(case.driver, **given)
+        rule = graded.strongest_alert(team.alerts, 0.0, 1.0)
+        plain = oracle.evaluate(rule, case.driver, **given)
+        assert plain.total_return < best.total_return
+        missed += plain.total_return < graded.LEAST_SHARE * best.total_return
+    assert missed >= 3
+
+
+def test_a_case_is_assessed_beside_what_is_exact(tmp_path):
+    train(TINY.training(WEARY), tmp_path / WEARY.name, quiet=True)
+    found = assess(TINY, WEARY, tmp_path)
+    given = {"strengths": (0.5, 1.0), "fatigue": Fatigue(20, 5, 1.0)}
+    best = oracle.solve_alerts("average", 7, 100, **given)
+    assert found.optimum == pytest.approx(best.total_return)
+    assert found.silent == pytest.approx(oracle.evaluate(0.0, "average", **given).total_return)
+    assert found.silent < found.strongest < found.optimum
+    assert found.optimal_alerts == pytest.approx(best.rate_by_strength.sum(axis=1))
+    played, error = found.optimal_played, found.optimal_played.high - found.optimal_played.mean
+    assert abs(played.mean - found.optimum) <= 2 * error  # about 4 standard errors
+    assert np.isfinite(found.learned.mean)
+
+
+def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, capsys):
+    for module in ("graded", "graded_stage"):
+        monkeypatch.setattr(f"hmi_marl.evaluation.{module}.CASES", (FRESH,))
+    size = ["--hmi-steps", "1", "--episodes", "4", "--teams", "8"]
+    arguments = ["reproduce", "graded", *size, "--workers", "1", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    first = capsys.readouterr().out
+    assert "homer, 0.5 1" in first
+    content = json.loads((tmp_path / "graded.json").read_text())
+    (told,) = content["rows"]
+    assert told["optimum"] == pytest.approx(
+        oracle.solve_alerts("homer", strengths=(0.5, 1.0)).total_return
+    )
+    learnt = (tmp_path / "fresh" / "vehicle_ai.safetensors").read_bytes()
+    written = (tmp_path / "fresh" / "vehicle_ai.safetensors").stat().st_mtime_ns
+    assert main(arguments) == 0
+    assert capsys.readouterr().out == first
+    assert (tmp_path / "fresh" / "vehicle_ai.safetensors").stat().st_mtime_ns == written
+    assert (tmp_path / "fresh" / "vehicle_ai.safetensors").read_bytes() == learnt
+    assert main(["reproduce", "graded", "--quick", "--episodes", "3"]) == 2
+    assert "--quick sets the sizes itself" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_learned_hmi_reaches_97_percent_of_the_optimum(case, tmp_path):
+    settings = GradedSettings()
+    train(settings.training(case), tmp_path / case.name, quiet=True)
+    assert assess(settings, case, tmp_path).holds

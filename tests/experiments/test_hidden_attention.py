@@ -1,0 +1,53 @@
+import json
+
+import numpy as np
+import pytest
+
+from hmi_marl.cli import main
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.experiments.hidden_attention import (
+    BAYES_OWN,
+    HiddenRow,
+    as_good,
+    as_text,
+    revealing_share,
+)
+from hmi_marl.reporting.statistics import Estimate
+
+
+def row(difference, bayes=-200.0):
+    """Of an HMI that is ``difference`` better than a Bayes filter that comes to ``bayes``."""
+    exactly = Estimate(difference, difference, difference)
+    returns = {BAYES_OWN: Estimate(bayes, bayes, bayes)}
+    return HiddenRow("bart", 0.3, returns, exactly, exactly, -225.0)
+
+
+def test_a_learned_hmi_is_as_good_within_a_hundredth_of_the_filter():
+    assert as_good(row(1.0))
+    assert as_good(row(-1.9))
+    assert not as_good(row(-2.1))
+    assert as_good(row(-2.1, bayes=1000.0))
+    text = as_text([row(-1.9), row(-2.1)])
+    assert text.count("as good as Bayes") == text.count("MISSED") == 1
+
+
+def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):
+    # a^H is any of five actions; one of them is the last applied one.
+    team = TeamConfig(driver="lisa", duration=10.0, ai_sees_attention=False)
+    share = revealing_share(team, "random", np.arange(64, dtype=np.uint64))
+    assert share == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / (64 * 30)))
+
+
+@pytest.mark.parametrize("given", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_the_command_compares_learned_hmis_with_bayes_filters(given, tmp_path, capsys):
+    size = ["--hmi-steps", "1", "--driver-steps", "1", "--memory", "4", "--episodes", "4"]
+    command = ["reproduce", "hidden", *size, "--teams", "16", "--workers", "1"]
+    if given:
+        made = ["train", "two-stage", "--teams", "16", "--driver-steps", "1", "--hmi-steps", "1"]
+        assert main([*made, "--out", str(tmp_path / "driver-run")]) == 0
+        command += ["--driver-run", str(tmp_path / "driver-run")]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    content = json.loads((tmp_path / "hidden.json").read_text())
+    drivers = [row["driver"] for row in content["rows"]]
+    assert drivers == ["lisa", "marge", "bart", "homer", "average"]
+    assert "Paired differences" in capsys.readouterr().out

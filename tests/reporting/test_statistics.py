@@ -1,0 +1,139 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hmi_marl.reporting.statistics import Estimate, accuracy, mean, share
+
+NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20)
+COUNTS = st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
+
+
+def test_t_interval_of_two_values_worked_by_hand() -> None:
+    # standard error 1, one degree of freedom: t = 12.7062
+    estimate = mean([2.0, 4.0])
+    assert estimate.mean == 3.0
+    assert estimate.low == pytest.approx(3.0 - 12.7062, abs=1e-4)
+    assert estimate.high == pytest.approx(3.0 + 12.7062, abs=1e-4)
+
+
+def test_t_interval_of_five_values_worked_by_hand() -> None:
+    # standard deviation sqrt(2.5), four degrees of freedom: t = 2.776445
+    estimate = mean([1, 2, 3, 4, 5])
+    half = 2.776445 * math.sqrt(2.5 / 5)
+    assert estimate.mean == 3.0
+    assert estimate.low == pytest.approx(3.0 - half, abs=1e-5)
+    assert estimate.high == pytest.approx(3.0 + half, abs=1e-5)
+
+
+def test_an_interval_ends_at_the_lowest_value_that_is_possible() -> None:
+    cut, whole = mean([2.0, 4.0], lowest=0.0), mean([2.0, 4.0])
+    assert (cut.mean, cut.low, cut.high) == (whole.mean, 0.0, whole.high)
+    assert mean([20.0, 21.0], lowest=0.0) == mean([20.0, 21.0])
+    assert math.isnan(mean([2.0], lowest=0.0).low), "still not known"
+
+
+def test_equal_values_have_an_interval_of_no_width() -> None:
+    assert mean([7.0, 7.0, 7.0]) == Estimate(7.0, 7.0, 7.0)
+
+
+def test_one_value_has_a_mean_but_no_interval() -> None:
+    estimate = mean([5.0])
+    assert estimate.mean == 5.0
+    assert math.isnan(estimate.low)
+    assert math.isnan(estimate.high)
+
+
+def test_no_values_have_no_mean() -> None:
+    assert all(math.isnan(value) for value in vars(mean([])).values())
+
+
+@pytest.mark.parametrize("odd", [math.inf, -math.inf, math.nan])
+def test_values_that_are_not_finite_are_left_out(odd: float) -> None:
+    assert mean([odd, 2.0, odd, 4.0]) == mean([2.0, 4.0])
+
+
+def test_only_infinite_values_have_no_mean() -> None:
+    assert math.isnan(mean([math.inf, math.inf]).mean)
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        # z^2 = 3.841459: none of n gives z^2 / (n + z^2), and all of n mirrors it
+        (0, 10, 0.0, 3.841459 / 13.841459),
+        (10, 10, 10 / 13.841459, 1.0),
+        (0, 1, 0.0, 3.841459 / 4.841459),
+        (1, 1, 1 / 4.841459, 1.0),
+        # half of ten: 0.5 -+ z sqrt(0.25 / 10 + z^2 / 400) / (1 + z^2 / 10)
+        (5, 10, 0.236594, 0.763406),
+    ],
+)
+def test_wilson_intervals_worked_by_hand(
+    successes: int, trials: int, low: float, high: float
+) -> None:
+    estimate = share(successes, trials)
+    assert estimate.mean == successes / trials
+    assert estimate.low == pytest.approx(low, abs=1e-5)
+    assert estimate.high == pytest.approx(high, abs=1e-5)
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 0), (3, 2), (-1, 5), (0, -1)])
+def test_shares_that_are_none_are_refused(successes: int, trials: int) -> None:
+    with pytest.raises(ValueError, match=f"{successes} successes in {trials} trials"):
+        share(successes, trials)
+
+
+def test_an_accuracy_has_the_interval_of_independent_trials() -> None:
+    right = np.arange(8) < 6
+    assert accuracy(right, 8) == share(6, 8)
+    # Six of eight in four trials: three of them.
+    assert accuracy(right, 4) == share(3, 4)
+    # In three trials 2.25: its ends are those of two and of three.
+    found = accuracy(right, 3)
+    assert (found.mean, found.low, found.high) == (0.75, share(2, 3).low, share(3, 3).high)
+
+
+def test_json_says_none_where_nothing_is_known() -> None:
+    assert mean([5.0]).as_json() == {"mean": 5.0, "low": None, "high": None}
+    assert mean([]).as_json() == {"mean": None, "low": None, "high": None}
+    assert Estimate(1.0, 0.5, 1.5).as_json() == {"mean": 1.0, "low": 0.5, "high": 1.5}
+
+
+@settings(deadline=None, database=None)
+@given(NUMBERS, st.floats(-100, 100), st.floats(0.1, 10))
+def test_the_interval_moves_and_stretches_with_the_values(
+    values: list[float], shift: float, factor: float
+) -> None:
+    plain, moved = mean(values), mean(np.array(values) * factor + shift)
+    for end in ("mean", "low", "high"):
+        wanted = getattr(plain, end) * factor + shift
+        assert getattr(moved, end) == pytest.approx(wanted, rel=1e-6, abs=1e-6)
+
+
+@settings(deadline=None, database=None)
+@given(NUMBERS)
+def test_more_of_the_same_values_narrow_the_interval(values: list[float]) -> None:
+    once, often = mean(values), mean(values * 4)
+    assert once.low <= once.mean <= once.high
+    assert often.mean == pytest.approx(once.mean, abs=1e-9)
+    assert often.high - often.low <= once.high - once.low + 1e-9
+
+
+@settings(deadline=None, database=None)
+@given(COUNTS)
+def test_a_share_and_what_it_leaves_mirror_each_other(counts: tuple[int, int]) -> None:
+    successes, trials = counts
+    estimate, rest = share(successes, trials), share(trials - successes, trials)
+    assert 0.0 <= estimate.low <= estimate.mean <= estimate.high <= 1.0
+    assert estimate.high - estimate.low > 0.0
+    assert rest.low == pytest.approx(1.0 - estimate.high, abs=1e-9)
+    assert rest.high == pytest.approx(1.0 - estimate.low, abs=1e-9)
+
+
+def test_an_estimate_agrees_within_its_interval_or_a_share_of_the_other() -> None:
+    assert Estimate(-110, -120, -100).agrees(-119, share=0.0)
+    assert Estimate(-101.9, -102, -101.8).agrees(-100, share=0.02)
+    assert not Estimate(-102.1, -102.2, -102.05).agrees(-100, share=0.02)

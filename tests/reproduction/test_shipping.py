@@ -1,0 +1,72 @@
+import json
+from pathlib import Path
+
+import pytest
+from stages import Counting
+from trait_models import save_driver
+
+from hmi_marl.agents.learned.policy_files import load_policy
+from hmi_marl.agents.learned.shipped import INDEX, find_shipped, shipped_agents
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.experiments.stages import Agent, run_stages
+from hmi_marl.files import write_json
+from hmi_marl.reproduction.shipping import ship, without_places
+
+
+class Learning(Counting):
+    """It has learnt a driver."""
+
+    def agents(self, place):
+        return [Agent("mine", place.folder / "driver.json", "drives")]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    folder = tmp_path / "run"
+    card = save_driver(folder / "one") / "driver.json"
+    about = {"command": f"hmi-marl train --out {folder}/one", "settings": {"path": str(folder)}}
+    write_json(card, json.loads(card.read_text()) | {"training": about})
+    return folder
+
+
+def test_what_was_learnt_is_shipped_without_places(run: Path, tmp_path: Path) -> None:
+    stages, out = [Learning("one")], tmp_path / "trained"
+    with pytest.raises(ValueError, match=r"stage one of .* is not finished"):
+        ship(stages, run, run, out)
+    run_stages(stages, run, run, line=str)
+    assert [agent.name for agent in ship(stages, run, run, out)] == ["mine"]
+    card = find_shipped("trained:mine", "driver", out)
+    assert str(tmp_path) not in card.read_text()
+    training = json.loads(card.read_text())["training"]
+    assert training == {"command": "hmi-marl train --out one", "settings": {"path": "run"}}
+    load_policy(card, "driver", TeamConfig())
+    # Once more, in place of what was there.
+    (out / "old").mkdir()
+    ship(stages, run, run, out)
+    assert sorted(path.name for path in out.iterdir()) == [INDEX, "mine"]
+    assert list(shipped_agents(out)) == ["mine"]
+
+
+def test_weights_that_changed_since_are_not_shipped(run: Path, tmp_path: Path) -> None:
+    stages = [Learning("one")]
+    run_stages(stages, run, run, line=str)
+    save_driver(run / "one", 3)
+    with pytest.raises(ValueError, match="is not finished"):
+        ship(stages, run, run, tmp_path / "trained")
+
+
+def test_a_folder_of_other_things_is_left_alone(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "thesis.txt").touch()
+    with pytest.raises(ValueError, match="holds other things than shipped agents"):
+        ship([Learning("one")], run, run, tmp_path / "precious")
+    assert (tmp_path / "precious" / "thesis.txt").is_file()
+
+
+def test_places_keep_their_last_part_alone() -> None:
+    told = {"a": ["do --out /x/y/z --driver-run=/x/y/ 1/2 s", 3, None], "b": "C:\\x\\y", "c": "~/x"}
+    assert without_places(told) == {
+        "a": ["do --out z --driver-run=y 1/2 s", 3, None],
+        "b": "y",
+        "c": "x",
+    }

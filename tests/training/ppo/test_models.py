@@ -1,0 +1,154 @@
+import numpy as np
+import pytest
+import torch
+from standing_world import standing_teams
+from tensordict import TensorDict
+
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.policy import LearnedPolicy, check_weights, make_card
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.vector import TeamVecEnv
+from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
+from hmi_marl.training.ppo.models import (
+    make_actor,
+    make_critic,
+    make_joint_actor,
+    weights_of,
+    weights_of_both,
+)
+from hmi_marl.training.ppo.views import SeatView
+
+CONFIG = TeamConfig(driver=["bart", "lisa", "homer"])
+SMALL = NetworkConfig((7, 6), "elu")
+
+
+def cards(network=SMALL):
+    return (
+        make_card("driver", CONFIG, network, knows_traits=True),
+        make_card("vehicle_ai", CONFIG, network, knows_traits=True, by_intent=True),
+    )
+
+
+def loud(model):
+    """The model with weights that make its choices differ."""
+    for weight in model.parameters():
+        torch.nn.init.normal_(weight, std=0.7)
+    return model
+
+
+def group(name, values):
+    return TensorDict({name: values}, batch_size=[len(values)])
+
+
+@pytest.mark.parametrize("memory", [0, 4])
+@pytest.mark.parametrize("seat", ["driver", "vehicle_ai"])
+def test_an_actors_weights_fit_its_card(seat, memory):
+    card = make_card(seat, CONFIG, NetworkConfig((7, 6), memory=memory), knows_traits=True)
+    actor = make_actor(card)
+    assert actor.is_recurrent == bool(memory)
+    assert isinstance(actor.distribution, OneAction)
+    check_weights(card, weights_of(actor))
+
+
+def test_weights_are_copies():
+    actor = make_actor(cards()[0])
+    weights = weights_of(actor)
+    before = weights["layer0.bias"].copy()
+    with torch.no_grad():
+        actor.mlp[0].bias.add_(1.0)
+    np.testing.assert_array_equal(weights["layer0.bias"], before)
+
+
+@pytest.mark.parametrize("memory", [0, 4])
+def test_the_policy_of_the_weights_acts_as_the_actor(memory):
+    config = NetworkConfig((7, 6), "tanh", memory)
+    card = make_card("vehicle_ai", CONFIG, config, knows_traits=True)
+    torch.manual_seed(2)
+    actor = loud(make_actor(card))
+    policy = LearnedPolicy(card, weights_of(actor), CONFIG)
+    env = TeamVecEnv(standing_teams(6, **vars(CONFIG)))
+    seeds = np.arange(6, dtype=np.uint64)
+    policy.reset(seeds)
+    rng = np.random.default_rng(4)
+    with torch.inference_mode():
+        for _ in range(5):
+            seen = env.get_observations()["vehicle_ai"]
+            actor(group("actor", seen), stochastic_output=True)
+            np.testing.assert_allclose(
+                policy.probabilities(seen.numpy()), actor.output_mean, atol=1e-5
+            )
+            env.step(torch.from_numpy(rng.integers(0, (5, 2), (6, 2))))
+
+
+def test_the_halves_of_the_composite_policy_act_alone_as_it_acts():
+    torch.manual_seed(5)
+    driver, vehicle_ai = cards()
+    actor = loud(make_joint_actor(driver, vehicle_ai))
+    of_driver, of_vehicle_ai = weights_of_both(actor)
+    alone = (
+        LearnedPolicy(driver, of_driver, CONFIG),
+        LearnedPolicy(vehicle_ai, of_vehicle_ai, CONFIG),
+    )
+    env = TeamVecEnv(standing_teams(5, **vars(CONFIG)))
+    teams = env.teaming
+    for _ in range(4):
+        seen = env.get_observations()
+        read = SeatView(env, (driver, vehicle_ai), centralised=True)(seen)
+        with torch.no_grad():
+            actor(read, stochastic_output=True)
+            intent, alert = (log_probs.exp().numpy() for log_probs in actor.distribution.params)
+            greedy = actor(read).long().numpy()
+        np.testing.assert_allclose(
+            alone[0].probabilities(teams.observe("driver")), intent, atol=1e-5
+        )
+        for intended in range(5):  # taking turns, the vehicle AI sees what the driver intends
+            teams.intend(np.full(5, intended))
+            shown = teams.observe("vehicle_ai")
+            np.testing.assert_allclose(alone[1].probabilities(shown), alert[:, intended], atol=1e-5)
+            teams.withdraw()
+        intents = alone[0].act(teams.observe("driver"))
+        teams.intend(intents)
+        assert intents.tolist() == greedy[:, 0].tolist()
+        assert alone[1].act(teams.observe("vehicle_ai")).tolist() == greedy[:, 1].tolist()
+        teams.withdraw()
+        env.step(torch.from_numpy(greedy))
+
+
+def test_each_half_reads_its_own_seat_alone():
+    driver, vehicle_ai = cards()
+    actor = loud(make_joint_actor(driver, vehicle_ai))
+    assert isinstance(actor.distribution, IntentThenAlert)
+    x = torch.randn(3, driver.inputs + vehicle_ai.inputs, requires_grad=True)
+    logits = actor.mlp(x)
+    for columns, seat in ((slice(0, 5), slice(0, driver.inputs)), (slice(5, 15), None)):
+        (gradient,) = torch.autograd.grad(logits[:, columns].sum(), x, retain_graph=True)
+        reads = gradient.abs().sum(0) > 0
+        if seat is None:
+            assert not reads[: driver.inputs].any()
+            assert reads[driver.inputs :].any()
+        else:
+            assert reads[seat].any()
+            assert not reads[driver.inputs :].any()
+
+
+def test_the_weights_of_both_halves_fit_their_cards():
+    both = cards()
+    for card, weights in zip(both, weights_of_both(make_joint_actor(*both)), strict=True):
+        check_weights(card, weights)
+
+
+def test_a_composite_policy_that_cannot_be_is_refused():
+    driver, _ = cards()
+    with pytest.raises(ValueError, match="composite policy has no memory; choose memory = 0"):
+        make_joint_actor(*cards(NetworkConfig((7,), memory=2)))
+    reads_intent = make_card("vehicle_ai", CONFIG, SMALL, knows_traits=True)
+    with pytest.raises(ValueError, match="the vehicle AI gives logits by intent"):
+        make_joint_actor(driver, reads_intent)
+
+
+def test_a_critic_gives_one_value_and_has_no_head():
+    critic = make_critic(9, SMALL)
+    assert critic(group("critic", torch.zeros(4, 9))).shape == (4, 1)
+    assert critic.distribution is None
+    assert not critic.is_recurrent
+    assert not any(isinstance(layer, torch.nn.ReLU) for layer in critic.mlp)

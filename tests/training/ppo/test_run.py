@@ -1,0 +1,441 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+import torch
+
+from hmi_marl.agents.catalogue import make_driver_policy
+from hmi_marl.agents.learned import cards as weight_files
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.policy_files import load_policy, read_policy
+from hmi_marl.agents.vectors import make_vec
+from hmi_marl.envs.config import TeamConfig, as_fatigue
+from hmi_marl.envs.scene import Scene
+from hmi_marl.training.ppo import run
+from hmi_marl.training.ppo.run import train
+from hmi_marl.training.protocols.alternating import Alternating
+from hmi_marl.training.protocols.joint import Joint
+from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.protocols.simultaneous import Simultaneous
+from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.runs.checkpoint import Checkpoint
+
+TINY = {
+    "teams": 8,  # 40 steps a batch
+    "duration": 1.0,
+    "vehicles": (1, 3),
+    "network": NetworkConfig((8,)),
+    "ppo": PPOSettings(epochs=1, mini_batches=2),
+    "device": "cpu",
+    "threads": 1,
+    "checkpoint_every": 0.0,
+}
+TWO_STAGE = TwoStage(driver_steps=80, hmi_steps=80, **TINY)
+ALTERNATING = Alternating(rounds=2, driver_steps=160, hmi_steps=160, **TINY)
+PROTOCOLS = {
+    "two-stage": TWO_STAGE,
+    "joint": Joint(steps=80, **TINY),
+    "simultaneous": Simultaneous(steps=80, **TINY),
+    "at once": Simultaneous(steps=80, parallel=True, critic="own", **TINY),
+    "alternating": ALTERNATING,
+    "hidden attention": replace(TWO_STAGE, ai_sees_attention=False, memory=4, condition="hidden"),
+    "graded alerts": replace(TWO_STAGE, alert_strengths=(0.3, 0.6, 1.0), fatigue=(8, 3, 0.5)),
+    "graded alerts, joint": Joint(steps=80, alert_strengths=(0.3, 0.6, 1.0), **TINY),
+    "two memories at once": Simultaneous(steps=80, memory=4, ai_sees_attention=False, **TINY),
+}
+SEATS = ("driver", "vehicle_ai")
+WEIGHTS = tuple(f"{seat}.safetensors" for seat in SEATS)
+TEAM = TeamConfig(duration=1.0, scene=Scene(vehicles=(1, 3)))
+
+
+class TwoTraits:
+    """z is β and the inflation as they are."""
+
+    size = 2
+    digest = "β and the inflation"
+
+    def __call__(self, traits):
+        return traits[:, [0, 3]]
+
+
+def learnt(folder, settings, **choices):
+    train(settings, folder, quiet=True, **choices)
+    return files(folder)
+
+
+def files(folder):
+    """What the run has learnt: the policies' files, byte by byte."""
+    names = [f"{seat}.{suffix}" for seat in SEATS for suffix in ("safetensors", "json")]
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+def weights(content):
+    return [content[name] for name in WEIGHTS]
+
+
+def rows(folder):
+    """The curve but for times."""
+    timed = ("seconds", "steps_per_second", "share_of_time_learning")
+    curve = json.loads((folder / "curve.json").read_text())
+    return [{name: v for name, v in row.items() if name not in timed} for row in curve]
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
+    settings = PROTOCOLS[name]
+    train(settings, tmp_path, quiet=True, typed="hmi-marl train it")
+    steps = 320 if settings is ALTERNATING else 160 if isinstance(settings, TwoStage) else 80
+    curve = json.loads((tmp_path / "curve.json").read_text())
+    assert [row["steps"] for row in curve] == list(range(40, steps + 1, 40))
+    assert all(
+        np.isfinite([v for v in row.values() if not isinstance(v, str)]).all() for row in curve
+    )
+    about = json.loads((tmp_path / "run.json").read_text())
+    assert about["protocol"] == type(settings).__name__
+    assert about["settings"]["teams"] == 8
+    config = replace(
+        TEAM,
+        ai_sees_attention=settings.ai_sees_attention,
+        alert_strengths=settings.alert_strengths,
+        fatigue=as_fatigue(settings.fatigue),
+    )
+    env = make_vec(8, "team", threads=1, **vars(config))
+    for seat in SEATS:
+        policy = load_policy(tmp_path, seat, config)
+        assert policy.card.training["command"] == "hmi-marl train it"
+        assert policy.card.training["settings"] == about["settings"]
+        assert policy.card.training["team"]["duration"] == 1.0
+        policy.reset(np.arange(8, dtype=np.uint64))
+        actions = policy.act(env.get_observations()[seat].numpy())
+        choices = 5 if seat == "driver" else config.alerts.choices
+        assert ((actions >= 0) & (actions < choices)).all()
+        assert policy.probabilities(env.get_observations()[seat].numpy()).shape == (8, choices)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "run.json",
+        "curve.json",
+        "checkpoint.safetensors",
+        *(f"{seat}.{suffix}" for seat in SEATS for suffix in ("json", "safetensors")),
+    }
+
+
+@pytest.mark.parametrize("settings", [TWO_STAGE, PROTOCOLS["simultaneous"]], ids=["turns", "both"])
+def test_the_same_seed_gives_the_same_weights_and_another_does_not(settings, tmp_path):
+    one = learnt(tmp_path / "one", settings)
+    torch.manual_seed(99)  # nobody else's draws come in
+    assert learnt(tmp_path / "again", settings) == one
+    assert rows(tmp_path / "again") == rows(tmp_path / "one")
+    other = learnt(tmp_path / "other", replace(settings, seed=1))
+    assert all(a != b for a, b in zip(weights(one), weights(other), strict=True))
+
+
+def test_the_draws_of_others_are_left_alone(tmp_path):
+    torch.manual_seed(7)
+    expected = torch.rand(3)
+    torch.manual_seed(7)
+    train(TWO_STAGE, tmp_path, quiet=True)
+    assert torch.equal(torch.rand(3), expected)
+
+
+def test_threads_and_checkpoints_do_not_change_results(tmp_path):
+    one = learnt(tmp_path / "one", TWO_STAGE)
+    others = replace(TWO_STAGE, threads=int(numba.config.NUMBA_NUM_THREADS), checkpoint_every=1e9)
+    assert weights(learnt(tmp_path / "two", others)) == weights(one)
+
+
+class Killed(BaseException):
+    """As if the machine had been switched off: nothing may catch it."""
+
+
+@pytest.mark.parametrize("settings", [TWO_STAGE, ALTERNATING], ids=["two stages", "rounds"])
+def test_a_run_cut_off_at_any_checkpoint_ends_as_if_it_had_not_been(
+    settings, tmp_path, monkeypatch
+):
+    whole = learnt(tmp_path / "whole", settings)
+    save, saves = Checkpoint.save, 0
+
+    def counted(self, path):
+        nonlocal saves
+        saves += 1
+        save(self, path)
+        if saves == last:
+            raise Killed
+
+    monkeypatch.setattr(Checkpoint, "save", counted)
+    # After each of 2 batches of every phase, and after the phase's policies were written.
+    total = 3 * len(settings.phases())
+    for last in range(1, total + 1):
+        folder, saves = tmp_path / f"cut {last}", 0
+        with pytest.raises(Killed):
+            train(settings, folder, quiet=True)
+        saves = total
+        assert learnt(folder, settings) == whole
+        assert rows(folder) == rows(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("card", [1, 2, 3, 4])
+def test_a_run_cut_off_in_the_middle_of_writing_a_policy_mends_it(card, tmp_path, monkeypatch):
+    whole = learnt(tmp_path / "whole", ALTERNATING)
+    write, written = weight_files.write_json, 0
+
+    def cut_off(path, content):
+        nonlocal written
+        written += 1
+        if written == card:
+            raise Killed
+        write(path, content)
+
+    monkeypatch.setattr(weight_files, "write_json", cut_off)
+    with pytest.raises(Killed):
+        train(ALTERNATING, tmp_path / "cut", quiet=True)
+    assert learnt(tmp_path / "cut", ALTERNATING) == whole
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from hmi_marl.training.runs.checkpoint import Checkpoint
+from test_run import {name}, train
+
+save = Checkpoint.save
+
+def kill(self, path):
+    if len(self.curve) == {batches}:  # this batch was for nothing
+        os.kill(os.getpid(), signal.SIGKILL)
+    save(self, path)
+
+Checkpoint.save = kill
+train({name}, Path(sys.argv[1]), quiet=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "batches", "before"),
+    [("TWO_STAGE", 4, (1, 1)), ("ALTERNATING", 6, (2, 1))],
+)
+def test_a_run_that_was_killed_goes_on_to_the_same_bytes(name, batches, before, tmp_path):
+    settings = globals()[name]
+    whole = learnt(tmp_path / "whole", settings)
+    folder = tmp_path / "killed"
+    path = os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-c", KILLED.format(name=name, batches=batches), str(folder)]
+    env = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+    killed = subprocess.run(command, env=env, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    state = Checkpoint.load(folder / "checkpoint.safetensors")
+    assert (state.phase, state.iteration) == before
+    assert state.steps == 40 * (batches - 1)
+    assert learnt(folder, settings) == whole
+    assert rows(folder) == rows(tmp_path / "whole")
+
+
+def test_a_finished_run_is_left_alone(tmp_path):
+    train(TWO_STAGE, tmp_path, quiet=True)
+    before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir()}
+    train(TWO_STAGE, tmp_path, quiet=True)
+    assert before == {
+        path: (path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir()
+    }
+
+
+def test_a_run_goes_on_elsewhere_with_other_threads_and_checkpoints(tmp_path):
+    train(TWO_STAGE, tmp_path, quiet=True)
+    elsewhere = replace(
+        TWO_STAGE, device="auto", threads=int(numba.config.NUMBA_NUM_THREADS), checkpoint_every=5.0
+    )
+    train(elsewhere, tmp_path, quiet=True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (
+            replace(TWO_STAGE, seed=3),
+            r"holds another run \(seed = 0, now 3\); choose another --out",
+        ),
+        (
+            replace(TWO_STAGE, hmi_for="homer", driver_steps=81),
+            r"\(hmi_for = 'population', now 'homer', driver_steps = 80, now 81\)",
+        ),
+        (
+            replace(TWO_STAGE, ppo=PPOSettings(mini_batches=3)),
+            r"\(ppo = \{.*'mini_batches': 2,.*, n",
+        ),
+        (Joint(steps=80, **TINY), "protocol = 'TwoStage', now 'Joint'"),
+    ],
+    ids=["seed", "two of them", "ppo", "protocol"],
+)
+def test_a_folder_with_another_run_is_left_alone(settings, told, tmp_path):
+    before = learnt(tmp_path, TWO_STAGE)
+    with pytest.raises(ValueError, match=told):
+        train(settings, tmp_path, quiet=True)
+    assert files(tmp_path) == before
+
+
+def test_a_run_from_before_there_were_strengths_goes_on(tmp_path):
+    before = learnt(tmp_path, TWO_STAGE)
+    about = json.loads((tmp_path / "run.json").read_text())
+    for name in ("alert_strengths", "fatigue"):
+        del about["settings"][name]
+    (tmp_path / "run.json").write_text(json.dumps(about))
+    assert learnt(tmp_path, TWO_STAGE) == before
+    with pytest.raises(ValueError, match=r"alert_strengths = \[1.0\], now \[0.5, 1.0\]"):
+        train(replace(TWO_STAGE, alert_strengths=(0.5, 1.0)), tmp_path, quiet=True)
+
+
+def test_a_run_of_another_version_is_told(tmp_path, monkeypatch):
+    train(TWO_STAGE, tmp_path, quiet=True)
+    monkeypatch.setattr(run.hmi_marl, "__version__", "99")
+    with pytest.raises(ValueError, match=r"version = .*, now '99'"):
+        train(TWO_STAGE, tmp_path, quiet=True)
+
+
+def test_a_damaged_checkpoint_is_told(tmp_path):
+    train(TWO_STAGE, tmp_path, quiet=True)
+    path = tmp_path / "checkpoint.safetensors"
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(ValueError, match=r"checkpoint\.safetensors is a damaged checkpoint"):
+        train(TWO_STAGE, tmp_path, quiet=True)
+
+
+def test_a_run_that_was_cut_off_before_its_first_checkpoint_begins_anew(tmp_path):
+    whole = learnt(tmp_path / "whole", TWO_STAGE)
+    train(TWO_STAGE, tmp_path / "cut", quiet=True)
+    (tmp_path / "cut" / "checkpoint.safetensors").unlink()
+    assert learnt(tmp_path / "cut", TWO_STAGE) == whole
+
+
+def test_snapshots_are_the_policies_on_their_way(tmp_path):
+    settings = replace(TWO_STAGE, driver_steps=5 * 40, hmi_steps=40, snapshots=2)
+    whole = learnt(tmp_path, settings)
+    taken = {int(path.name): path for path in (tmp_path / "snapshots").iterdir()}
+    assert sorted(taken) == [120, 200, 240]  # batches 3 and 5 of the driver's, 1 of the HMI's
+    names = {steps: {path.name for path in place.iterdir()} for steps, place in taken.items()}
+    assert names[120] == names[200] == {"driver.json", "driver.safetensors"}
+    assert names[240] == {"vehicle_ai.json", "vehicle_ai.safetensors"}
+    for steps, name in ((200, "driver.safetensors"), (240, "vehicle_ai.safetensors")):
+        assert (taken[steps] / name).read_bytes() == whole[name]
+    assert (taken[120] / "driver.safetensors").read_bytes() != whole["driver.safetensors"]
+    assert read_policy(taken[120] / "driver.json")[0].training["steps"] == 120
+
+
+def test_a_driver_is_learnt_alone(tmp_path):
+    train(replace(TWO_STAGE, hmi_steps=0), tmp_path, quiet=True)
+    assert (tmp_path / "driver.json").exists()
+    assert not (tmp_path / "vehicle_ai.json").exists()
+
+
+def test_an_hmi_learns_beside_the_driver_of_another_run(tmp_path):
+    one = learnt(tmp_path / "one", TWO_STAGE)
+    settings = replace(TWO_STAGE, driver_policy=str(tmp_path / "one"), seed=5)
+    two = learnt(tmp_path / "two", settings)
+    assert len(rows(tmp_path / "two")) == 2
+    for name in ("driver.json", "driver.safetensors"):
+        assert two[name] == one[name]  # kept with the run, which is whole without the other
+    assert two["vehicle_ai.safetensors"] != one["vehicle_ai.safetensors"]
+    ruled = replace(TWO_STAGE, driver_policy="rule")
+    train(ruled, tmp_path / "ruled", quiet=True)
+    assert not (tmp_path / "ruled" / "driver.json").exists()
+
+
+def test_a_driver_that_is_not_there_is_told_before_anything_is_learnt(tmp_path):
+    settings = replace(TWO_STAGE, driver_policy=str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match=r"no policy for the seat of driver at .*nowhere"):
+        train(settings, tmp_path / "run", quiet=True)
+
+
+def test_a_vehicle_ai_is_conditioned_on_a_context(tmp_path):
+    train(TWO_STAGE, tmp_path, context=TwoTraits(), quiet=True)
+    policy = load_policy(tmp_path, "vehicle_ai", TEAM)
+    assert policy.card.context == 2
+    assert "traits" not in dict(policy.card.reads)
+    assert "traits" in dict(make_driver_policy(str(tmp_path), TEAM).card.reads)
+    env = make_vec(4, "team", threads=1, **vars(TEAM))
+    policy.context = [0.1, 3.0]
+    seen = env.get_observations()["vehicle_ai"].numpy()
+    first = policy.probabilities(seen)
+    policy.context = [0.8, 9.0]
+    assert not np.allclose(policy.probabilities(seen), first)
+
+
+@pytest.mark.parametrize("name", ["joint", "simultaneous"])
+def test_both_seats_learn_beside_each_other_in_a_context(name, tmp_path):
+    train(PROTOCOLS[name], tmp_path, context=TwoTraits(), quiet=True)
+    assert [read_policy(tmp_path / f"{seat}.json")[0].context for seat in SEATS] == [0, 2]
+
+
+def test_a_context_is_not_for_rounds_in_which_a_driver_learns_beside_it(tmp_path):
+    with pytest.raises(ValueError, match="conditioned on z cannot be a partner in training"):
+        train(ALTERNATING, tmp_path, context=TwoTraits(), quiet=True)
+    train(replace(ALTERNATING, rounds=1), tmp_path, context=TwoTraits(), quiet=True)
+
+
+@pytest.mark.filterwarnings("error")
+def test_people_are_told_on_the_terminal_and_by_tensorboard(tmp_path, capfd):
+    train(TWO_STAGE, tmp_path / "bart")
+    told = capfd.readouterr().err
+    assert "bart: driver" in told
+    assert "bart: hmi" in told
+    assert "return=" in told
+    events = list((tmp_path / "bart" / "tensorboard").iterdir())
+    assert len(events) == 1
+    assert events[0].stat().st_size > 1000
+
+
+def test_a_device_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(ValueError, match="no device 'quantum': "):
+        train(replace(TWO_STAGE, device="quantum"), tmp_path, quiet=True)
+    if not torch.cuda.is_available():
+        with pytest.raises(ValueError, match="'cuda' was asked for, but torch sees no GPU; use c"):
+            train(replace(TWO_STAGE, device="cuda"), tmp_path, quiet=True)
+    assert not (tmp_path / "run.json").exists()
+
+
+def test_a_folder_that_cannot_be_written_to_is_told(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"cannot write to .*file"):
+        train(TWO_STAGE, tmp_path / "file", quiet=True)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", None])
+def test_damaged_settings_of_a_run_are_told_by_their_file(content, tmp_path):
+    train(TWO_STAGE, tmp_path, quiet=True)
+    settings = tmp_path / "run.json"
+    if content is None:
+        settings.unlink()
+    else:
+        settings.write_text(content)
+    with pytest.raises(ValueError, match=r"run\.json"):
+        train(TWO_STAGE, tmp_path, quiet=True)
+
+
+def test_a_start_that_failed_does_not_claim_the_folder(tmp_path):
+    lost = replace(TWO_STAGE, driver_policy=str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError):
+        train(lost, tmp_path / "run", quiet=True)
+    train(TWO_STAGE, tmp_path / "run", quiet=True)
+    assert (
+        json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["driver_policy"] is None
+    )
+
+
+def test_a_run_does_not_go_on_with_another_context(tmp_path):
+    train(TWO_STAGE, tmp_path, quiet=True)
+    with pytest.raises(ValueError, match="context = 0, now 2"):
+        train(TWO_STAGE, tmp_path, context=TwoTraits(), quiet=True)
+
+
+def test_a_run_does_not_go_on_with_a_context_of_the_same_size_that_means_something_else(tmp_path):
+    beside = replace(TWO_STAGE, driver_policy="rule")
+    train(beside, tmp_path, context=TwoTraits(), quiet=True)
+    other = TwoTraits()
+    other.digest = "something else"
+    with pytest.raises(
+        ValueError, match="context_of = 'β and the inflation', now 'something else'"
+    ):
+        train(beside, tmp_path, context=other, quiet=True)

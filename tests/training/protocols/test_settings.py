@@ -1,0 +1,129 @@
+import subprocess
+import sys
+
+import pytest
+
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.plain import plain
+from hmi_marl.training.protocols.alternating import Alternating
+from hmi_marl.training.protocols.joint import Joint
+from hmi_marl.training.protocols.settings import PPOSettings, TrainSettings
+from hmi_marl.training.protocols.simultaneous import Simultaneous
+from hmi_marl.training.protocols.two_stage import TwoStage
+
+PROTOCOLS = (TwoStage, Joint, Simultaneous, Alternating)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"epochs": 0}, "epochs is at least 1, but got 0"),
+        ({"mini_batches": 0}, "mini_batches is at least 1, but got 0"),
+        ({"discount": 1.01}, r"discount lies in \[0, 1\], but got 1\.01"),
+        ({"trace": -0.1}, r"trace lies in \[0, 1\]"),
+        ({"discount": float("nan")}, "discount lies in"),
+        ({"learning_rate": 0.0}, r"learning_rate is a positive number, but got 0\.0"),
+        ({"final_learning_rate": float("inf")}, "final_learning_rate is a positive number"),
+        ({"clip": float("nan")}, "clip is a positive number"),
+        ({"gradient_norm": -1.0}, "gradient_norm is a positive number"),
+        ({"reward_scale": 0.0}, "reward_scale is a positive number"),
+        ({"entropy": -0.01}, r"entropy is a number of at least 0, but got -0\.01"),
+        ({"final_entropy": float("nan")}, "final_entropy is a number of at least 0"),
+    ],
+    ids=str,
+)
+def test_what_ppo_cannot_be_told(changed, told):
+    with pytest.raises(ValueError, match=told):
+        PPOSettings(**changed)
+
+
+def test_what_ppo_may_be_told_at_the_edges():
+    PPOSettings(1, 1, 0.0, 1.0, entropy=0.0, final_entropy=0.0)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize(
+    ("changed", "error", "told"),
+    [
+        ({"seed": -1}, ValueError, r"a seed lies in \[0, 2\^64\), but got -1"),
+        ({"seed": 0.5}, TypeError, "a seed is an integer, not 0.5"),
+        ({"teams": 0}, ValueError, "at least one team, but got teams = 0"),
+        ({"snapshots": -1}, ValueError, "snapshots is a number of times, but got -1"),
+        ({"checkpoint_every": -1.0}, ValueError, "checkpoint_every is a time"),
+        ({"threads": 0}, ValueError, "at least one thread"),
+        ({"network": NetworkConfig(memory=3)}, ValueError, "set memory, not network.memory"),
+        ({"memory": -1}, ValueError, "memory = -1"),
+        (
+            {"teams": 4, "ppo": PPOSettings(mini_batches=5)},
+            ValueError,
+            "4 teams make no 5 mini-batches of at least 1; choose more teams or fewer mini-batches",
+        ),
+        ({"hmi_reads": ("weather",)}, ValueError, "no part 'weather' to read; there are lidar"),
+        ({"drivers": ("ned",)}, ValueError, "unknown driver 'ned'"),
+        ({"drivers": ()}, ValueError, "at least one"),
+        ({"duration": 0.3}, ValueError, "not a whole number of steps"),
+        ({"vehicles": (5, 2)}, ValueError, "vehicles"),
+        ({"alert_window": 0}, ValueError, "window"),
+    ],
+    ids=str,
+)
+def test_what_no_protocol_can_be_told(protocol, changed, error, told):
+    with pytest.raises(error, match=told):
+        protocol(**changed)
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: TwoStage(driver_steps=0), "driver_steps is at least 1, but got 0"),
+        (lambda: TwoStage(hmi_steps=-1), "hmi_steps is at least 1, but got -1"),
+        (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps is at least 1"),
+        (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
+        (
+            lambda: TwoStage(teams=8, memory=4, ppo=PPOSettings(mini_batches=5)),
+            "8 teams make no 5 mini-batches of at least 2; choose more teams or fewer",
+        ),
+        (lambda: Joint(steps=0), "steps is at least 1"),
+        (lambda: Joint(memory=4), "the composite policy has no memory; use another protocol, or 0"),
+        (lambda: Simultaneous(steps=-5), "steps is at least 1, but got -5"),
+        (lambda: Alternating(rounds=0), "rounds is at least 1"),
+        (lambda: Alternating(driver_steps=0), "driver_steps is at least 1"),
+        (lambda: Alternating(hmi_steps=0), "hmi_steps is at least 1"),
+    ],
+)
+def test_what_a_protocol_cannot_be_told(make, told):
+    with pytest.raises(ValueError, match=told):
+        make()
+
+
+def test_settings_alone_lay_out_no_phases():
+    with pytest.raises(NotImplementedError, match="a protocol lays out its phases"):
+        TrainSettings().phases()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_settings_are_fit_for_json_and_know_their_defaults(protocol):
+    told = plain(protocol())
+    assert told["drivers"] == ["lisa", "marge", "bart", "homer"]
+    assert told["ppo"]["discount"] == 0.98
+    assert told["network"] == {"hidden": [64, 64], "activation": "relu", "memory": 0}
+    assert told["duration"] == 20.0
+
+
+def test_a_driver_of_ones_own_may_drive():
+    settings = TwoStage(drivers=("maggie:0.5,0.1,0.2,2.0",), hmi_for="maggie:0.5,0.1,0.2,2.0")
+    for phase in settings.phases():
+        assert phase.team.only_driver.beta == 0.5
+
+
+def test_telling_what_to_train_imports_no_torch():
+    code = (
+        "import sys\n"
+        "from hmi_marl.training import alternating, joint, simultaneous, two_stage\n"
+        "[p().phases() for p in (alternating.Alternating, joint.Joint, "
+        "simultaneous.Simultaneous, two_stage.TwoStage)]\n"
+        "print(sorted(m for m in sys.modules if m.split('.')[0] in ('torch', 'rsl_rl')))"
+    )
+    command = [sys.executable, "-c", code]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert printed.strip() == "[]"
