@@ -22,11 +22,11 @@ NUMPY = 'python -c "import numpy"'
 
 def contestants(only: list[str]) -> dict[str, list[str]]:
     """What to start: the program's arguments, by what is typed for them."""
-    typed = {"version": "--version", "help": "--help"}
+    command_line = {"version": "--version", "help": "--help"}
     for subcommand in SUBCOMMANDS:
         for path in (subcommand.name, *(path for path, _ in subcommand.leaves())):
-            typed[path] = f"{path} --help"
-    chosen = {name: typed[name] for name in only} if only else typed
+            command_line[path] = f"{path} --help"
+    chosen = {name: command_line[name] for name in only} if only else command_line
     return {
         NUMPY: ["-c", "import numpy"],
         'python -c "import hmi_marl"': ["-c", "import hmi_marl"],

@@ -1,7 +1,7 @@
 """What does it cost to collect and to learn from the same number of steps: ours beside SB3?
 
 Ours is the training loop of ``hmi-marl train two-stage`` with its default settings on the batched
-world: the driver's stage, then the HMI's beside the driver that was learnt. Beside it stands what
+world: the driver's stage, then the HMI's beside the driver that was learned. Beside it stands what
 one would otherwise do: stable-baselines3's PPO on highway-env's own ``merge-generic-v1`` with its
 own lidar, in a process for each core. Both drive the same road with as many other vehicles, both
 learn with two networks of the same layers, as many epochs and as many mini-batches. (SB3's read
@@ -52,7 +52,7 @@ STAGES = {"driver": "driver", "vehicle_ai": "hmi"}
 """By the seat that learns: the stage's name in a run's curve."""
 PARTS = ("world", "partner", "policy", "record", "learn")
 """What a stage's time goes to: the world's step with the human model, rewards and observations;
-the learnt driver inside it; acting; storing; learning."""
+the learned driver inside it; acting; storing; learning."""
 
 Seconds = dict[str, dict[str, float]]
 """Spent in each part of each stage."""
@@ -131,7 +131,7 @@ def run_processes(settings: TwoStage, processes: int) -> dict[str, dict[str, flo
     with tempfile.TemporaryDirectory() as folder:
         numbers = {
             "--processes": processes,
-            "--teams": settings.teams,
+            "--num-teams": settings.num_teams,
             "--driver-steps": settings.driver_steps,
             "--hmi-steps": settings.hmi_steps,
         }
@@ -144,7 +144,7 @@ def run_processes(settings: TwoStage, processes: int) -> dict[str, dict[str, flo
     for name in STAGES.values():
         batches = [batch for batch in curve if batch["phase"] == name]
         batches = batches[1:] or batches
-        steps = len(batches) * settings.teams * processes * settings.team("homer").horizon
+        steps = len(batches) * settings.num_teams * processes * settings.team("homer").horizon
         seconds = sum(steps / len(batches) / batch["steps_per_second"] for batch in batches)
         learning = sum(
             steps / len(batches) / batch["steps_per_second"] * batch["share_of_time_learning"]
@@ -185,12 +185,12 @@ class StableBaselines:
             "MlpPolicy",
             self._env,
             n_steps=batch,
-            n_epochs=ppo.epochs,
-            batch_size=max(2, processes * batch // ppo.mini_batches),
-            gamma=ppo.discount,
-            gae_lambda=ppo.trace,
+            n_epochs=ppo.num_learning_epochs,
+            batch_size=max(2, processes * batch // ppo.num_mini_batches),
+            gamma=ppo.gamma,
+            gae_lambda=ppo.gae_lambda,
             policy_kwargs={
-                "net_arch": list(network.hidden),
+                "net_arch": list(network.hidden_dims),
                 "activation_fn": activation[network.activation],
             },
             seed=settings.seed,
@@ -227,7 +227,7 @@ class StableBaselines:
 
 def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
     """Everybody in turns; medians over the rounds, and ratios to SB3 in the same round."""
-    fixed = {"vehicles": (args.vehicles, args.vehicles), "teams": args.teams, "device": "cpu"}
+    fixed = {"vehicles": (args.vehicles, args.vehicles), "num_teams": args.teams, "device": "cpu"}
     settings = TwoStage(driver_steps=args.steps // 2, hmi_steps=args.steps // 2, **fixed)
     sb3 = StableBaselines(settings, args.processes, args.sb3_batch)
     rounds: list[dict[str, dict[str, float]]] = []
@@ -276,7 +276,9 @@ def main() -> None:
     parser.add_argument(
         "--steps", **whole, default=1_200_000, help="of ours in a round, half a stage"
     )
-    parser.add_argument("--teams", **whole, default=TwoStage().teams, help="of ours side by side")
+    parser.add_argument(
+        "--teams", **whole, default=TwoStage().num_teams, help="of ours side by side"
+    )
     parser.add_argument("--sb3-steps", **whole, default=2048, help="of SB3's in a round")
     parser.add_argument(
         "--sb3-batch", **whole, default=256, help="steps of each process in a batch"

@@ -42,7 +42,7 @@ with tqdm(total=record.total_steps, unit=" steps", desc="driving") as bar:
 
 # A fifth of the windows tells who drives; the rest is driving alone.
 settings = TraitSettings(
-    supervision="id", imitation_updates=choices.updates, steps=choices.steps, teams=16
+    supervision="id", imitation_updates=choices.updates, steps=choices.steps, num_teams=16
 )
 learn_traits(settings, data, choices.out / "traits")
 

@@ -49,7 +49,7 @@ class TellsTruncation(BaseParallelWrapper):
     """Says which episodes ended by their time alone, where stable-baselines3 looks for it.
 
     SuperSuit's vector environment gives terminated *or* truncated as done. The value of what
-    follows would then be learnt as 0 at the end of every episode that no crash ended.
+    follows would then be learned as 0 at the end of every episode that no crash ended.
     """
 
     def step(self, actions):
@@ -83,7 +83,7 @@ def unpadded(agent: str, action: int) -> int:
     return action if action < own_actions[agent] else 0
 
 
-# Rewards of up to 30 a step make values of hundreds; a tenth of them is learnt from.
+# Rewards of up to 30 a step make values of hundreds; a tenth of them is learned from.
 learning = supersuit.reward_lambda_v0(learning, lambda reward: 0.1 * reward)
 cars = supersuit.pettingzoo_env_to_vec_env_v1(learning)  # one car, a row for each agent
 cars = supersuit.concat_vec_envs_v1(cars, args.cars, base_class="stable_baselines3")
@@ -133,7 +133,7 @@ def by_rule(hmi_name: str) -> dict[str, float]:
     config = env.unwrapped.config
     seats = {
         "driver": make_driver_policy("rule", config),
-        "vehicle_ai": make_hmi(hmi_name, config, taking_turns=False),
+        "vehicle_ai": make_hmi(hmi_name, config, sequential=False),
     }
     for policy in seats.values():
         policy.reset(np.zeros(1, np.uint64))  # neither of them draws anything

@@ -24,7 +24,7 @@ HIDDEN = TeamConfig(driver="bart", ai_sees_attention=False, duration=4.0)
 SMALL: dict[str, Any] = {
     "latent": 3,
     "segment": 5,
-    "encoder": NetworkConfig((6,), memory=4),
+    "encoder": NetworkConfig((6,), rnn_hidden_dim=4),
     "place": NetworkConfig((5,), "tanh"),
 }
 
@@ -52,7 +52,7 @@ def untrained_evidence(config: TeamConfig = HIDDEN, seed: int = 0, **sizes: Any)
 
 def hidden_card(config: TeamConfig = HIDDEN, context: int = 0) -> PolicyCard:
     """Of a small HMI that sees no attention and no traits."""
-    return make_card(VEHICLE_AI, config, NetworkConfig((6,), memory=3), False, context)
+    return make_card(VEHICLE_AI, config, NetworkConfig((6,), rnn_hidden_dim=3), False, context)
 
 
 def save_trained(folder: Path, config: TeamConfig = HIDDEN) -> Trained:

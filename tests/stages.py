@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hmi_marl.experiments.stages import Agent, Outcome, Place, learnt_in
+from hmi_marl.experiments.stages import Agent, Outcome, Place, learned_in
 from hmi_marl.files import make_folder, write_bytes
 from hmi_marl.reporting.blocks import Table
 
@@ -26,17 +26,17 @@ class Counting:
         return {"steps": self.steps}
 
     def inputs(self, place: Place) -> list[Path]:
-        return learnt_in(place.folder)
+        return learned_in(place.folder)
 
     def agents(self, place: Place) -> list[Agent]:
         return []
 
     def run(self, place: Place) -> Outcome:
         make_folder(place.folder)
-        learnt = place.folder / "count.safetensors"
+        learned = place.folder / "count.safetensors"
         began = time.monotonic()
-        while (count := len(learnt.read_bytes()) if learnt.is_file() else 0) < self.steps:
-            write_bytes(learnt, bytes(count + 1))
+        while (count := len(learned.read_bytes()) if learned.is_file() else 0) < self.steps:
+            write_bytes(learned, bytes(count + 1))
             time.sleep(self.pause)
         time.sleep(self.pause)
         numbers = {"count": count, "pair": (1, 2)}

@@ -78,7 +78,7 @@ def test_the_benchmark_of_the_highway_world_runs(tmp_path):
 
 
 def test_the_benchmark_of_training_tells_where_time_goes(tmp_path):
-    ours = "--rounds 1 --steps 2 --teams 32 --vehicles 2"
+    ours = "--rounds 1 --steps 2 --num-teams 32 --vehicles 2"
     sb3 = "--processes 1 --sb3-steps 4 --sb3-batch 4"
     run_benchmark("training", f"{ours} {sb3}", tmp_path)
     written = json.loads((tmp_path / "runs" / "bench" / "training.json").read_text())

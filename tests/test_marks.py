@@ -127,8 +127,8 @@ from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 before = marks()
-size = {"teams": 4, "duration": 1.0, "network": NetworkConfig((8,)), "threads": 1}
-ppo = PPOSettings(epochs=1, mini_batches=2)
+size = {"num_teams": 4, "duration": 1.0, "network": NetworkConfig((8,)), "threads": 1}
+ppo = PPOSettings(num_learning_epochs=1, num_mini_batches=2)
 settings = TwoStage(driver_steps=20, hmi_steps=20, ppo=ppo, device="cpu", **size)
 train(settings, Path(sys.argv[1]), quiet=True)
 check("train")

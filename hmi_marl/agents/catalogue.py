@@ -38,7 +38,7 @@ HMI_NAMES = MappingProxyType(
         f"such a share of steps shows d instead of {DEFAULT_REVEALING:g}",
         "adapt[:KIND][:bayes]": "gets to know the driver; KIND is expected, choosing or "
         "conditioned; with bayes by the exact posterior instead of the learned encoder",
-        "runs/RUN": "the HMI that a training run has learnt, by its folder",
+        "runs/RUN": "the HMI that a training run has learned, by its folder",
     }
     | _shipped(VEHICLE_AI)
 )
@@ -46,7 +46,7 @@ DRIVER_POLICY_NAMES = MappingProxyType(
     {
         "rule": "keeps lane and gap by what its lidar perceives",
         "random": "any action, evenly",
-        "runs/RUN": "the driver that a training run has learnt, by its folder",
+        "runs/RUN": "the driver that a training run has learned, by its folder",
     }
     | _shipped(DRIVER)
 )
@@ -59,14 +59,14 @@ _ALIASES = {
 }
 
 
-def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy:
+def make_hmi(name: str, config: TeamConfig, sequential: bool = True) -> Policy:
     """The HMI of this name for teams set up by ``config``.
 
     Args:
         name: one of ``HMI_NAMES``, where case does not matter, a trained run's folder, or
             ``trained:NAME``.
         config: of the teams.
-        taking_turns: False in a parallel environment, where the AI sees a^H one step late; an HMI
+        sequential: False in a parallel environment, where the AI sees a^H one step late; an HMI
             that goes by a^H must know.
 
     Raises:
@@ -77,10 +77,10 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
         raise TypeError(f"an HMI's name is a string, not {name!r}")
     if _is_path(name, HMI_NAMES):
         policy = load_policy(name, VEHICLE_AI, config)
-        if policy.takes_turns and not taking_turns:
+        if policy.sequential and not sequential:
             raise ValueError(
-                f"{name} has learnt to see a^H_t, which an environment in which both act at once "
-                "shows a step late; use the one that takes turns, or train with --parallel"
+                f"{name} has learned to see a^H_t, which an environment in which both act at once "
+                "shows a step late; use the one that takes turns, or train with --no-sequential"
             )
         return policy
     kind, _, argument = _ALIASES.get(name.lower(), name.lower()).partition(":")
@@ -93,7 +93,7 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
     if kind == "when-distracted":
         return AlertWhenDistracted(config)
     if kind == ADAPT:
-        if not taking_turns:
+        if not sequential:
             raise ValueError("an adaptive HMI goes by a^H_t; use an environment that takes turns")
         return adaptive_by_name(argument, config)
     if kind in ("optimal", "belief"):
@@ -104,7 +104,7 @@ def make_hmi(name: str, config: TeamConfig, taking_turns: bool = True) -> Policy
         if kind == "optimal" and config.ai_sees_attention:
             return OptimalAlert(model, config)
         revealing = _number(share, "belief:DRIVER:SHARE") if share else DEFAULT_REVEALING
-        return BeliefAlert(model, config, revealing, taking_turns)
+        return BeliefAlert(model, config, revealing, sequential)
     raise ValueError(unknown("HMI", name, _typed(HMI_NAMES) | _ALIASES))
 
 
@@ -127,7 +127,7 @@ def make_driver_policy(name: str, config: TeamConfig) -> Policy:
 
 
 def learned_file(name: str, seat: str) -> Path | None:
-    """The weights of what was learnt, where a name means that; None of a rule.
+    """The weights of what was learned, where a name means that; None of a rule.
 
     Raises:
         FileNotFoundError, ValueError: there are none.
@@ -144,7 +144,7 @@ def _typed(names: MappingProxyType[str, str]) -> dict[str, str]:
 
 
 def _is_path(name: str, known: MappingProxyType[str, str]) -> bool:
-    """Whether this means something learnt rather than one of the known names."""
+    """Whether this means something learned rather than one of the known names."""
     if is_shipped(name) or "/" in name or os.sep in name or name.endswith(".json"):
         return True
     kind = name.lower().partition(":")[0]

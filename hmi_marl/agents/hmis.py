@@ -146,7 +146,7 @@ class BeliefAlert:
         model: the driver whose traits the belief and the rule assume.
         config: of the team.
         revealing: assumed share of steps in which a^H differs from the last applied action.
-        taking_turns: False in a parallel environment, where the AI sees a^H one step late.
+        sequential: False in a parallel environment, where the AI sees a^H one step late.
     """
 
     def __init__(
@@ -154,13 +154,13 @@ class BeliefAlert:
         model: str | Driver,
         config: TeamConfig,
         revealing: float = DEFAULT_REVEALING,
-        taking_turns: bool = True,
+        sequential: bool = True,
     ) -> None:
         need_plain(config.alerts, "'belief', the Bayes belief over attention,")
         self.model = get_driver(model)
-        self._taking_turns = taking_turns
+        self._sequential = sequential
         self._rule = solve_belief(
-            self.model, config.alert_window, config.horizon, config.weights, revealing, taking_turns
+            self.model, config.alert_window, config.horizon, config.weights, revealing, sequential
         )
         self._attention = AttentionWatch([self.model], config)
 
@@ -176,7 +176,7 @@ class BeliefAlert:
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
         step = self._attention.observe(observations)
-        if self._taking_turns:
+        if self._sequential:
             reveals = self._attention.reveals(observations)
         else:
             reveals = np.zeros(len(step), np.bool_)  # not known yet; the rule weighs both

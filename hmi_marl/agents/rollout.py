@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Traits
-from hmi_marl.envs.seats import Policy, takes_turns
+from hmi_marl.envs.seats import Policy, moves_sequentially
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import World
 
@@ -72,11 +72,11 @@ def turn(
     """Take one step of every team.
 
     The driver moves first, so that the HMI sees a^H_t. An HMI that moves at the same time as the
-    driver (see :func:`hmi_marl.envs.seats.takes_turns`) is asked first and sees a^H_{t-1}.
+    driver (see :func:`hmi_marl.envs.seats.moves_sequentially`) is asked first and sees a^H_{t-1}.
     """
     for observer in observers:
         observer.before(teaming)
-    if takes_turns(hmi):
+    if moves_sequentially(hmi):
         teaming.intend(driver.act(teaming.observe(DRIVER)))
         alerts = _alerts(teaming, hmi, observers)
     else:

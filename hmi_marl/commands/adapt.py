@@ -10,8 +10,7 @@ import tyro
 from hmi_marl.agents.adaptive.catalogue import Trained
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.adaptation.settings import QUICK, AdaptSettings
-from hmi_marl.files import make_folder
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value, make_folder
 from hmi_marl.workers import check_workers
 
 
@@ -41,7 +40,7 @@ class Adapt:
     out: Path | None = None
     """Folder; by default runs/adapt, with --quick runs/adapt-quick."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Play, write and print."""
         from tqdm import tqdm
 
@@ -59,7 +58,7 @@ class Adapt:
         make_folder(out)
         with tqdm(total=adapt.plays(size), unit=" plays", desc="playing") as bar:
             results = adapt.evaluate(size, self.driver_policy, self.trained, workers, bar.update)
-        print(adapt_report.write_report(out, results, {}, typed, plain(size))[0])
+        print(adapt_report.write_report(out, results, {}, command_line, json_value(size))[0])
         if self.clip:
             from hmi_marl.experiments.adaptation.clip import record_change
 

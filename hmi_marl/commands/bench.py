@@ -23,7 +23,7 @@ class Bench:
     out: Path = Path("runs/bench")
     """Folder for the JSON."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Measure, write and print."""
         from tqdm import tqdm
 
@@ -33,6 +33,8 @@ class Bench:
         make_folder(self.out)
         with tqdm(total=bench.measurements(self.bench), unit=" turns", desc="bench") as bar:
             rows = bench.bench(self.bench, bar.update)
-        write_json(self.out / "bench.json", bench.as_json(self.bench, rows) | {"command": typed})
+        write_json(
+            self.out / "bench.json", bench.as_json(self.bench, rows) | {"command": command_line}
+        )
         print(bench.as_text(rows))
         print(f"\nwritten: {self.out / 'bench.json'}")

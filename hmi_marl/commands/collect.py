@@ -29,7 +29,7 @@ class Collect:
     out: Path = Path("runs/demonstrations")
     """Folder of the dataset; one that is there is replaced."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Play, record, write and print."""
         from tqdm import tqdm
 
@@ -47,10 +47,12 @@ class Collect:
         summary = Summary(self.record)
         with tqdm(total=self.record.total_steps, unit=" steps", unit_scale=True) as bar:
             bar.set_description("collect")
-            chunks = collect(self.record, bar.update, typed)
+            chunks = collect(self.record, bar.update, command_line)
             make_folder(self.out)
             write_demonstrations(self.out, summary.counting(chunks))
-        write_json(self.out / "summary.json", {"command": typed, "drivers": summary.as_json()})
+        write_json(
+            self.out / "summary.json", {"command": command_line, "drivers": summary.as_json()}
+        )
         print(summary.as_text())
         written = [self.out / name for name in (OBSERVED, TRUTH, "summary.json")]
         if self.minari:

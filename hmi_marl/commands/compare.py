@@ -33,8 +33,8 @@ class Compare:
     out: Path | None = None
     """Folder; by default runs/compare, with --quick runs/compare-quick."""
 
-    def run(self, typed: str) -> None:
-        """Learn what is not learnt yet, play, write and print."""
+    def run(self, command_line: str) -> None:
+        """Learn what is not learned yet, play, write and print."""
         use_quiet_threads()
         from tqdm import tqdm
 
@@ -47,10 +47,10 @@ class Compare:
         out = self.out or Path("runs") / ("compare-quick" if self.quick else "compare")
         workers = check_workers(self.workers)
         make_folder(out)
-        train_all(size.jobs(out), workers, typed)
+        train_all(size.jobs(out), workers, command_line)
         with tqdm(total=len(size.pairs()) * size.episodes, unit=" episodes", desc="playing") as bar:
             played = compare_play.play_all(size, out, workers, bar.update)
         comparison = Comparison(size, played, compare_play.read_curves(size, out), workers)
-        page = compare_report.write_report(out, comparison, typed)
+        page = compare_report.write_report(out, comparison, command_line)
         print(compare_report.as_text(comparison))
         print(f"\nthe page: {page.resolve().as_uri()}")

@@ -26,7 +26,7 @@ class Export:
     out: Path | None = None
     """The file; by default beside the policy, of one that came with the package in this folder."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Read, write and say where."""
         from hmi_marl.agents.learned.onnx_export import export_onnx
 

@@ -35,7 +35,7 @@ class Oracle:
     out: Path = Path("runs/oracle")
     """Folder for the JSON."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Solve, write and print."""
         driver, window = get_driver(self.driver), check_window(self.window)
         horizon = oracle.check_horizon(self.horizon)

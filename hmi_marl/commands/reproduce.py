@@ -39,7 +39,7 @@ class ReproduceAll:
     out: Path | None = None
     """Folder; by default runs/reproduce/all, with --quick runs/reproduce/all-quick."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Do what is not done yet, write the report and say where it is."""
         use_quiet_threads()
         from hmi_marl.reproduction.suite import QUICK, FullSettings, reproduce_all
@@ -48,7 +48,9 @@ class ReproduceAll:
         out = self.out or Path("runs/reproduce") / ("all-quick" if self.quick else "all")
         told = ["hmi-marl", "reproduce", *["--quick"] * self.quick]
         told += ["--seed", str(self.seed)] if self.seed else []
-        page = reproduce_all(settings, out, check_workers(self.workers), typed, shlex.join(told))
+        page = reproduce_all(
+            settings, out, check_workers(self.workers), command_line, shlex.join(told)
+        )
         print(f"the page: {page.resolve().as_uri()}")
 
 
@@ -72,8 +74,8 @@ class ReproduceTable:
     out: Path | None = None
     """Folder; by default runs/reproduce/table, with --quick runs/reproduce/table-quick."""
 
-    def run(self, typed: str) -> None:
-        """Learn what is not learnt yet, play, write and print."""
+    def run(self, command_line: str) -> None:
+        """Learn what is not learned yet, play, write and print."""
         use_quiet_threads()
         from hmi_marl.experiments.paper_stages import TableStage
         from hmi_marl.experiments.stages import Place
@@ -85,7 +87,7 @@ class ReproduceTable:
                 raise ValueError("--quick sets the sizes itself; leave it out to choose them")
             size = replace(QUICK_TABLE, seed=size.seed)
         out = self.out or Path("runs/reproduce") / ("table-quick" if self.quick else "table")
-        place = Place(out, out, check_workers(self.workers), typed)
+        place = Place(out, out, check_workers(self.workers), command_line)
         print(TableStage(size).run(place).text)
         _tell_page(out)
 
@@ -102,13 +104,13 @@ class ReproduceDriver:
     out: Path = Path("runs/reproduce/driver")
     """Folder."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Learn, play, write and print."""
         use_quiet_threads()
         from hmi_marl.experiments.paper_stages import DriverStage
         from hmi_marl.experiments.stages import Place
 
-        print(DriverStage(self.size).run(Place(self.out, self.out, 1, typed)).text)
+        print(DriverStage(self.size).run(Place(self.out, self.out, 1, command_line)).text)
 
 
 @dataclass(frozen=True)
@@ -127,22 +129,22 @@ class ReproduceHidden:
     out: Path = Path("runs/reproduce/hidden")
     """Folder."""
 
-    def run(self, typed: str) -> None:
-        """Learn what is not learnt yet, play, write and print."""
+    def run(self, command_line: str) -> None:
+        """Learn what is not learned yet, play, write and print."""
         use_quiet_threads()
         from hmi_marl.experiments.paper_stages import HiddenStage, learn_driver
         from hmi_marl.experiments.stages import Place
 
         workers = check_workers(self.workers)
-        driver_run = self.driver_run or learn_driver(self.size.driver_job(self.out), typed)
-        print(HiddenStage(self.size).run(Place(self.out, driver_run, workers, typed)).text)
+        driver_run = self.driver_run or learn_driver(self.size.driver_job(self.out), command_line)
+        print(HiddenStage(self.size).run(Place(self.out, driver_run, workers, command_line)).text)
 
 
 @dataclass(frozen=True)
 class ReproduceTraits(TraitReproduction):
     """Learn latent traits in the paper's three settings and judge what was learned.
 
-    Goes on where it was cut off. With --seeds 5 every setting is learnt five times, and accuracies
+    Goes on where it was cut off. With --seeds 5 every setting is learned five times, and accuracies
     and KL get intervals.
 
     Example: hmi-marl reproduce traits --driver-run trained:driver
@@ -155,7 +157,7 @@ class ReproduceTraits(TraitReproduction):
     out: Path = Path("runs/reproduce/traits")
     """Folder."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Do what is not done yet, judge, write and print."""
         use_quiet_threads()
         from hmi_marl.experiments.paper_stages import TraitsStage, learn_driver
@@ -163,8 +165,8 @@ class ReproduceTraits(TraitReproduction):
 
         workers = check_workers(self.workers)
         size = only(TraitReproduction, self)
-        driver_run = self.driver_run or learn_driver(size.driver_job(self.out), typed)
-        print(TraitsStage(size).run(Place(self.out, driver_run, workers, typed)).text)
+        driver_run = self.driver_run or learn_driver(size.driver_job(self.out), command_line)
+        print(TraitsStage(size).run(Place(self.out, driver_run, workers, command_line)).text)
         _tell_page(self.out)
 
 
@@ -182,7 +184,7 @@ class ReproduceShip:
     report: Path | None = None
     """Folder to which the report and its numbers are copied as well."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
         from hmi_marl.reproduction.report import NUMBERS, PAGE
         from hmi_marl.reproduction.shipping import ship
@@ -224,6 +226,6 @@ class Reproduce:
     )
     """Which part of it."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Make it."""
-        self.what.run(typed)
+        self.what.run(command_line)

@@ -30,13 +30,13 @@ class ReproduceAdapt(AdaptReproduction):
     out: Path = Path("runs/reproduce/adapt")
     """Folder."""
 
-    def run(self, typed: str) -> None:
-        """Learn what is not learnt yet, play, write and print."""
+    def run(self, command_line: str) -> None:
+        """Learn what is not learned yet, play, write and print."""
         use_quiet_threads()
         from hmi_marl.experiments.adaptation.stage import AdaptStage
         from hmi_marl.experiments.stages import Place
 
-        place = Place(self.out, self.driver_run, check_workers(self.workers), typed)
+        place = Place(self.out, self.driver_run, check_workers(self.workers), command_line)
         size = only(AdaptReproduction, self)
         print(AdaptStage(size, self.hidden).run(place).text)
         print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")

@@ -30,8 +30,8 @@ class ReproduceGraded:
     out: Path | None = None
     """Folder; by default runs/reproduce/graded, with --quick runs/reproduce/graded-quick."""
 
-    def run(self, typed: str) -> None:
-        """Learn what is not learnt yet, play, write and print."""
+    def run(self, command_line: str) -> None:
+        """Learn what is not learned yet, play, write and print."""
         use_quiet_threads()
         from hmi_marl.experiments.graded_stage import GradedStage
         from hmi_marl.experiments.stages import Place
@@ -42,6 +42,6 @@ class ReproduceGraded:
                 raise ValueError("--quick sets the sizes itself; leave it out to choose them")
             size = replace(QUICK, seed=size.seed)
         out = self.out or Path("runs/reproduce") / ("graded-quick" if self.quick else "graded")
-        nobody = out / "driver"  # the rule-based driver drives, so that none is to be learnt
-        place = Place(out, nobody, check_workers(self.workers), typed)
+        nobody = out / "driver"  # the rule-based driver drives, so that none is to be learned
+        place = Place(out, nobody, check_workers(self.workers), command_line)
         print(GradedStage(size).run(place).text)

@@ -36,7 +36,7 @@ class Table:
     out: Path = Path("runs/table")
     """Folder for everything that is written."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Play, sum up, write and print; the page says what was ``typed``."""
         from tqdm import tqdm
 
@@ -54,7 +54,9 @@ class Table:
             captions.append(_record(config, path))
             return captions[0]
 
-        page = report.write_report(self.out, config, cells, record if self.clip else None, typed)
+        page = report.write_report(
+            self.out, config, cells, record if self.clip else None, command_line
+        )
         print(f"{report.as_text(config, cells)}\n\n{report.NOTE}\n")
         for remark in in_short(config, cells):
             print(f"{remark.plain()}\n")

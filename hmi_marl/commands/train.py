@@ -52,19 +52,19 @@ class Train:
     """That learn as one on this machine, each with teams of its own and a thread: with N of them
     a batch is N times as large. Over several machines use torchrun -m hmi_marl train ..."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Learn, and say what can be done with it."""
         use_quiet_threads()
         if self.processes < 1:
             raise ValueError(f"there is at least one process, but got {self.processes}")
         if self.processes > 1 and "WORLD_SIZE" not in os.environ:
-            start_again_in_processes(self.processes, typed)
+            start_again_in_processes(self.processes, command_line)
         from hmi_marl.training.ppo.run import train
 
         out = Path("runs") / _NAMES[type(self.protocol)] if self.out is None else self.out
-        train(self.protocol, out, typed=typed)
+        train(self.protocol, out, command_line=command_line)
         if os.environ.get("RANK", "0") == "0":
-            print(f"learnt: {out}; curves: tensorboard --logdir {out}")
+            print(f"learned: {out}; curves: tensorboard --logdir {out}")
             driver = out if (out / "driver.json").is_file() else "rule"
             hmi = out if (out / "vehicle_ai.json").is_file() else "never"
             print(f"see it: hmi-marl watch --hmi {hmi} --policy {driver} --out clip.gif")
@@ -73,11 +73,11 @@ class Train:
             )
 
 
-def start_again_in_processes(count: int, typed: str) -> None:
+def start_again_in_processes(count: int, command_line: str) -> None:
     """Run this very command in several processes instead, as torchrun does; never comes back."""
     launcher = ("-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}")
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-    arguments = [sys.executable, *launcher, "-m", "hmi_marl", *shlex.split(typed)[1:]]
+    arguments = [sys.executable, *launcher, "-m", "hmi_marl", *shlex.split(command_line)[1:]]
     os.execv(sys.executable, arguments)
 
 

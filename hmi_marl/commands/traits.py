@@ -32,7 +32,7 @@ class TrainTraits(TraitSettings):
     out: Path | None = None
     """Folder of the run; by default runs/traits- and the supervision."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Learn, and say what can be done with it."""
         use_quiet_threads()
         from hmi_marl.training.traits.labels import read_preferences
@@ -40,8 +40,10 @@ class TrainTraits(TraitSettings):
 
         out = self.out or Path(f"runs/traits-{self.supervision}")
         answers = None if self.preferences is None else read_preferences(self.preferences)
-        learn_traits(only(TraitSettings, self), self.demonstrations, out, answers, typed=typed)
-        print(f"learnt: {out}; curves: tensorboard --logdir {out}")
+        learn_traits(
+            only(TraitSettings, self), self.demonstrations, out, answers, command_line=command_line
+        )
+        print(f"learned: {out}; curves: tensorboard --logdir {out}")
         print(f"judge it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")
 
 
@@ -57,9 +59,9 @@ class EvaluateTraits:
     runs: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of trained runs, one for each supervision, or several that differ in their seed."""
     demonstrations: Path = Path("runs/demonstrations")
-    """What they learnt from; the windows that they held out are judged."""
+    """What they learned from; the windows that they held out are judged."""
     population: Path | None = None
-    """Demonstrations of drivers they have not learnt from, to regress traits over."""
+    """Demonstrations of drivers they have not learned from, to regress traits over."""
     driver_policy: str | None = None
     """The run whose driver the demonstrations are of; by default as they tell it."""
     size: tyro.conf.OmitArgPrefixes[AssessSettings] = field(default_factory=AssessSettings)
@@ -67,7 +69,7 @@ class EvaluateTraits:
     out: Path = Path("runs/traits")
     """Folder for the page, its figures and the numbers."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Judge, write and print."""
         if not self.runs:
             raise ValueError("name the folder of at least one trained run")
@@ -77,7 +79,7 @@ class EvaluateTraits:
         assessments, pool = assess_runs(
             self.runs, self.demonstrations, self.population, self.driver_policy, self.size
         )
-        told = write_report(self.out, assessments, pool, {}, typed, vars(self.size))
+        told = write_report(self.out, assessments, pool, {}, command_line, vars(self.size))
         print(told.text)
         print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")
 
@@ -92,6 +94,6 @@ class Traits:
         tyro.conf.arg(prefix_name=False),
     ]
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Do it."""
-        self.what.run(typed)
+        self.what.run(command_line)

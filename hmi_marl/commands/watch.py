@@ -51,7 +51,7 @@ class Watch:
     duration: float = 20.0
     """Length of the episode [s]."""
 
-    def run(self, typed: str) -> None:
+    def run(self, command_line: str) -> None:
         """Play, and draw as it goes."""
         from hmi_marl.reporting import clip
 

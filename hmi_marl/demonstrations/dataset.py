@@ -241,7 +241,7 @@ class Demonstrations:
     """
 
     observed: Observed
-    """All that may be learnt from."""
+    """All that may be learned from."""
     truth: Truth | None = None
     """For evaluation alone; None of people."""
 

@@ -29,8 +29,7 @@ from hmi_marl.demonstrations.dataset import (
 )
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.extras import needing
-from hmi_marl.files import write_atomically
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value, write_atomically
 
 with needing("reading and writing demonstrations"):
     import pyarrow as pa
@@ -85,7 +84,7 @@ def _write(chunks: Iterator[Demonstrations], observed_path: Path, truth_path: Pa
             observed, truth = chunk.observed, chunk.truth
             if first is None:
                 first = chunk
-                layout = {"layout": plain(observed.layout.parts)}
+                layout = {"layout": json_value(observed.layout.parts)}
                 schema = stamped(observed_schema(observed.layout), observed.about, layout)
                 observed_file = _open(files, observed_path, schema)
                 if truth_path is not None and truth is not None:

@@ -38,7 +38,7 @@ from hmi_marl.envs.drivers import (
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream, check_seed, episode_seed, mix
 from hmi_marl.envs.teaming import StepResult, Teaming
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value
 
 POPULATION = "population"
 
@@ -71,13 +71,13 @@ class CollectSettings(TeamSettings):
     end_at_crash: bool = False
     """Whether a crash ends the window. If not the crashed car stands, so that all windows have the
     same length, and the length gives nothing away."""
-    teams: int = 512
+    num_teams: int = 512
     """Side by side; memory grows with it. Does not change results."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", check_seed(self.seed))
         _check_names(self.drivers)
-        for name, least in (("steps", 1), ("population", 0), ("windows", 1), ("teams", 1)):
+        for name, least in (("steps", 1), ("population", 0), ("windows", 1), ("num_teams", 1)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int):
                 raise TypeError(f"{name} is a whole number, not {value!r}")
@@ -161,7 +161,7 @@ class _Placed:
 
 
 def collect(
-    settings: CollectSettings, progress: Callable[[int], Any] = id, typed: str = ""
+    settings: CollectSettings, progress: Callable[[int], Any] = id, command_line: str = ""
 ) -> Iterator[Demonstrations]:
     """Play and record, chunk by chunk: each driver's windows one after the other.
 
@@ -177,12 +177,16 @@ def collect(
     settings.make_driver(config)
     about = _about(settings, config)
     cast = [driver for driver, _ in settings.cast()]
-    hidden = about | {"drivers": plain(cast), "settings": plain(settings), "command": typed}
+    hidden = about | {
+        "drivers": json_value(cast),
+        "settings": json_value(settings),
+        "command": command_line,
+    }
     who, seeds = settings.episodes()
 
     def chunks() -> Iterator[Demonstrations]:
-        for start in range(0, len(seeds), settings.teams):
-            part = slice(start, start + settings.teams)
+        for start in range(0, len(seeds), settings.num_teams):
+            part = slice(start, start + settings.num_teams)
             yield _play(settings, cast, who[part], seeds[part], (about, hidden), progress)
 
     return chunks()
@@ -194,7 +198,7 @@ def _about(settings: CollectSettings, config: TeamConfig) -> dict[str, Any]:
     if isinstance(settings.make_driver(config), LearnedPolicy):
         weights = find_policy(Path(settings.driver_policy), DRIVER).with_suffix(".safetensors")
         policy["sha256"] = hashlib.sha256(weights.read_bytes()).hexdigest()
-    team = {name: value for name, value in plain(config).items() if name != "driver"}
+    team = {name: value for name, value in json_value(config).items() if name != "driver"}
     return {
         "environment": "merge_v0",
         "team": team,

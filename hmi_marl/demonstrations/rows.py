@@ -18,7 +18,7 @@ import hmi_marl
 from hmi_marl.demonstrations.dataset import NOBODY, column_names
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value
 
 FORMAT = "hmi-marl demonstrations 1"
 STAMP, BELONGS = b"hmi-marl", b"hmi-marl observed"
@@ -51,7 +51,7 @@ def observed_schema(layout: Layout) -> pa.Schema:
 
 def stamped(schema: pa.Schema, about: Any, more: dict[str, Any]) -> pa.Schema:
     """The schema with the format, the version, how the data were made, and ``more``."""
-    stamp = {"format": FORMAT, "version": hmi_marl.__version__, "about": plain(about)} | more
+    stamp = {"format": FORMAT, "version": hmi_marl.__version__, "about": json_value(about)} | more
     return schema.with_metadata({STAMP: json.dumps(stamp, allow_nan=False)})
 
 

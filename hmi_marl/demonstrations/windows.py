@@ -39,7 +39,7 @@ def alert_rate(observed: Observed) -> float:
 
 
 def held_out(observed: Observed, share: float) -> NDArray[np.bool_]:
-    """The last windows of every driver, a share of them: never learnt from. Shape (E,)."""
+    """The last windows of every driver, a share of them: never learned from. Shape (E,)."""
     number, out = observed.number, np.zeros(len(observed), np.bool_)
     for who in np.unique(observed.driver):
         theirs = observed.driver == who

@@ -29,13 +29,13 @@ class Policy(Protocol):
         ...
 
 
-def takes_turns(hmi: Policy) -> bool:
+def moves_sequentially(hmi: Policy) -> bool:
     """Whether a vehicle AI's policy is asked after the driver has acted, and so sees a^H_t.
 
-    A policy that has learnt to act at once with the driver says otherwise by an attribute
-    ``takes_turns``; it is asked before, when its observation still holds a^H_{t-1}.
+    A policy that has learned to act at once with the driver says otherwise by an attribute
+    ``sequential``; it is asked before, when its observation still holds a^H_{t-1}.
     """
-    return bool(getattr(hmi, "takes_turns", True))
+    return bool(getattr(hmi, "sequential", True))
 
 
 def check_policy(policy: object) -> Policy:

@@ -37,12 +37,12 @@ from tensordict import TensorDict
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.envs.seats import Policy, check_policy, takes_turns
+from hmi_marl.envs.seats import Policy, check_policy, moves_sequentially
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.totals import Totals
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value
 
 if TYPE_CHECKING:
     from hmi_marl.envs.render import Viewer
@@ -56,7 +56,7 @@ _TRAITS = Layout(
 
 
 class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
-    """N teams, one seat or both of them to be learnt.
+    """N teams, one seat or both of them to be learned.
 
     Args:
         teaming: the N teams, in any world. Belongs to this environment from now on.
@@ -107,7 +107,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             "world": type(teaming.world).__name__,
             "num_teams": self.num_envs,
             "seed": check_seed(seed),
-            "team": plain(teaming.config),
+            "team": json_value(teaming.config),
         }
         """What is being run, fit for JSON; rsl_rl keeps it with the run."""
         self._columns = {
@@ -270,7 +270,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """Let the drivers act if they have not; what alerts there are, shape (N,)."""
         if self.seat == VEHICLE_AI:
             return columns[:, 0]
-        if self.partner is not None and not takes_turns(self.partner):
+        if self.partner is not None and not moves_sequentially(self.partner):
             alerts = self._partner_actions(VEHICLE_AI)
             self.teaming.intend(columns[:, 0])
             return alerts

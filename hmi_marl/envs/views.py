@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.seats import Policy, check_policy, takes_turns
+from hmi_marl.envs.seats import Policy, check_policy, moves_sequentially
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam
 
 
@@ -125,7 +125,7 @@ class MergeDriver(_OneSeat):
 
     def _act(self, action: Any) -> None:
         action = self.team.check(self.seat, action)  # before a partner is asked
-        at_once = None if takes_turns(self.partner) else self._partner_action()
+        at_once = None if moves_sequentially(self.partner) else self._partner_action()
         self.team.intend(action)
         try:
             alert = self._partner_action() if at_once is None else at_once

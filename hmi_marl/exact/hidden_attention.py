@@ -101,12 +101,12 @@ def solve_belief(
     horizon: int,
     weights: RewardWeights,
     revealing: float = DEFAULT_REVEALING,
-    sees_intent: bool = True,
+    sequential: bool = True,
 ) -> BeliefSolution:
     """Dynamic programming over (t, b, i, c), with ``revealing`` of the steps showing d.
 
     Each step but the first reveals d independently with that probability. Whether the present one
-    will is known when alerting if ``sees_intent``, that is, when taking turns (a^H_t and v_{t-1}
+    will is known when alerting if ``sequential``, that is, when taking turns (a^H_t and v_{t-1}
     are both seen); at once it is not, and both cases are weighed.
 
     Raises:
@@ -127,7 +127,7 @@ def solve_belief(
         share = revealing if t > 0 else 0.0
         silent = [choice.value_if_silent(value) for choice in choices]
         revealed = [choice.value_if_revealed(value) for choice in choices]
-        if not sees_intent:
+        if not sequential:
             both = [(1 - share) * s + share * r for s, r in zip(silent, revealed, strict=True)]
             silent = revealed = both
         advantage[t, 0] = silent[1] - silent[0]

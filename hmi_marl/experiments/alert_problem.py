@@ -10,9 +10,9 @@ from hmi_marl.envs.alerts import PLAIN, Alerts
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.exact import oracle
 from hmi_marl.exact.oracle import AlertReturns, Reachable
+from hmi_marl.files import json_value
 from hmi_marl.paper import audit
 from hmi_marl.paper.audit import AuditedCell
-from hmi_marl.plain import plain
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class AlertReport:
                 }
                 for name, row in self.returns.items()
             },
-            "alerts": plain(self.alerts),
+            "alerts": json_value(self.alerts),
             "reachable_distraction_return": self.reachable._asdict(),
             "audit": audit.audit_json(self.audited),
         }

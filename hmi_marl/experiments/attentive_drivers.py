@@ -1,7 +1,7 @@
 """How drivers without distraction drive, and how that changes as they learn.
 
 The cautious one perceives other vehicles nine times their size, the confident one three times;
-one policy is learnt for both.
+one policy is learned for both.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class AttentiveSettings:
     """At how many points on the way to look."""
     episodes: int = 2000
     """Episodes of each driver at each point."""
-    teams: int = 512
+    num_teams: int = 512
     """Teams that train side by side."""
     seed: int = 0
     """Of the training."""
@@ -63,7 +63,7 @@ class AttentiveSettings:
             drivers=drivers,
             driver_steps=self.steps,
             hmi_steps=0,
-            teams=self.teams,
+            num_teams=self.num_teams,
             seed=self.seed,
             snapshots=self.snapshots,
         )
@@ -76,7 +76,7 @@ class Driving:
 
     driver: str
     steps: int
-    """Environment steps learnt from."""
+    """Environment steps learned from."""
     speed_return: Estimate
     """Per episode; an episode that crashes earns no more."""
     crash_rate: Estimate
@@ -127,7 +127,7 @@ def verdicts(confident: Driving, cautious: Driving) -> dict[str, bool]:
 
 
 def snapshots(folder: Path) -> list[tuple[int, Path]]:
-    """The policies on the way, by the steps that they learnt from."""
+    """The policies on the way, by the steps that they learned from."""
     kept = (path for path in (folder / "snapshots").iterdir() if path.name.isdigit())
     return sorted((int(path.name), path) for path in kept)
 

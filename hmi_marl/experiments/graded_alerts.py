@@ -35,7 +35,9 @@ LEAST_SHARE = 0.97
 READS = ("time", "distracted", "accepted", "counter", "fatigue")
 """What the optimum depends on. Lidar and lanes would only have to be ignored."""
 
-LEARNER = PPOSettings(discount=0.99, epochs=8, mini_batches=8, learning_rate=2e-3, entropy=0.02)
+LEARNER = PPOSettings(
+    gamma=0.99, num_learning_epochs=8, num_mini_batches=8, learning_rate=2e-3, entropy_coef=0.02
+)
 """Many gradient steps on few numbers. With the defaults, a ninth as many, HMIs stay with alerting
 whenever the driver is distracted, which fatigue makes a bad habit."""
 
@@ -87,13 +89,13 @@ class GradedSettings:
     """Environment steps in which each HMI learns."""
     episodes: int = 2000
     """Episodes that each of them plays."""
-    teams: int = 128
+    num_teams: int = 128
     """Teams that train side by side."""
     seed: int = 0
     """Of all training."""
 
     def __post_init__(self) -> None:
-        for name in ("hmi_steps", "episodes", "teams"):
+        for name in ("hmi_steps", "episodes", "num_teams"):
             check_count(name, getattr(self, name))
 
     def training(self, case: Case) -> TwoStage:
@@ -111,7 +113,7 @@ class GradedSettings:
             condition="hidden",
             critic="own",
             ppo=LEARNER,
-            teams=self.teams,
+            num_teams=self.num_teams,
             seed=self.seed,
         )
 
@@ -149,7 +151,7 @@ class GradedRow:
 
     @property
     def share(self) -> float:
-        """Of what the optimum earns more than silence: how much of it was learnt."""
+        """Of what the optimum earns more than silence: how much of it was learned."""
         return (self.learned.mean - self.silent) / (self.optimum - self.silent)
 
     @property
@@ -159,7 +161,7 @@ class GradedRow:
 
     @property
     def holds(self) -> bool:
-        """Whether enough was learnt.
+        """Whether enough was learned.
 
         Where the optimum is positive the return itself is held against it, otherwise, since a
         share of a loss says little, the gain over silence.
@@ -180,7 +182,7 @@ class GradedRow:
 
 
 def assess(settings: GradedSettings, case: Case, folder: Path) -> GradedRow:
-    """Play the HMI that was learnt for a case, and the optimum, in the same episodes."""
+    """Play the HMI that was learned for a case, and the optimum, in the same episodes."""
     team = settings.team(case)
     seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + settings.episodes, dtype=np.uint64)
     played = {}

@@ -12,9 +12,8 @@ from hmi_marl.agents.learned.policy_files import find_policy
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.experiments import graded_alerts as graded
 from hmi_marl.experiments.graded_alerts import CASES, GradedSettings
-from hmi_marl.experiments.stages import Agent, Outcome, Place, learnt_in
-from hmi_marl.files import make_folder, write_json, write_text
-from hmi_marl.plain import plain
+from hmi_marl.experiments.stages import Agent, Outcome, Place, learned_in
+from hmi_marl.files import json_value, make_folder, write_json, write_text
 from hmi_marl.reporting.blocks import Table, Told
 from hmi_marl.reporting.stopwatch import Stopwatch
 from hmi_marl.training.runs.jobs import seconds_of, train_all
@@ -35,11 +34,11 @@ class GradedStage:
 
     def settings(self) -> dict[str, Any]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return dict(plain(self.size)) | {"cases": plain(CASES)}
+        return dict(json_value(self.size)) | {"cases": json_value(CASES)}
 
     def inputs(self, place: Place) -> list[Path]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return learnt_in(place.folder)
+        return learned_in(place.folder)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
@@ -57,15 +56,15 @@ class GradedStage:
         out, watch = place.folder, Stopwatch()
         make_folder(out)
         jobs = self.size.jobs(out)
-        train_all(jobs, place.workers, place.typed)
+        train_all(jobs, place.workers, place.command_line)
         with (
             watch.timing("playing"),
             tqdm(total=len(CASES), unit=" cases", desc="playing") as bar,
         ):
             rows = graded.compare_graded(self.size, out, lambda name: bar.update())
         seconds = seconds_of(job.folder for job in jobs) | watch.seconds
-        text, numbers = graded.as_text(rows), {"rows": [plain(row.as_json()) for row in rows]}
-        about = {"seconds": seconds, "settings": self.settings(), "command": place.typed}
+        text, numbers = graded.as_text(rows), {"rows": [json_value(row.as_json()) for row in rows]}
+        about = {"seconds": seconds, "settings": self.settings(), "command": place.command_line}
         write_text(out / "graded.txt", text + "\n")
         write_json(out / "graded.json", numbers | about)
         exhibits = (

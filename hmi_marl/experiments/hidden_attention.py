@@ -54,22 +54,22 @@ class HiddenSettings:
     """Environment steps in which the driver learns, unless one is given."""
     hmi_steps: int = 4_000_000
     """Environment steps in which each HMI learns."""
-    memory: int = 32
+    rnn_hidden_dim: int = 32
     """Units of the HMIs' recurrent layer."""
     episodes: int = 2000
     """Episodes of each driver with each HMI."""
-    teams: int = 512
+    num_teams: int = 512
     """Teams that train side by side."""
     seed: int = 0
     """Of all training."""
 
     def __post_init__(self) -> None:
-        for name in ("driver_steps", "hmi_steps", "memory", "episodes"):
+        for name in ("driver_steps", "hmi_steps", "rnn_hidden_dim", "episodes"):
             check_count(name, getattr(self, name))
 
     def driver_job(self, folder: Path) -> Job:
         """One driver policy over the four drivers and the average one."""
-        return driver_job(MODELS, self.driver_steps, self.teams, self.seed, folder)
+        return driver_job(MODELS, self.driver_steps, self.num_teams, self.seed, folder)
 
     def hmi_jobs(self, folder: Path, driver_run: Path) -> list[Job]:
         """An HMI with a memory for each driver model."""
@@ -80,11 +80,11 @@ class HiddenSettings:
                     driver_policy=str(driver_run),
                     hmi_steps=self.hmi_steps,
                     ai_sees_attention=False,
-                    memory=self.memory,
+                    rnn_hidden_dim=self.rnn_hidden_dim,
                     hmi_reads=HMI_READS,
                     hmi_reward="attention",
                     ppo=HIDDEN_PPO,
-                    teams=self.teams,
+                    num_teams=self.num_teams,
                     seed=self.seed,
                 ),
                 folder / f"hmi-{model}",

@@ -29,18 +29,17 @@ from hmi_marl.experiments.metrics_table.reproduction import (
     VARIANTS,
     ReproductionSettings,
 )
-from hmi_marl.experiments.stages import Agent, Outcome, Place, learnt_in
-from hmi_marl.files import make_folder, write_bytes, write_json, write_text
-from hmi_marl.plain import plain
+from hmi_marl.experiments.stages import Agent, Outcome, Place, learned_in
+from hmi_marl.files import json_value, make_folder, write_bytes, write_json, write_text
 from hmi_marl.reporting.blocks import Table, held, page_of, pictures
 from hmi_marl.reporting.stopwatch import Stopwatch
 from hmi_marl.training.runs.jobs import Job, need_training, seconds_of, train_all
 
 
-def learn_driver(job: Job, typed: str) -> Path:
+def learn_driver(job: Job, command_line: str) -> Path:
     """Learn a driver policy alone; returns its run."""
     make_folder(job.folder)
-    train_all([job], 1, typed)
+    train_all([job], 1, command_line)
     return job.folder
 
 
@@ -67,11 +66,11 @@ class TableStage:
 
     def settings(self) -> dict[str, Any]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return dict(plain(self.size))
+        return dict(json_value(self.size))
 
     def inputs(self, place: Place) -> list[Path]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return learnt_in(place.folder)
+        return learned_in(place.folder)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
@@ -89,8 +88,8 @@ class TableStage:
         make_folder(out)
         first, others = size.driver_job(out), size.hmi_jobs(out)
         with watch.timing("all training of this call, side by side"):
-            train_all([first], 1, place.typed)
-            train_all(others, place.workers, place.typed)
+            train_all([first], 1, place.command_line)
+            train_all(others, place.workers, place.command_line)
         total = reproduction.cells_in_all() * size.episodes
         with watch.timing("playing"), tqdm(total=total, unit=" episodes", desc="playing") as bar:
             tables = [
@@ -102,11 +101,11 @@ class TableStage:
         text = reproduction_report.as_text(tables, seconds)
         numbers = reproduction_report.as_json(tables)
         exhibits = reproduction_report.exhibits(tables)
-        about = {"command": place.typed, "settings": self.settings()}
+        about = {"command": place.command_line, "settings": self.settings()}
         write_text(out / "table.txt", text + "\n")
         write_json(out / "table.json", numbers | {"seconds": seconds} | about)
         write_bytes(out / "table.png", *pictures(exhibits))
-        html = page_of("The paper's table", exhibits, seconds, place.typed, self.settings())
+        html = page_of("The paper's table", exhibits, seconds, place.command_line, self.settings())
         write_text(out / "index.html", html)
         return Outcome(numbers, exhibits, seconds, text)
 
@@ -127,11 +126,11 @@ class DriverStage:
 
     def settings(self) -> dict[str, Any]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return dict(plain(self.size))
+        return dict(json_value(self.size))
 
     def inputs(self, place: Place) -> list[Path]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return learnt_in(place.folder)
+        return learned_in(place.folder)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
@@ -143,7 +142,7 @@ class DriverStage:
         size, out, watch = self.size, place.folder, Stopwatch()
         make_folder(out)
         job = size.job(out)
-        train_all([job], 1, place.typed)
+        train_all([job], 1, place.command_line)
         with watch.timing("playing"):
             rows = [
                 attentive.assess(path, steps, driver, size.episodes, reproduction.EVALUATION_SEED)
@@ -152,7 +151,7 @@ class DriverStage:
             ]
         verdicts = attentive.verdicts(*rows[-2:])
         numbers = {"rows": [row.as_json() for row in rows], "verdicts": verdicts}
-        write_json(out / "driver.table.json", numbers | {"command": place.typed})
+        write_json(out / "driver.table.json", numbers | {"command": place.command_line})
         seconds = seconds_of([job.folder]) | watch.seconds
         exhibits = (
             Table("As they learn", attentive.HEAD, attentive.table_rows(rows)),
@@ -177,11 +176,11 @@ class HiddenStage:
 
     def settings(self) -> dict[str, Any]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return dict(plain(self.size))
+        return dict(json_value(self.size))
 
     def inputs(self, place: Place) -> list[Path]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return learnt_in(place.folder) + driver_weights(place)
+        return learned_in(place.folder) + driver_weights(place)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
@@ -199,7 +198,7 @@ class HiddenStage:
         out, watch = place.folder, Stopwatch()
         make_folder(out)
         jobs = self.size.hmi_jobs(out, place.driver_run)
-        train_all(jobs, place.workers, place.typed)
+        train_all(jobs, place.workers, place.command_line)
         with (
             watch.timing("playing"),
             tqdm(total=len(hidden.MODELS), unit=" drivers", desc="playing") as bar,
@@ -208,7 +207,7 @@ class HiddenStage:
                 self.size, out, place.driver_run, lambda name: bar.update()
             )
         numbers = {"rows": [row.as_json() for row in rows]}
-        about = {"settings": self.settings(), "command": place.typed}
+        about = {"settings": self.settings(), "command": place.command_line}
         write_json(out / "hidden.json", numbers | about)
         exhibits = (
             Table(hidden.CAPTION, hidden.table_head(rows), hidden.table_rows(rows)),
@@ -235,11 +234,11 @@ class TraitsStage:
 
     def settings(self) -> dict[str, Any]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return dict(plain(self.size))
+        return dict(json_value(self.size))
 
     def inputs(self, place: Place) -> list[Path]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return learnt_in(place.folder) + driver_weights(place)
+        return learned_in(place.folder) + driver_weights(place)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
@@ -249,7 +248,7 @@ class TraitsStage:
             Agent(
                 f"traits-{supervision}",
                 place.folder / f"traits-{supervision}" / "traits.json",
-                f"encodes driving into latent traits, learnt with {labels}",
+                f"encodes driving into latent traits, learned with {labels}",
             )
             for supervision, labels in told.items()
         ]
@@ -264,7 +263,7 @@ class TraitsStage:
         with watch.timing("collecting"):
             parts.collect_datasets(size, place.driver_run, out)
         with watch.timing("all training of this call, side by side"):
-            parts.learn_all(size, out, place.workers, place.typed)
+            parts.learn_all(size, out, place.workers, place.command_line)
         runs = list(size.trainings(out))
         with watch.timing("judging"):
             assessments, pools = parts.assess_runs(
@@ -272,4 +271,6 @@ class TraitsStage:
             )
         trained = seconds_of(runs)
         seconds = {f"training {run}": spent for run, spent in trained.items()} | watch.seconds
-        return parts.write_report(out, assessments, pools, seconds, place.typed, self.settings())
+        return parts.write_report(
+            out, assessments, pools, seconds, place.command_line, self.settings()
+        )

@@ -2,7 +2,7 @@
 
 A stage learns (every training resumes by itself), plays or judges, and hands over an
 :class:`Outcome`. :func:`run_stages` keeps it in ``stages/NAME.json`` together with the version, the
-stage's settings and the checksums of everything learnt or recorded that it depends on. A stage
+stage's settings and the checksums of everything learned or recorded that it depends on. A stage
 whose record agrees with all of these is skipped; one whose weights have changed is done again; one
 with other settings is refused.
 
@@ -41,13 +41,13 @@ class Place:
     """Whose driver all stages share; the one that learns it finds it below its own folder."""
     workers: int = 1
     """Processes at a time. Does not change results."""
-    typed: str = ""
+    command_line: str = ""
     """The command."""
 
 
 @dataclass(frozen=True)
 class Agent:
-    """Something learnt that is worth shipping."""
+    """Something learned that is worth shipping."""
 
     name: str
     card: Path
@@ -88,10 +88,10 @@ class Stage(Protocol):
         """As JSON, all that its results depend on."""
 
     def inputs(self, place: Place) -> list[Path]:
-        """Files that were learnt or recorded and that its results depend on, once it has run."""
+        """Files that were learned or recorded and that its results depend on, once it has run."""
 
     def agents(self, place: Place) -> list[Agent]:
-        """What it has learnt for others to use."""
+        """What it has learned for others to use."""
 
     def run(self, place: Place) -> Outcome:
         """Do what is not done yet, and tell."""
@@ -106,7 +106,7 @@ class Record:
     exhibits: tuple[Exhibit, ...]
 
 
-def learnt_in(folder: Path) -> list[Path]:
+def learned_in(folder: Path) -> list[Path]:
     """Weights and demonstrations below ``folder``, in order; checkpoints are on the way to them."""
     return sorted(
         path
@@ -122,7 +122,7 @@ def run_stages(
     folder: Path,
     driver_run: Path,
     workers: int = 1,
-    typed: str = "",
+    command_line: str = "",
     line: Callable[[str], object] | None = None,
 ) -> list[Record]:
     """Run them one after the other, but for those that are done.
@@ -148,7 +148,7 @@ def run_stages(
             check_same(before, _about(stage), folder / stage.name)
     records = []
     for number, stage in enumerate(stages, 1):
-        place = Place(folder / stage.name, driver_run, workers, typed)
+        place = Place(folder / stage.name, driver_run, workers, command_line)
         path = folder / STAGES / f"{stage.name}.json"
         which = f"stage {number} of {len(stages)}, {stage.name}"
         content = _read(path)

@@ -98,7 +98,7 @@ def as_html(sections: Sequence[tuple[str, str, str]], command: str) -> str:
     )
     introduction = (
         "<p>“Learning Latent Traits for Simulated Cooperative Driving Tasks” (DeCastro et al.), "
-        "made again with everything learnt anew, the exact values beside it. The paper's source "
+        "made again with everything learned anew, the exact values beside it. The paper's source "
         "comes without its pictures: what stands beside ours is what it prints, in numbers and in "
         "words.</p>"
     )

@@ -79,7 +79,7 @@ QUICK = FullSettings(
 
 
 def reproduce_all(
-    settings: FullSettings, folder: Path, workers: int, typed: str, told: str
+    settings: FullSettings, folder: Path, workers: int, command_line: str, told: str
 ) -> Path:
     """Do what is not done yet, and write the report; returns its page.
 
@@ -87,14 +87,16 @@ def reproduce_all(
         settings: how large.
         folder: of the whole.
         workers: trainings and evaluations at a time. Does not change results.
-        typed: the command, kept with what is learnt.
+        typed: the command, kept with what is learned.
         told: the command as the report tells it, without what does not change results.
 
     Raises:
         ValueError: the folder holds another run, or a file there has been altered.
     """
     stages, shared = settings.stages(), shared_driver(folder)
-    return write_full_report(folder, run_stages(stages, folder, shared, workers, typed), told)
+    return write_full_report(
+        folder, run_stages(stages, folder, shared, workers, command_line), told
+    )
 
 
 def shared_driver(folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""HMIs that have learnt to act at once with the driver, as partners of one who takes turns."""
+"""HMIs that have learned to act at once with the driver, as partners of one who takes turns."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ class Seen(LearnedPolicy):
 
 
 def hmi(at_once, made=Seen):
-    card = make_card("vehicle_ai", TEAM, NetworkConfig((4,)), True, taking_turns=not at_once)
+    card = make_card("vehicle_ai", TEAM, NetworkConfig((4,)), True, sequential=not at_once)
     return made(card, {name: np.zeros(shape, "f4") for name, shape in card.shapes.items()}, TEAM)
 
 
@@ -54,6 +54,6 @@ def test_one_who_takes_turns_is_refused_where_both_act_at_once(tmp_path):
     for at_once in (True, False):
         policy = hmi(at_once)
         save_policy(tmp_path / str(at_once), dataclasses.replace(policy.card), policy.weights)
-    assert not make_hmi(str(tmp_path / "True"), TEAM, taking_turns=False).takes_turns
-    with pytest.raises(ValueError, match="train with --parallel"):
-        make_hmi(str(tmp_path / "False"), TEAM, taking_turns=False)
+    assert not make_hmi(str(tmp_path / "True"), TEAM, sequential=False).sequential
+    with pytest.raises(ValueError, match="train with --no-sequential"):
+        make_hmi(str(tmp_path / "False"), TEAM, sequential=False)

@@ -62,11 +62,11 @@ def test_the_belief_takes_the_share_of_steps_that_show_and_the_kind_of_turns():
         ("Belief:Lisa:0", "lisa", 0.0),
         ("belief::0.5", "bart", 0.5),
     ):
-        for taking_turns in (True, False):
-            rule = make_hmi(name, HIDDEN, taking_turns)._rule
+        for sequential in (True, False):
+            rule = make_hmi(name, HIDDEN, sequential)._rule
             assert (rule.driver.name, rule.revealing) == (model, revealing)
             # At once nobody knows whether a step will show, so the rule is the same in both.
-            assert np.array_equal(rule.advantage[:, 0], rule.advantage[:, 1]) != taking_turns
+            assert np.array_equal(rule.advantage[:, 0], rule.advantage[:, 1]) != sequential
 
 
 def test_driver_policies_by_name_whatever_the_case():

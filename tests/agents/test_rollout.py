@@ -28,8 +28,8 @@ class Counting(Memoryless):
 class SeesIntent(Memoryless):
     """An HMI that keeps the intended action that it sees."""
 
-    def __init__(self, layout, takes_turns):
-        self.layout, self.takes_turns, self.seen = layout, takes_turns, []
+    def __init__(self, layout, sequential):
+        self.layout, self.sequential, self.seen = layout, sequential, []
 
     def act(self, observations):
         self.seen.append(self.layout.chosen(observations, "intended_action")[0])
@@ -50,14 +50,14 @@ class Log(Observer):
         self.calls.append(("after", int(teaming.steps[0]), result.rewards["driver"].shape))
 
 
-@pytest.mark.parametrize("takes_turns", [True, False])
-def test_an_hmi_sees_the_intent_of_this_step_or_of_the_last(takes_turns):
+@pytest.mark.parametrize("sequential", [True, False])
+def test_an_hmi_sees_the_intent_of_this_step_or_of_the_last(sequential):
     driver = Counting()
     teaming = begin(CONFIG, driver, RandomAlert(0.0), SEEDS, "batched")
-    hmi = SeesIntent(teaming.layouts["vehicle_ai"], takes_turns)
+    hmi = SeesIntent(teaming.layouts["vehicle_ai"], sequential)
     for _, _ in zip(range(4), turns(teaming, driver, hmi), strict=False):
         pass
-    assert hmi.seen == ([0, 1, 2, 3] if takes_turns else [-1, 0, 1, 2])
+    assert hmi.seen == ([0, 1, 2, 3] if sequential else [-1, 0, 1, 2])
 
 
 def test_observers_are_called_before_each_turn_as_the_hmi_sees_and_after():

@@ -57,7 +57,7 @@ def test_it_plays_writes_and_prints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small_evaluation(monkeypatch)
-    arguments = ["adapt", *TINY, *made_of(save_trained(tmp_path / "learnt"))]
+    arguments = ["adapt", *TINY, *made_of(save_trained(tmp_path / "learned"))]
     assert main(arguments) == 0
     printed = capsys.readouterr().out
     out = Path("runs/adapt")
@@ -92,7 +92,7 @@ def test_what_cannot_be_is_told_in_one_line(
 ) -> None:
     small_evaluation(monkeypatch)
     words = [] if "--quick" in arguments else ["--drivers", "2", "--driver-policy", "random"]
-    words += ["--workers", "1", *made_of(save_trained(tmp_path / "learnt"))]
+    words += ["--workers", "1", *made_of(save_trained(tmp_path / "learned"))]
     for name in set(arguments[::2]) & set(words):
         place = words.index(name)
         del words[place : place + 2]

@@ -23,8 +23,10 @@ def test_the_defaults_are_those_of_python():
     command = parse(["collect"])
     assert command.record == CollectSettings()
     assert str(command.out) == "runs/demonstrations"
-    typed = "collect --drivers homer mona:0.4,0.3,0.5,2 --population 5 --alert-rate 0.1 --greedy"
-    settings = parse(typed.split()).record
+    command_line = (
+        "collect --drivers homer mona:0.4,0.3,0.5,2 --population 5 --alert-rate 0.1 --greedy"
+    )
+    settings = parse(command_line.split()).record
     assert settings.drivers == ("homer", "mona:0.4,0.3,0.5,2")
     assert (settings.population, settings.alert_rate, settings.greedy) == (5, 0.1, True)
     assert parse(["collect", "--end-at-crash"]).record.end_at_crash

@@ -10,10 +10,10 @@ GRADED = ["--alert-strengths", "0.5", "1", "--fatigue", "20", "5", "1"]
 
 
 def test_graded_alerts_are_solved_told_and_written_apart(tmp_path, capsys):
-    typed = ["oracle", "--driver", "homer", "--horizon", "50", "--out", str(tmp_path)]
-    assert main(typed) == 0
+    command_line = ["oracle", "--driver", "homer", "--horizon", "50", "--out", str(tmp_path)]
+    assert main(command_line) == 0
     assert "Alerts of strength" not in capsys.readouterr().out
-    assert main([*typed, *GRADED]) == 0
+    assert main([*command_line, *GRADED]) == 0
     printed = capsys.readouterr().out
     assert "Alerts of strength 0.5, 1, of which plain rules give the strongest" in printed
     assert "5 of 20 levels per alert, which take 1 η" in printed

@@ -25,9 +25,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 @pytest.mark.parametrize("words", [["reproduce"], ["reproduce", "all"]])
 def test_everything_is_reproduced_by_default(words, asked, capsys) -> None:
     assert main([*words, "--workers", "2"]) == 0
-    typed = " ".join(["hmi-marl", *words, "--workers", "2"])
+    command_line = " ".join(["hmi-marl", *words, "--workers", "2"])
     out = Path("runs/reproduce/all")
-    assert asked == [(FullSettings(), out, 2, typed, "hmi-marl reproduce")]
+    assert asked == [(FullSettings(), out, 2, command_line, "hmi-marl reproduce")]
     assert f"the page: {out.resolve().as_uri()}/index.html" in capsys.readouterr().out
 
 

@@ -12,7 +12,7 @@ from hmi_marl.training.protocols.joint import Joint
 from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 
-TINY = ["--teams", "16", "--duration", "1"]
+TINY = ["--num-teams", "16", "--duration", "1"]
 
 
 @pytest.mark.parametrize(
@@ -31,22 +31,24 @@ def test_every_protocol_is_a_subcommand_with_the_defaults_of_python(name, protoc
 
 
 def test_settings_reach_the_protocol():
-    typed = (
+    command_line = (
         "train two-stage --drivers lisa mona:0.4,0.3,0.5,2 --hmi-for mona:0.4,0.3,0.5,2 --seed 7"
     )
-    protocol = parse([*typed.split(), "--ppo.epochs", "2", "--network.hidden", "8", "8"]).protocol
+    protocol = parse(
+        [*command_line.split(), "--ppo.num-learning-epochs", "2", "--network.hidden-dims", "8", "8"]
+    ).protocol
     assert protocol.drivers == ("lisa", "mona:0.4,0.3,0.5,2")
     assert protocol.seed == 7
-    assert protocol.ppo.epochs == 2
-    assert protocol.network.hidden == (8, 8)
+    assert protocol.ppo.num_learning_epochs == 2
+    assert protocol.network.hidden_dims == (8, 8)
 
 
-def test_a_run_is_learnt_watched_and_put_in_a_table(tmp_path, monkeypatch, capsys):
+def test_a_run_is_learned_watched_and_put_in_a_table(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     steps = ["--driver-steps", "1", "--hmi-steps", "1"]
     assert main(["train", "two-stage", *TINY, *steps]) == 0
     printed = capsys.readouterr().out
-    assert "learnt: runs/two-stage" in printed
+    assert "learned: runs/two-stage" in printed
     command = json.loads(Path("runs/two-stage/run.json").read_text())["command"]
     assert command == shlex.join(["hmi-marl", "train", "two-stage", *TINY, *steps])
     table = ["table", "--hmis", "own", "runs/two-stage", "--driver-policy", "runs/two-stage"]
@@ -61,13 +63,13 @@ def test_a_run_is_learnt_watched_and_put_in_a_table(tmp_path, monkeypatch, capsy
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--teams", "0"], "at least one team"),
-        (["--ppo.discount", "1.5"], "discount lies in [0, 1]"),
+        (["--num-teams", "0"], "at least one team"),
+        (["--ppo.gamma", "1.5"], "gamma lies in [0, 1]"),
         (["--drivers", "nobody"], "unknown driver"),
         (["--hmi-reads", "wheel"], "no part 'wheel' to read"),
     ],
 )
-def test_bad_settings_are_refused_before_anything_is_learnt(arguments, told, capsys):
+def test_bad_settings_are_refused_before_anything_is_learned(arguments, told, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["train", "two-stage", *arguments])
     assert stop.value.code == 2
@@ -93,13 +95,13 @@ def test_several_processes_start_the_same_command_again(monkeypatch):
     monkeypatch.delenv("WORLD_SIZE", raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    typed = ["train", "joint", "--out", "a folder", "--processes", "3"]
+    command_line = ["train", "joint", "--out", "a folder", "--processes", "3"]
     with pytest.raises(SystemExit):
-        main(typed)
+        main(command_line)
     command = started["command"]
     assert command[:3] == [sys.executable, "-m", "torch.distributed.run"]
     assert "--nproc-per-node=3" in command
-    assert command[command.index("hmi_marl") + 1 :] == typed
+    assert command[command.index("hmi_marl") + 1 :] == command_line
 
 
 def test_no_process_at_all_is_refused(capsys):

@@ -9,8 +9,8 @@ from hmi_marl.cli import main, parse
 from hmi_marl.experiments.latent_traits.settings import AssessSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
-COLLECT = ["--steps", "100", "--duration", "1", "--vehicles", "1", "4", "--teams", "64"]
-TINY = ["--steps", "1", "--imitation-updates", "1", "--pool", "2", "--teams", "2"]
+COLLECT = ["--steps", "100", "--duration", "1", "--vehicles", "1", "4", "--num-teams", "64"]
+TINY = ["--steps", "1", "--imitation-updates", "1", "--pool", "2", "--num-teams", "2"]
 TINY += ["--ppo.mini-batches", "1", "--encoder-units", "4", "--held-out", "0.4", "--device", "cpu"]
 JUDGE = ["--windows", "10", "--episodes", "2", "--ranked", "2"]
 
@@ -47,11 +47,13 @@ def test_the_defaults_are_those_of_python() -> None:
 
 
 def test_settings_reach_the_training() -> None:
-    typed = "traits train --supervision id --latent 3 --weights.imitate 1 --policy.hidden 8 8"
-    settings: Any = parse(typed.split()).what  # type: ignore[union-attr]
+    command_line = (
+        "traits train --supervision id --latent 3 --weights.imitate 1 --policy.hidden-dims 8 8"
+    )
+    settings: Any = parse(command_line.split()).what  # type: ignore[union-attr]
     assert (settings.supervision, settings.latent) == ("id", 3)
     assert settings.weights.imitate == 1.0
-    assert settings.policy.hidden == (8, 8)
+    assert settings.policy.hidden_dims == (8, 8)
 
 
 @pytest.mark.parametrize("command", ["train", "evaluate"])
@@ -62,11 +64,11 @@ def test_help_teaches_by_an_example(command: str, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.usefixtures("collected")
-def test_traits_are_learnt_and_judged(capsys: pytest.CaptureFixture[str]) -> None:
+def test_traits_are_learned_and_judged(capsys: pytest.CaptureFixture[str]) -> None:
     train = ["traits", "train", "--supervision", "id", *TINY]
     assert main(train) == 0
     printed = capsys.readouterr().out
-    assert "learnt: runs/traits-id" in printed
+    assert "learned: runs/traits-id" in printed
     assert "hmi-marl traits evaluate runs/traits-id --demonstrations runs/demonstrations" in printed
     about = json.loads(Path("runs/traits-id/run.json").read_text("utf-8"))
     assert about["command"] == shlex.join(["hmi-marl", *train])
@@ -120,7 +122,7 @@ def test_what_is_not_there_is_told_in_one_line(capsys: pytest.CaptureFixture[str
     ("arguments", "told"),
     [
         (["train", "--latent", "0"], "latent is at least 1"),
-        (["train", "--teams", "3", "--pool", "2"], "teams is a multiple of pool = 2"),
+        (["train", "--num-teams", "3", "--pool", "2"], "num_teams is a multiple of pool = 2"),
         (
             ["train", "--supervision", "age"],
             "unknown value of --supervision 'age'; known: none, id, pref",
@@ -128,7 +130,7 @@ def test_what_is_not_there_is_told_in_one_line(capsys: pytest.CaptureFixture[str
         (["evaluate", "run", "--ranked", "1"], "two windows can be ranked"),
     ],
 )
-def test_bad_settings_are_refused_before_anything_is_learnt(
+def test_bad_settings_are_refused_before_anything_is_learned(
     arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stop:

@@ -14,7 +14,7 @@ from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.demonstrations.env import DemonstratedDriver, env_spec, team_config
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import RewardWeights
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value
 
 CONFIG = TeamConfig(
     duration=2.0,
@@ -22,7 +22,7 @@ CONFIG = TeamConfig(
     weights=RewardWeights(alert=3.0),
     alert_strengths=(0.5, 1.0),
 )
-TEAM = {name: value for name, value in plain(CONFIG).items() if name != "driver"}
+TEAM = {name: value for name, value in json_value(CONFIG).items() if name != "driver"}
 
 
 def make(**settings: Any) -> DemonstratedDriver:

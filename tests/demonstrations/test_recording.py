@@ -41,7 +41,7 @@ def tiny(**settings: Any) -> CollectSettings:
 
 
 def whole(settings: CollectSettings) -> Demonstrations:
-    (chunk,) = collect(replace(settings, teams=10_000))
+    (chunk,) = collect(replace(settings, num_teams=10_000))
     return chunk
 
 
@@ -72,7 +72,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ({"steps": 0}, "steps is at least 1, but got 0"),
         ({"population": -1}, "population is at least 0, but got -1"),
         ({"windows": 0}, "windows is at least 1"),
-        ({"teams": 0}, "teams is at least 1"),
+        ({"num_teams": 0}, "teams is at least 1"),
         ({"alert_rate": 1.5}, r"an alert rate lies in \[0, 1\], but got 1\.5"),
         ({"seed": -1}, "a seed lies in"),
         ({"duration": 0.3}, "not a whole number of steps"),
@@ -317,7 +317,7 @@ def test_the_lidar_is_not_the_inflated_one(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_observed_file_tells_nothing_of_the_drivers_but_their_names(tmp_path: Path) -> None:
     settings = tiny(drivers=("mona:0.4321,0.3217,0.5678,2.3456",), population=2, windows=1)
-    write_demonstrations(tmp_path, collect(settings, typed=f"collect {settings.drivers[0]}"))
+    write_demonstrations(tmp_path, collect(settings, command_line=f"collect {settings.drivers[0]}"))
     observed = read_observed(tmp_path)
     told = json.dumps(observed.about)
     assert not [word for word in ("4321", "mona", *TRAIT_NAMES) if word in told]
@@ -353,7 +353,7 @@ def test_who_drove_and_who_alerted_is_stamped(trained: Path) -> None:
 
 
 def test_progress_and_summary_count_all_steps() -> None:
-    settings = tiny(**CRASHING, population=3, windows=2, teams=3, end_at_crash=True)
+    settings = tiny(**CRASHING, population=3, windows=2, num_teams=3, end_at_crash=True)
     progress: list[int] = []
     summary = Summary(settings)
     chunks = list(summary.counting(collect(settings, progress.append)))

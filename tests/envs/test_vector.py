@@ -15,7 +15,8 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.streams import episode_seed
 from hmi_marl.envs.teaming import Teaming
-from hmi_marl.envs.vector import TeamVecEnv, plain
+from hmi_marl.envs.vector import TeamVecEnv
+from hmi_marl.files import json_value
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
 SEATS = ("driver", "vehicle_ai", "team")
@@ -491,7 +492,7 @@ def test_the_configuration_is_fit_for_json():
     assert told["team"]["driver"]["beta"] == {"low": 0.0, "high": 1.0}
     assert told["team"]["scene"]["vehicles"] == [1, 20]
     assert told["team"]["weights"]["distraction"] == -10.0
-    assert plain({1: np.float64(2.5), "x": (None, True, int)}) == {
+    assert json_value({1: np.float64(2.5), "x": (None, True, int)}) == {
         "1": 2.5,
         "x": [None, True, "<class 'int'>"],
     }

@@ -108,12 +108,12 @@ def test_if_no_step_reveals_the_rule_is_the_best_fixed_sequence(name):
     assert solution.total_return == pytest.approx(best, abs=0.02)  # the grid's error
 
 
-@pytest.mark.parametrize("sees_intent", [True, False])
+@pytest.mark.parametrize("sequential", [True, False])
 @pytest.mark.parametrize("name", PAPER_DRIVERS)
-def test_the_rule_earns_in_play_what_it_promises(name, sees_intent):
+def test_the_rule_earns_in_play_what_it_promises(name, sequential):
     count, horizon, revealing = 4000, 100, 0.3
     teams = standing_teams(count, driver=name, ai_sees_attention=False)
-    hmi = BeliefAlert(name, teams.config, revealing, taking_turns=sees_intent)
+    hmi = BeliefAlert(name, teams.config, revealing, sequential=sequential)
     seeds = np.arange(count, dtype=np.uint64)
     teams.reset(seeds)
     hmi.reset(seeds)
@@ -123,14 +123,14 @@ def test_the_rule_earns_in_play_what_it_promises(name, sees_intent):
         differs = (rng.random(count) < revealing) & (t > 0)
         last = np.maximum(teams.applied, 0)
         intended = np.where(differs, (last + 1) % 5, last)
-        if not sees_intent:
+        if not sequential:
             alert = hmi.act(teams.observe("vehicle_ai"))
         teams.intend(intended)
-        if sees_intent:
+        if sequential:
             alert = hmi.act(teams.observe("vehicle_ai"))
         terms = teams.step(alert).terms
         earned += terms["distraction"] + terms["alert"] + terms["accept_alert"]
-    promised = solve_belief(DRIVERS[name], 7, horizon, PAPER, revealing, sees_intent).total_return
+    promised = solve_belief(DRIVERS[name], 7, horizon, PAPER, revealing, sequential).total_return
     assert abs(earned.mean() - promised) < 4 * earned.std() / np.sqrt(count)
 
 

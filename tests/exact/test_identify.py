@@ -348,7 +348,7 @@ def collected(trained: Path, **settings: Any) -> Data:
     small = {"steps": 40, "duration": 2.0, "vehicles": (1, 8), "driver_policy": str(trained)}
     played = CollectSettings(**{**small, **settings})
     config = played.team(PAPER_DRIVERS)
-    (data,) = collect(replace(played, teams=10_000))
+    (data,) = collect(replace(played, num_teams=10_000))
     assert data.truth is not None
     policy = load_policy(trained, "driver", config, greedy=played.greedy)
     return Data(config, policy, data.observed, data.truth)

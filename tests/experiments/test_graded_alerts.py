@@ -13,7 +13,7 @@ from hmi_marl.training.ppo.run import train
 
 WEARY = Case("weary", "average", (0.5, 1.0), (20, 5, 1.0))
 FRESH = Case("fresh", "homer", (0.5, 1.0))
-TINY = GradedSettings(hmi_steps=1, episodes=100, teams=8)
+TINY = GradedSettings(hmi_steps=1, episodes=100, num_teams=8)
 
 
 def row(learned, optimum, silent):
@@ -86,7 +86,7 @@ def test_a_case_is_assessed_beside_what_is_exact(tmp_path):
 def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, capsys):
     for module in ("graded", "graded_stage"):
         monkeypatch.setattr(f"hmi_marl.evaluation.{module}.CASES", (FRESH,))
-    size = ["--hmi-steps", "1", "--episodes", "4", "--teams", "8"]
+    size = ["--hmi-steps", "1", "--episodes", "4", "--num-teams", "8"]
     arguments = ["reproduce", "graded", *size, "--workers", "1", "--out", str(tmp_path)]
     assert main(arguments) == 0
     first = capsys.readouterr().out
@@ -96,12 +96,12 @@ def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, cap
     assert told["optimum"] == pytest.approx(
         oracle.solve_alerts("homer", strengths=(0.5, 1.0)).total_return
     )
-    learnt = (tmp_path / "fresh" / "vehicle_ai.safetensors").read_bytes()
+    learned = (tmp_path / "fresh" / "vehicle_ai.safetensors").read_bytes()
     written = (tmp_path / "fresh" / "vehicle_ai.safetensors").stat().st_mtime_ns
     assert main(arguments) == 0
     assert capsys.readouterr().out == first
     assert (tmp_path / "fresh" / "vehicle_ai.safetensors").stat().st_mtime_ns == written
-    assert (tmp_path / "fresh" / "vehicle_ai.safetensors").read_bytes() == learnt
+    assert (tmp_path / "fresh" / "vehicle_ai.safetensors").read_bytes() == learned
     assert main(["reproduce", "graded", "--quick", "--episodes", "3"]) == 2
     assert "--quick sets the sizes itself" in capsys.readouterr().err
 

@@ -40,10 +40,19 @@ def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):
 
 @pytest.mark.parametrize("given", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_command_compares_learned_hmis_with_bayes_filters(given, tmp_path, capsys):
-    size = ["--hmi-steps", "1", "--driver-steps", "1", "--memory", "4", "--episodes", "4"]
-    command = ["reproduce", "hidden", *size, "--teams", "16", "--workers", "1"]
+    size = ["--hmi-steps", "1", "--driver-steps", "1", "--rnn-hidden-dim", "4", "--episodes", "4"]
+    command = ["reproduce", "hidden", *size, "--num-teams", "16", "--workers", "1"]
     if given:
-        made = ["train", "two-stage", "--teams", "16", "--driver-steps", "1", "--hmi-steps", "1"]
+        made = [
+            "train",
+            "two-stage",
+            "--num-teams",
+            "16",
+            "--driver-steps",
+            "1",
+            "--hmi-steps",
+            "1",
+        ]
         assert main([*made, "--out", str(tmp_path / "driver-run")]) == 0
         command += ["--driver-run", str(tmp_path / "driver-run")]
     assert main([*command, "--out", str(tmp_path)]) == 0

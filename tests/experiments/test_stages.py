@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from stages import Counting
 
-from hmi_marl.experiments.stages import TIMINGS, is_done, learnt_in, run_stages
+from hmi_marl.experiments.stages import TIMINGS, is_done, learned_in, run_stages
 from hmi_marl.experiments.stages import Place as At
 from hmi_marl.reproduction.report import NUMBERS, PAGE, write_full_report
 
@@ -86,7 +86,7 @@ def test_weights_and_demonstrations_are_what_results_depend_on(tmp_path: Path) -
     ):
         (tmp_path / "run").mkdir(exist_ok=True)
         (tmp_path / "run" / name).touch()
-    assert [path.name for path in learnt_in(tmp_path)] == ["a.safetensors", "b.parquet"]
+    assert [path.name for path in learned_in(tmp_path)] == ["a.safetensors", "b.parquet"]
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork, to be fast")

@@ -70,7 +70,7 @@ def check_refusal(row: Row, missing: frozenset[str]) -> Check:
     """A command whose extras are missing names them in one line, and does nothing."""
 
     def check(environment: Environment, folder: Path) -> None:
-        run = environment.hmi_marl(typed(row), folder)
+        run = environment.hmi_marl(command_line(row), folder)
         assert run.returncode == 2, run.stderr
         assert run.stdout == ""
         assert re.fullmatch(r"hmi-marl: [^\n]+\n", run.stderr), run.stderr
@@ -81,14 +81,14 @@ def check_refusal(row: Row, missing: frozenset[str]) -> Check:
     return check
 
 
-def typed(row: Row) -> list[str]:
+def command_line(row: Row) -> list[str]:
     """The arguments of a row of the command line."""
     words = row.name.split(" --")[0] if row.kind == "option" else row.name
     return [*words.split(), *shlex.split(row.arguments)]
 
 
 def run_command(row: Row, environment: Environment, folder: Path) -> str:
-    return succeeded(environment.hmi_marl(typed(row), folder))
+    return succeeded(environment.hmi_marl(command_line(row), folder))
 
 
 def run_example(row: Row, environment: Environment, folder: Path) -> str:

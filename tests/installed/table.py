@@ -50,10 +50,10 @@ def _command(name: str, needs: frozenset[str], arguments: str = "", **others: ob
 
 
 _SCENE = "--duration 2 --vehicles 1 3"
-_RUN = "--teams 16 --duration 2"
+_RUN = "--num-teams 16 --duration 2"
 _JUDGED = "--drivers 2 --strangers 2 --repeats 1 --candidates 1 --changes 2"
-_COLLECT = "collect --drivers lisa homer --steps 6400 --teams 64"
-_LEARN = "--pool 2 --teams 8 --held-out 0.5 --steps 800 --imitation-updates 1"
+_COLLECT = "collect --drivers lisa homer --steps 6400 --num-teams 64"
+_LEARN = "--pool 2 --num-teams 8 --held-out 0.5 --steps 800 --imitation-updates 1"
 _ASSESS = "--windows 64 --episodes 2 --ranked 2"
 _TRAITS = f"traits train --supervision id {_LEARN}"
 
@@ -65,7 +65,7 @@ def _prefixed(prefix: str, options: str) -> str:
 COMMANDS = (
     _command("adapt", CORE, f"{_JUDGED} --workers 1 --no-clip", dear=True),
     _command("bench", CORE, "--teams 1 --scaling 2 --seconds 0.05 --rounds 1 --threads 1"),
-    _command("collect", DATA, "--drivers homer --steps 100 --teams 1"),
+    _command("collect", DATA, "--drivers homer --steps 100 --num-teams 1"),
     _command(
         "compare",
         TRAIN,
@@ -78,20 +78,20 @@ COMMANDS = (
     _command(
         "reproduce table",
         TRAIN,
-        "--driver-steps 1600 --hmi-steps 1600 --episodes 2 --teams 16 --workers 1",
+        "--driver-steps 1600 --hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
         dear=True,
     ),
-    _command("reproduce driver", TRAIN, "--steps 1600 --snapshots 1 --episodes 2 --teams 16"),
+    _command("reproduce driver", TRAIN, "--steps 1600 --snapshots 1 --episodes 2 --num-teams 16"),
     _command(
         "reproduce hidden",
         TRAIN,
-        "--driver-run trained:driver --hmi-steps 3200 --episodes 2 --teams 32 --workers 1",
+        "--driver-run trained:driver --hmi-steps 3200 --episodes 2 --num-teams 32 --workers 1",
         dear=True,
     ),
     _command(
         "reproduce adapt",
         TRAIN,
-        "--drives 300 --updates 1 --hmi-steps 3200 --memory 2 --teams 32 --workers 1 "
+        "--drives 300 --updates 1 --hmi-steps 3200 --rnn-hidden-dim 2 --num-teams 32 --workers 1 "
         + _prefixed("judge", _JUDGED),
         dear=True,
     ),
@@ -105,14 +105,14 @@ COMMANDS = (
     _command(
         "reproduce graded",
         TRAIN,
-        "--hmi-steps 1600 --episodes 2 --teams 16 --workers 1",
+        "--hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
         dear=True,
     ),
     _command(
         "reproduce ship",
         CORE,
         "--out agents",
-        not_run="copies what a whole hmi-marl reproduce has learnt",
+        not_run="copies what a whole hmi-marl reproduce has learned",
     ),
     _command("table", CORE, f"--drivers homer --hmis NoHMI own --episodes 2 --workers 1 {_SCENE}"),
     _command("train two-stage", TRAIN, f"--driver-steps 160 --hmi-steps 160 {_RUN}"),
@@ -131,7 +131,7 @@ COMMANDS = (
 """Every subcommand that can be run, once."""
 
 OPTIONS = (
-    Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --teams 1 --minari"),
+    Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --num-teams 1 --minari"),
     Row("option", "watch --out clip.mp4", VIDEO, f"--out clip.mp4 {_SCENE}"),
 )
 """Options that need more than their subcommand does, or another part of an extra."""

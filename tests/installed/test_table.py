@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from installed import environments
-from installed.checks import checks, typed
+from installed.checks import checks, command_line
 from installed.environments import EXTRAS, HERE, PYTHONS, SPECS, VERSIONS, Spec, find_python
 from installed.table import (
     COMMANDS,
@@ -58,7 +58,7 @@ def test_every_option_that_needs_an_extra_is_in_the_table_once() -> None:
 
 @pytest.mark.parametrize("row", [*COMMANDS, *OPTIONS], ids=str)
 def test_the_arguments_of_a_row_are_understood(row: Row) -> None:
-    parse(typed(row))  # exits where it does not understand
+    parse(command_line(row))  # exits where it does not understand
     for command in (*row.prepared, *row.before):
         parse(command.split())
 

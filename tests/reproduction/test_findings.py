@@ -256,7 +256,7 @@ def test_separation_among_the_distracted_is_held_against_that_among_the_attentiv
     assert verdict(check, traits(other_way)) == Verdict.NOT_SUPPORTED
 
 
-def test_graded_alerts_are_learnt_by_all_or_some() -> None:
+def test_graded_alerts_are_learned_by_all_or_some() -> None:
     check = findings.graded_alerts
     assert verdict(check, {"graded": {"rows": [{"holds": True}] * 2}}) == Verdict.SUPPORTED
     found = check({"graded": {"rows": [{"holds": True}, {"holds": False}]}})

@@ -14,7 +14,7 @@ from hmi_marl.reproduction.shipping import ship, without_places
 
 
 class Learning(Counting):
-    """It has learnt a driver."""
+    """It has learned a driver."""
 
     def agents(self, place):
         return [Agent("mine", place.folder / "driver.json", "drives")]
@@ -29,7 +29,7 @@ def run(tmp_path: Path) -> Path:
     return folder
 
 
-def test_what_was_learnt_is_shipped_without_places(run: Path, tmp_path: Path) -> None:
+def test_what_was_learned_is_shipped_without_places(run: Path, tmp_path: Path) -> None:
     stages, out = [Learning("one")], tmp_path / "trained"
     with pytest.raises(ValueError, match=r"stage one of .* is not finished"):
         ship(stages, run, run, out)

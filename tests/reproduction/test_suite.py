@@ -23,7 +23,7 @@ from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 if __name__ == "__main__":
-    learn = TraitSettings(pool=1, teams=2, ppo=PPOSettings(mini_batches=1), steps=1,
+    learn = TraitSettings(pool=1, num_teams=2, ppo=PPOSettings(num_mini_batches=1), steps=1,
                           imitation_updates=1, encoder_units=4, device="cpu")
     settings = FullSettings(
         table=ReproductionSettings(1, 1, 4, 16),

@@ -1,4 +1,4 @@
-"""rsl_rl's runner: learns with our heads and exports what was learnt by its own means."""
+"""rsl_rl's runner: learns with our heads and exports what was learned by its own means."""
 
 from pathlib import Path
 from typing import Any

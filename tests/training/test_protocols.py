@@ -3,7 +3,7 @@ import pytest
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.training.protocols.alternating import Alternating
 from hmi_marl.training.protocols.joint import Joint
-from hmi_marl.training.protocols.phase import LEARNT, Phase
+from hmi_marl.training.protocols.phase import LEARNED, Phase
 from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 
@@ -17,7 +17,7 @@ def test_the_papers_two_stages():
     assert (first.seat, first.partner, first.steps) == ("driver", "never", 500)
     assert first.team.reward == "driving"
     assert first.team.population.drivers == tuple(DRIVERS[name] for name in PAPER_DRIVERS)
-    assert (second.seat, second.partner, second.steps) == ("vehicle_ai", LEARNT, 300)
+    assert (second.seat, second.partner, second.steps) == ("vehicle_ai", LEARNED, 300)
     assert second.team.reward == "team"
     assert second.team.only_driver == DRIVERS["homer"]
     assert [card.seat for phase in (first, second) for card in phase.cards] == [
@@ -33,12 +33,12 @@ def test_an_hmi_for_everybody_assists_those_who_drive(population):
 
 
 @pytest.mark.parametrize("partner", ["rule", "random", "runs/before"])
-def test_a_driver_that_is_there_already_is_not_learnt_again(partner):
+def test_a_driver_that_is_there_already_is_not_learned_again(partner):
     (only,) = TwoStage(driver_policy=partner).phases()
     assert (only.seat, only.partner) == ("vehicle_ai", partner)
 
 
-def test_the_driver_may_be_learnt_alone():
+def test_the_driver_may_be_learned_alone():
     (only,) = TwoStage(hmi_steps=0).phases()
     assert (only.seat, only.partner) == ("driver", "never")
 
@@ -50,15 +50,15 @@ def test_one_composite_policy_for_both_seats():
     assert (driver.seat, driver.by_intent) == ("driver", False)
     assert (vehicle_ai.seat, vehicle_ai.by_intent) == ("vehicle_ai", True)
     assert "intended_action" not in names(vehicle_ai)
-    assert only.turns  # the alert is drawn given the intent
+    assert only.sequential  # the alert is drawn given the intent
 
 
-@pytest.mark.parametrize("parallel", [False, True])
-def test_two_agents_at_once(parallel):
-    (only,) = Simultaneous(steps=700, parallel=parallel).phases()
+@pytest.mark.parametrize("sequential", [True, False])
+def test_two_agents_at_once(sequential):
+    (only,) = Simultaneous(steps=700, sequential=sequential).phases()
     assert (only.seat, only.joint, only.partner) == ("team", False, None)
-    assert only.turns == (not parallel)
-    assert [card.taking_turns for card in only.cards] == [not parallel] * 2
+    assert only.sequential == sequential
+    assert [card.sequential for card in only.cards] == [sequential] * 2
     assert "intended_action" in names(only.cards[1])
 
 
@@ -67,7 +67,7 @@ def test_best_responses_in_rounds():
     assert [phase.name for phase in phases] == [
         f"round {k}, {seat}" for k in (1, 2, 3) for seat in ("driver", "vehicle_ai")
     ]
-    assert [phase.partner for phase in phases] == ["never"] + [LEARNT] * 5
+    assert [phase.partner for phase in phases] == ["never"] + [LEARNED] * 5
     assert [phase.steps for phase in phases] == [1000, 200] * 3
     assert [phase.progress for phase in phases][::2] == [(0, 1 / 3), (1 / 3, 2 / 3), (2 / 3, 1)]
     assert [phase.team.reward for phase in phases] == ["driving", "team"] * 3
@@ -104,14 +104,14 @@ def test_the_vehicle_ai_may_be_told_what_to_read(protocol):
 
 @pytest.mark.parametrize("protocol", [TwoStage, Simultaneous, Alternating])
 def test_only_the_vehicle_ai_has_a_memory(protocol):
-    for phase in protocol(memory=6).phases():
+    for phase in protocol(rnn_hidden_dim=6).phases():
         for card in phase.cards:
-            assert card.network.memory == (6 if card.seat == "vehicle_ai" else 0)
+            assert card.network.rnn_hidden_dim == (6 if card.seat == "vehicle_ai" else 0)
 
 
 def test_batches_are_whole_episodes_of_every_team_in_every_process():
     phase = Phase("x", "driver", TwoStage(duration=2.0).phases()[0].team, steps=1001)
     assert phase.team.horizon == 10
-    assert phase.iterations(teams=10, processes=1) == 11
-    assert phase.iterations(teams=10, processes=2) == 6
-    assert phase.iterations(teams=2000, processes=1) == 1
+    assert phase.iterations(num_teams=10, processes=1) == 11
+    assert phase.iterations(num_teams=10, processes=2) == 6
+    assert phase.iterations(num_teams=2000, processes=1) == 1

@@ -32,7 +32,7 @@ TYPES = tuple(DRIVERS[name] for name in PAPER_DRIVERS)
 
 @dataclass(frozen=True)
 class Trained:
-    """What was learnt for drivers who are not known: runs, or agents that come with the package."""
+    """What was learned for drivers who are not known: runs, or agents that come with the package."""
 
     evidence: str = "trained:evidence"
     """The evidence model, an encoder of driving."""
@@ -61,15 +61,15 @@ def make_adaptive(
     Args:
         kind: "expected", "choosing" (among the four types alone) or "conditioned".
         config: of the teams.
-        exact: go by the exact evidence of the chain, not by what was learnt.
+        exact: go by the exact evidence of the chain, not by what was learned.
         candidates: who may be at the wheel.
-        trained: where what was learnt lies; what comes with the package by default.
+        trained: where what was learned lies; what comes with the package by default.
         revealing: assumed share of steps in which a^H differs from the last applied action.
         caution: of "expected".
         change_rate: of the estimator.
 
     Raises:
-        FileNotFoundError, ValueError: an unknown kind, or nothing learnt to make it of.
+        FileNotFoundError, ValueError: an unknown kind, or nothing learned to make it of.
     """
     trained = trained or Trained()
 
@@ -89,11 +89,11 @@ def make_adaptive(
     if kind == CONDITIONED:
         policy = load_policy(trained.conditioned, VEHICLE_AI, config)
         model = load_evidence(trained.evidence)
-        learnt_from = policy.card.training.get(CONTEXT_OF, model.digest)
-        if learnt_from != model.digest:
+        learned_from = policy.card.training.get(CONTEXT_OF, model.digest)
+        if learned_from != model.digest:
             raise ValueError(
-                f"{trained.conditioned} has learnt what z means from another evidence model than "
-                f"{trained.evidence}; name the one that it was learnt with"
+                f"{trained.conditioned} has learned what z means from another evidence model than "
+                f"{trained.evidence}; name the one that it was learned with"
             )
         places = model.places(Traits.of(candidates))
         return ConditionedHMI(estimator(candidates), policy, places)

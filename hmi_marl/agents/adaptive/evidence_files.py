@@ -15,7 +15,7 @@ from hmi_marl.agents.learned.cards import (
 )
 from hmi_marl.agents.learned.network import NetworkConfig, Weights
 
-FORMAT = "hmi-marl evidence 1"
+FORMAT = "hmi-marl evidence 2"
 KIND = "evidence"
 NAME = f"{KIND}.json"
 
@@ -32,7 +32,7 @@ def save_evidence(folder: Path, card: EvidenceCard, weights: Weights) -> Path:
 
 
 def load_evidence(place: str | Path) -> EvidenceModel:
-    """The evidence model that a run learnt.
+    """The evidence model that a run learned.
 
     Args:
         place: the run's folder, the ``.json`` itself, or ``trained:NAME``.

@@ -63,7 +63,7 @@ class EvidenceCard:
     """Z, the size of e_t and w(θ)."""
     segment: int = 25
     """Turns after which the encoder's memory is emptied."""
-    encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), memory=48))
+    encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
     """From turns to e_t."""
     place: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
     """From traits to w."""
@@ -80,8 +80,8 @@ class EvidenceCard:
         for name in ("latent", "segment"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
-        if self.place.memory:
-            raise ValueError("a driver's place has no memory: set encoder.memory alone")
+        if self.place.rnn_hidden_dim:
+            raise ValueError("a driver's place has no memory: set encoder.rnn_hidden_dim alone")
 
     @classmethod
     def for_team(
@@ -172,7 +172,7 @@ class Turns:
 
 
 class EvidenceModel:
-    """Encoder and places, as they were learnt.
+    """Encoder and places, as they were learned.
 
     Args:
         card: what they are.
@@ -201,7 +201,7 @@ class EvidenceModel:
         return Network(self.card.encoder, part_of(self.weights, "encoder"))
 
     def standardise(self, turns: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Turns (N, columns) with what is read as it is in units of the drives learnt from."""
+        """Turns (N, columns) with what is read as it is in units of the drives learned from."""
         out = turns.copy()
         size = self.card.read_size
         out[:, :size] = (out[:, :size] - self.weights["read.centre"]) / self.weights["read.scale"]
@@ -216,7 +216,7 @@ class LearnedEvidence:
     """Evidence for K candidates by a learned model; see :class:`Evidence`.
 
     Args:
-        model: what was learnt.
+        model: what was learned.
         drivers: the candidates.
         config: of the teams.
 
@@ -234,7 +234,7 @@ class LearnedEvidence:
         if EvidenceCard.for_team(config, names).reads != model.card.reads:
             raise ValueError(
                 "this evidence model reads other columns than these teams show; use the scene that "
-                "it was learnt in"
+                "it was learned in"
             )
         self._turns = Turns(names, layout)
         self._encoder = model.encoder()

@@ -25,7 +25,7 @@ from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
-from hmi_marl.envs.seats import Policy, takes_turns
+from hmi_marl.envs.seats import Policy, moves_sequentially
 from hmi_marl.exact.evidence import chains
 from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, look_up, solve_belief
 from hmi_marl.exact.trait_posterior import TraitBelief
@@ -74,7 +74,7 @@ class ChoosingHMI(AdaptiveHMI):
         hmis: one for each of its candidates, each an object of its own.
 
     Raises:
-        ValueError: not as many HMIs as candidates, one of them twice, or one that has learnt to
+        ValueError: not as many HMIs as candidates, one of them twice, or one that has learned to
             act at once with the driver.
     """
 
@@ -85,7 +85,7 @@ class ChoosingHMI(AdaptiveHMI):
             raise ValueError(f"{len(drivers)} candidates need an HMI each, but got {len(hmis)}")
         if len({id(hmi) for hmi in hmis}) < len(hmis):
             raise ValueError("every candidate's HMI is an object of its own: it remembers")
-        if not all(takes_turns(hmi) for hmi in hmis):
+        if not all(moves_sequentially(hmi) for hmi in hmis):
             raise ValueError(
                 "the HMIs to choose among are to see a^H_t: all take turns, or none can"
             )

@@ -1,4 +1,4 @@
-"""What was learnt, in files: a JSON card beside safetensors weights. Nothing is ever unpickled."""
+"""What was learned, in files: a JSON card beside safetensors weights. Nothing is ever unpickled."""
 
 from __future__ import annotations
 

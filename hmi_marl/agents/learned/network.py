@@ -24,25 +24,25 @@ class NetworkConfig:
     """Sizes of one network.
 
     Raises:
-        ValueError: a size below 1 (memory: below 0), or an unknown activation.
+        ValueError: a size below 1 (rnn_hidden_dim: below 0), or an unknown activation.
     """
 
-    hidden: tuple[int, ...] = (64, 64)
+    hidden_dims: tuple[int, ...] = (64, 64)
     """Units of each hidden layer."""
     activation: Activation = "relu"
     """After each hidden layer: relu, elu or tanh."""
-    memory: int = 0
+    rnn_hidden_dim: int = 0
     """Units of a recurrent layer (GRU), which the others read beside the inputs; 0 for none."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hidden", tuple(self.hidden))
-        for size in (*self.hidden, self.memory):
+        object.__setattr__(self, "hidden_dims", tuple(self.hidden_dims))
+        for size in (*self.hidden_dims, self.rnn_hidden_dim):
             if isinstance(size, bool) or not isinstance(size, int):
                 raise ValueError(f"sizes of layers are whole numbers, not {size!r}")
-        if not self.hidden or min(self.hidden) < 1 or self.memory < 0:
+        if not self.hidden_dims or min(self.hidden_dims) < 1 or self.rnn_hidden_dim < 0:
             raise ValueError(
                 "a network has hidden layers of at least one unit and a memory of at least none, "
-                f"but got hidden = {self.hidden}, memory = {self.memory}"
+                f"but got hidden_dims = {self.hidden_dims}, rnn_hidden_dim = {self.rnn_hidden_dim}"
             )
         if self.activation not in get_args(Activation):
             raise ValueError(
@@ -56,13 +56,13 @@ class NetworkConfig:
         update and new, lie below each other in this order.
         """
         shapes: dict[str, tuple[int, ...]] = {}
-        if self.memory:
-            gates = 3 * self.memory
+        if self.rnn_hidden_dim:
+            gates = 3 * self.rnn_hidden_dim
             shapes["memory.input_weight"] = gates, inputs
-            shapes["memory.hidden_weight"] = gates, self.memory
+            shapes["memory.hidden_weight"] = gates, self.rnn_hidden_dim
             shapes["memory.input_bias"] = (gates,)
             shapes["memory.hidden_bias"] = (gates,)
-        sizes = (self.memory + inputs, *self.hidden, outputs)
+        sizes = (self.rnn_hidden_dim + inputs, *self.hidden_dims, outputs)
         for layer, (size_in, size_out) in enumerate(pairwise(sizes)):
             shapes[f"layer{layer}.weight"] = size_out, size_in
             shapes[f"layer{layer}.bias"] = (size_out,)
@@ -80,12 +80,12 @@ class Network:
     def __init__(self, config: NetworkConfig, weights: Weights) -> None:
         self.config = config
         self._weights = {name: values.astype(np.float64) for name, values in weights.items()}
-        self._memory = np.zeros((0, config.memory))
+        self._memory = np.zeros((0, config.rnn_hidden_dim))
 
     def forget(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
         """Empty the memory of the marked teams out of ``count``; of all by default."""
         if which is None:
-            self._memory = np.zeros((count, self.config.memory))
+            self._memory = np.zeros((count, self.config.rnn_hidden_dim))
         else:
             self._memory = np.where(which[:, None], 0.0, self._memory)
 
@@ -102,13 +102,13 @@ class Network:
             RuntimeError: a memory of another number of teams.
         """
         x = inputs.astype(np.float64)
-        if self.config.memory:
+        if self.config.rnn_hidden_dim:
             memory = self._remember(x)
             x = np.concatenate([memory, x], axis=1)
             self._memory = (
                 memory if which is None else np.where(which[:, None], memory, self._memory)
             )
-        last = len(self.config.hidden)
+        last = len(self.config.hidden_dims)
         for layer in range(last + 1):
             x = x @ self._weights[f"layer{layer}.weight"].T + self._weights[f"layer{layer}.bias"]
             if layer < last:

@@ -73,18 +73,18 @@ def _model(card: PolicyCard, weights: Weights) -> onnx.ModelProto:
     inputs = {"observation": sum(size for _, size in columns)}
     if card.context:
         inputs["context"] = card.context
-    if card.network.memory:
-        inputs["memory_in"] = card.network.memory
+    if card.network.rnn_hidden_dim:
+        inputs["memory_in"] = card.network.rnn_hidden_dim
     outputs = [
         _value("probabilities", TensorProto.FLOAT, card.actions),
         _value("action", TensorProto.INT64),
     ]
-    if card.network.memory:
-        outputs.append(_value("memory_out", TensorProto.FLOAT, card.network.memory))
+    if card.network.rnn_hidden_dim:
+        outputs.append(_value("memory_out", TensorProto.FLOAT, card.network.rnn_hidden_dim))
 
     nodes = _Nodes(weights)
     x = _read(nodes, card)
-    if card.network.memory:
+    if card.network.rnn_hidden_dim:
         remembered = _remember(nodes, card, weights, x)
         x = nodes.add("Concat", remembered, x, to="remembered", axis=1)
     logits = _layers(nodes, card, x)
@@ -164,7 +164,7 @@ def _remember(nodes: _Nodes, card: PolicyCard, weights: Weights, x: str) -> str:
         "",  # no lengths
         before,
         to=("", "memory_after"),
-        hidden_size=card.network.memory,
+        hidden_size=card.network.rnn_hidden_dim,
         linear_before_reset=1,
     )
     return nodes.add("Squeeze", after, time, to="memory_out")
@@ -178,7 +178,7 @@ def _reordered(gates: NDArray[np.floating]) -> NDArray[np.floating]:
 
 def _layers(nodes: _Nodes, card: PolicyCard, x: str) -> str:
     """Logits of the seat's actions."""
-    last = len(card.network.hidden)
+    last = len(card.network.hidden_dims)
     for layer in range(last + 1):
         name = f"layer{layer}"
         x = nodes.add("Gemm", x, f"{name}.weight", f"{name}.bias", to=name, transB=1)

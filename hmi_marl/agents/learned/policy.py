@@ -1,11 +1,11 @@
-r"""Policies that were learnt, as ordinary policies in either seat.
+r"""Policies that were learned, as ordinary policies in either seat.
 
 A :class:`PolicyCard` says everything about one but its weights: which parts of its seat's
 observation it reads, by name; what it is conditioned on; how its network is made; and what it was
 trained on. So a policy that reads no attention sits as well in an environment that shows it.
 
 A vehicle AI's network either reads a^H_t with the rest and gives the logits of a^A, or, where
-both seats were learnt as one composite policy, gives the logits of a^A for every a^H at once
+both seats were learned as one composite policy, gives the logits of a^A for every a^H at once
 (``by_intent``), π(a^A | a^H, s), of which the row of the a^H_t that it sees is taken.
 """
 
@@ -59,8 +59,8 @@ class PolicyCard:
     """Size of the vector z that it is conditioned on, read after the observation; 0 for none."""
     by_intent: bool = False
     """Of the vehicle AI: logits for each a^H instead of reading a^H."""
-    taking_turns: bool = True
-    """Whether it learnt taking turns; if not, a^H_t was not known to the vehicle AI."""
+    sequential: bool = True
+    """Whether it learned taking turns; if not, a^H_t was not known to the vehicle AI."""
     alert_strengths: tuple[float, ...] = FULL
     """Of the vehicle AI: the alerts that it can give. (1.0,) is alert or not."""
     training: dict[str, Any] = field(default_factory=dict)
@@ -143,7 +143,7 @@ def make_card(
     knows_traits: bool,
     context: int = 0,
     by_intent: bool = False,
-    taking_turns: bool = True,
+    sequential: bool = True,
 ) -> PolicyCard:
     """The card of a policy that reads all that its seat sees, but for what it is not to know."""
     left_out = set() if knows_traits else {"traits"}
@@ -152,7 +152,7 @@ def make_card(
     parts = seat_layout(seat, config).parts
     reads = tuple((part.name, part.size) for part in parts if part.name not in left_out)
     strengths = config.alert_strengths if seat == VEHICLE_AI else FULL
-    return PolicyCard(seat, reads, network, context, by_intent, taking_turns, strengths)
+    return PolicyCard(seat, reads, network, context, by_intent, sequential, strengths)
 
 
 _HINTS = {
@@ -199,9 +199,9 @@ class LearnedPolicy:
         self._context: NDArray[np.float32] | None = None
 
     @property
-    def takes_turns(self) -> bool:
+    def sequential(self) -> bool:
         """Whether a vehicle AI that acts so expects to see a^H_t, not a^H_{t-1}."""
-        return self.card.taking_turns
+        return self.card.sequential
 
     @property
     def context(self) -> NDArray[np.float32] | None:

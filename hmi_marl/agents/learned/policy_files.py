@@ -14,9 +14,7 @@ from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, check_weig
 from hmi_marl.agents.learned.shipped import find_shipped, is_shipped
 from hmi_marl.envs.config import AGENTS, TeamConfig
 
-FORMAT = "hmi-marl policy 1"
-_LATER = {"alert_strengths"}
-"""What older cards do not tell: they are of the default."""
+FORMAT = "hmi-marl policy 2"
 
 
 def save_policy(folder: Path, card: PolicyCard, weights: Weights) -> Path:
@@ -59,8 +57,7 @@ def read_policy(path: Path) -> tuple[PolicyCard, dict[str, NDArray[np.float32]]]
     """
     content = read_card(path, FORMAT, "policy")
     try:
-        names = [n for n in PolicyCard.__dataclass_fields__ if n in content or n not in _LATER]
-        fields = {name: content[name] for name in names}
+        fields = {name: content[name] for name in PolicyCard.__dataclass_fields__}
         fields["network"] = NetworkConfig(**fields["network"])
         card, digest = PolicyCard(**fields), str(content["sha256"])
     except (KeyError, TypeError, ValueError) as error:
@@ -76,7 +73,7 @@ def read_policy(path: Path) -> tuple[PolicyCard, dict[str, NDArray[np.float32]]]
 def load_policy(
     place: str | Path, seat: str, config: TeamConfig, greedy: bool = True
 ) -> LearnedPolicy:
-    """The policy that a run learnt for a seat, ready to sit there.
+    """The policy that a run learned for a seat, ready to sit there.
 
     Args:
         place: a run's folder, a policy's ``.json``, or ``trained:NAME``.

@@ -15,7 +15,7 @@ from hmi_marl.agents.learned.cards import (
 from hmi_marl.agents.learned.network import NetworkConfig, Weights
 from hmi_marl.agents.learned.trait_model import PARTS, TraitCard, TraitModel
 
-FORMAT = "hmi-marl traits 1"
+FORMAT = "hmi-marl traits 2"
 KIND = "traits"
 NAME = f"{KIND}.json"
 
@@ -32,7 +32,7 @@ def save_traits(folder: Path, card: TraitCard, weights: Weights) -> Path:
 
 
 def load_traits(place: str | Path) -> TraitModel:
-    """The trait model that a run learnt.
+    """The trait model that a run learned.
 
     Args:
         place: the run's folder, the ``.json`` itself, or ``trained:NAME``.

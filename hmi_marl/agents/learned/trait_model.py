@@ -1,4 +1,4 @@
-r"""What was learnt of drivers' traits, ready for use: NumPy alone, so that it needs no torch.
+r"""What was learned of drivers' traits, ready for use: NumPy alone, so that it needs no torch.
 
 A :class:`TraitModel` holds the three parts of the paper's latent model, in double precision:
 
@@ -46,7 +46,7 @@ class TraitCard:
     """H, units of the recurrent layer."""
     pool: int = 8
     """Windows of one driver that are averaged over in training."""
-    discount: float = 0.98
+    gamma: float = 0.98
     """γ of the reward's shaping."""
     reward: NetworkConfig = field(default_factory=lambda: NetworkConfig((32, 32)))
     """Of g."""
@@ -64,9 +64,9 @@ class TraitCard:
         for name in ("latent", "encoder_units", "pool"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
-        if not 0.0 <= self.discount <= 1.0:
-            raise ValueError(f"discount lies in [0, 1], but got {self.discount}")
-        if any(getattr(self, part).memory for part in PARTS):
+        if not 0.0 <= self.gamma <= 1.0:
+            raise ValueError(f"gamma lies in [0, 1], but got {self.gamma}")
+        if any(getattr(self, part).rnn_hidden_dim for part in PARTS):
             raise ValueError("only the encoder has a memory: set encoder_units")
 
     @property
@@ -133,7 +133,7 @@ class EncoderState(NamedTuple):
 
 
 class TraitModel:
-    """Encoder, reward and trait-conditioned policy, as they were learnt.
+    """Encoder, reward and trait-conditioned policy, as they were learned.
 
     Args:
         card: what they are.
@@ -249,7 +249,7 @@ class TraitModel:
         before, later = (
             self._networks["potential"](_beside(self.standardise(s), z))[:, 0] for s in (x, after)
         )
-        return self.base_reward(x, actions, z) + self.card.discount * later - before
+        return self.base_reward(x, actions, z) + self.card.gamma * later - before
 
 
 def standardise(

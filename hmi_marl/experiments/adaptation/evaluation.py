@@ -330,7 +330,7 @@ def evaluate(
     Args:
         settings: how large.
         driver_policy: who steers.
-        trained: what was learnt.
+        trained: what was learned.
         workers: processes. Does not change results.
         progress: is called after each group and HMI.
     """

@@ -83,7 +83,7 @@ class Hmis:
     config: TeamConfig
     """Of the teams."""
     trained: Trained
-    """What was learnt."""
+    """What was learned."""
     drivers: Sequence[Driver]
     """Everybody who drives in the group."""
     candidates: Sequence[Driver]

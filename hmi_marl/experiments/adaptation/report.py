@@ -238,16 +238,16 @@ def write_report(
     folder: Path,
     results: Sequence[Result],
     seconds: Mapping[str, float],
-    typed: str,
+    command_line: str,
     settings: Mapping[str, Any],
 ) -> tuple[str, tuple[Exhibit, ...]]:
     """Write ``adapt.txt``, ``.json``, ``.png`` and ``index.html``; returns text and exhibits."""
     text, shown = as_text(results), exhibits(results)
-    about = {"seconds": dict(seconds), "command": typed, "settings": dict(settings)}
+    about = {"seconds": dict(seconds), "command": command_line, "settings": dict(settings)}
     write_text(folder / "adapt.txt", text + "\n")
     write_json(folder / "adapt.json", as_json(results) | about)
     write_bytes(folder / "adapt.png", *pictures(shown))
-    write_text(folder / "index.html", page_of(TITLE, shown, seconds, typed, settings))
+    write_text(folder / "index.html", page_of(TITLE, shown, seconds, command_line, settings))
     return text, shown
 
 

@@ -75,9 +75,9 @@ class AdaptReproduction:
     """Gradient steps of the encoder."""
     hmi_steps: int = 8_000_000
     """Environment steps in which the HMI conditioned on z learns."""
-    memory: int = 32
+    rnn_hidden_dim: int = 32
     """Units of its recurrent layer."""
-    teams: int = 512
+    num_teams: int = 512
     """Teams that train side by side."""
     seed: int = 0
     """Of all training."""
@@ -85,15 +85,17 @@ class AdaptReproduction:
     """How large the evaluation is."""
 
     def __post_init__(self) -> None:
-        for name in ("drives", "updates", "hmi_steps", "memory"):
+        for name in ("drives", "updates", "hmi_steps", "rnn_hidden_dim"):
             check_count(name, getattr(self, name))
 
     def evidence(self, driver_run: Path) -> EvidenceSettings:
-        """How the encoder is learnt."""
+        """How the encoder is learned."""
         return EvidenceSettings(
             str(driver_run), drives=self.drives, updates=self.updates, seed=self.seed
         )
 
     def conditioned(self, driver_run: Path) -> TwoStage:
-        """How the HMI conditioned on z is learnt."""
-        return conditioned_hmi(str(driver_run), self.hmi_steps, self.memory, self.teams, self.seed)
+        """How the HMI conditioned on z is learned."""
+        return conditioned_hmi(
+            str(driver_run), self.hmi_steps, self.rnn_hidden_dim, self.num_teams, self.seed
+        )

@@ -17,9 +17,8 @@ from hmi_marl.experiments.adaptation import report as adapt_report
 from hmi_marl.experiments.adaptation.settings import AdaptReproduction
 from hmi_marl.experiments.hidden_attention import MODELS
 from hmi_marl.experiments.paper_stages import HiddenStage
-from hmi_marl.experiments.stages import Agent, Outcome, Place, learnt_in
-from hmi_marl.files import make_folder
-from hmi_marl.plain import plain
+from hmi_marl.experiments.stages import Agent, Outcome, Place, learned_in
+from hmi_marl.files import json_value, make_folder
 from hmi_marl.reporting.stopwatch import Stopwatch
 from hmi_marl.training.evidence.conditioned import learn_conditioned
 from hmi_marl.training.evidence.settings import EvidenceSettings
@@ -48,13 +47,13 @@ class AdaptStage:
 
     def settings(self) -> dict[str, Any]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
-        return dict(plain(self.size))
+        return dict(json_value(self.size))
 
     def inputs(self, place: Place) -> list[Path]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
         hmis = [find_policy(self._hidden(place, model), VEHICLE_AI) for model in MODELS]
         shared = [find_policy(place.driver_run, "driver"), *hmis]
-        return learnt_in(place.folder) + [card.with_suffix(".safetensors") for card in shared]
+        return learned_in(place.folder) + [card.with_suffix(".safetensors") for card in shared]
 
     def agents(self, place: Place) -> list[Agent]:
         """See :class:`hmi_marl.experiments.stages.Stage`."""
@@ -71,18 +70,20 @@ class AdaptStage:
         make_folder(out)
         evidence, conditioned = out / EVIDENCE, out / CONDITIONED
         settings = size.evidence(place.driver_run)
-        side_by_side(_learn_evidence, [(settings, evidence, place.typed)], 1)
+        side_by_side(_learn_evidence, [(settings, evidence, place.command_line)], 1)
         hmi = size.conditioned(place.driver_run)
-        side_by_side(learn_conditioned, [(hmi, evidence, conditioned, place.typed)], 1)
+        side_by_side(learn_conditioned, [(hmi, evidence, conditioned, place.command_line)], 1)
         trained = Trained(str(evidence), str(conditioned), str(self._hidden(place, "{}")))
         total = adapt.plays(size.judge)
         with watch.timing("playing"), tqdm(total=total, unit=" plays", desc="playing") as bar:
             results = adapt.evaluate(
                 size.judge, str(place.driver_run), trained, place.workers, bar.update
             )
-        learnt = seconds_of((evidence, conditioned))
-        seconds = {f"training {run}": spent for run, spent in learnt.items()} | watch.seconds
-        text, shown = adapt_report.write_report(out, results, seconds, place.typed, self.settings())
+        learned = seconds_of((evidence, conditioned))
+        seconds = {f"training {run}": spent for run, spent in learned.items()} | watch.seconds
+        text, shown = adapt_report.write_report(
+            out, results, seconds, place.command_line, self.settings()
+        )
         return Outcome(adapt_report.as_json(results), shown, seconds, text)
 
     def _hidden(self, place: Place, model: str) -> Path:
@@ -91,7 +92,7 @@ class AdaptStage:
         return place.folder.parent / HiddenStage.name / f"hmi-{model}"
 
 
-def _learn_evidence(settings: EvidenceSettings, folder: Path, typed: str) -> None:
+def _learn_evidence(settings: EvidenceSettings, folder: Path, command_line: str) -> None:
     from hmi_marl.training.evidence.run import learn_evidence  # torch, with the threads just set
 
-    learn_evidence(replace(settings, threads=1), folder, typed=typed, line=own_line())
+    learn_evidence(replace(settings, threads=1), folder, command_line=command_line, line=own_line())

@@ -99,7 +99,7 @@ def play_trips(
 ) -> Trips:
     """Let E drivers take J trips each, side by side, in the batched world.
 
-    An adaptive HMI does not know them at the start of their first trip and keeps what it has learnt
+    An adaptive HMI does not know them at the start of their first trip and keeps what it has learned
     from then on; another one begins every trip anew.
 
     Args:

@@ -42,7 +42,7 @@ PARTS = 5
 
 @dataclass(frozen=True)
 class Assessment:
-    """What one trait model came to, on windows and drivers it has not learnt from."""
+    """What one trait model came to, on windows and drivers it has not learned from."""
 
     supervision: str
     """"none", "id" or "preference"."""
@@ -115,9 +115,9 @@ def assess(
 
     Args:
         model: the trait model.
-        split: of the demonstrations it learnt from.
+        split: of the demonstrations it learned from.
         identification: what the exact classifier makes of ``split.unseen``; None if it cannot.
-        population: of drivers it has not learnt from, with the truth; None to leave that out.
+        population: of drivers it has not learned from, with the truth; None to leave that out.
         settings: how much.
         windows: how many are seen, of those that :func:`traits.pool_sizes` tells.
         progress: called ``PARTS`` times.

@@ -1,4 +1,4 @@
-"""Driving by the policy that was learnt from a driver, beside the driver's own.
+"""Driving by the policy that was learned from a driver, beside the driver's own.
 
 Recorded episodes are played again, to know of speeds and gaps what was not recorded
 (:func:`replay`); the policy drives fresh ones, given the driver's z (:func:`imitate`).

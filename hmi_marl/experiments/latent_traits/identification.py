@@ -1,6 +1,6 @@
 """What a trait model's latent space tells about the driver, beside the exact Bayes ceiling.
 
-Everything is judged on windows that nothing was learnt from. The probe and the centroids are
+Everything is judged on windows that nothing was learned from. The probe and the centroids are
 fitted on windows that the model did learn from, with the true names, in every setting alike.
 """
 
@@ -105,8 +105,8 @@ class Embedding:
 class Split:
     """Demonstrations as a model's run took them."""
 
-    learnt: Demonstrations
-    """Windows that it learnt from."""
+    learned: Demonstrations
+    """Windows that it learned from."""
     unseen: Demonstrations
     """Windows that it did not."""
 
@@ -146,12 +146,12 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
     names = split.unseen.observed.names
     if len(names) < 2:
         raise ValueError("drivers are told apart: there are two or more who are known by name")
-    sides = (split.learnt.observed.driver, split.unseen.observed.driver)
+    sides = (split.learned.observed.driver, split.unseen.observed.driver)
     counts = np.minimum(*(np.bincount(of[of != NOBODY], minlength=len(names)) for of in sides))
     least = (latent + 2) * pool
     if counts.min() < least:
         raise ValueError(
-            f"too few windows to judge by: it takes {least} of each driver that were learnt from "
+            f"too few windows to judge by: it takes {least} of each driver that were learned from "
             f"and {least} that were held out (pools of {pool}, {latent + 2} of them for z of size "
             f"{latent}), but of {names[counts.argmin()]} there are {counts.min()}; demonstrate "
             "more, look at more with --windows, or learn with a smaller --pool or a larger "
@@ -186,21 +186,21 @@ def identify_drivers(
     Raises:
         ValueError: too few pools of some driver.
     """
-    learnt, unseen = (Hidden.of(model, part.observed) for part in (split.learnt, split.unseen))
-    help_learnt, help_unseen = likes_help(split.learnt), likes_help(split.unseen)
+    learned, unseen = (Hidden.of(model, part.observed) for part in (split.learned, split.unseen))
+    help_learned, help_unseen = likes_help(split.learned), likes_help(split.unseen)
     rows = []
     for size in windows:
-        fitted, judged = (disjoint_pools(hidden.driver, size) for hidden in (learnt, unseen))
-        z_fitted = model.latent(learnt.pooled(fitted)).mean
+        fitted, judged = (disjoint_pools(hidden.driver, size) for hidden in (learned, unseen))
+        z_fitted = model.latent(learned.pooled(fitted)).mean
         z = model.latent(unseen.pooled(judged)).mean
         preferences = None
-        if help_learnt is not None and help_unseen is not None:
-            asked = help_learnt[fitted[:, 0]], help_unseen[judged[:, 0]]
+        if help_learned is not None and help_unseen is not None:
+            asked = help_learned[fitted[:, 0]], help_unseen[judged[:, 0]]
             if len(np.unique(asked[1])) > 1:
                 preferences = separability(z_fitted, asked[0], z, asked[1])
         types = unseen.driver[judged[:, 0]]
         found = None if identification is None else ceilings(identification, judged, types)
-        told = separability(z_fitted, learnt.driver[fitted[:, 0]], z, types)
+        told = separability(z_fitted, learned.driver[fitted[:, 0]], z, types)
         rows.append(Identified(size, len(judged), told, preferences, found))
     judged = disjoint_pools(unseen.driver, model.card.pool)
     means = model.latent(unseen.pooled(judged)).mean
@@ -221,7 +221,7 @@ def strangers(population: Demonstrations, demonstrations: Demonstrations) -> Dem
     if not new.any():
         raise ValueError(
             "everybody in the population has demonstrated: traits of drivers whom a "
-            "model has learnt from tell nothing; see hmi-marl collect --population"
+            "model has learned from tell nothing; see hmi-marl collect --population"
         )
     return population.take(new)
 
@@ -247,7 +247,7 @@ def population_pools(population: Demonstrations, size: int) -> tuple[Truth, NDAr
 def regress_traits(
     model: TraitModel, population: Demonstrations, size: int, seed: int = 0
 ) -> dict[str, TraitR2]:
-    """R² of each trait from z, over drivers whom nothing was learnt from.
+    """R² of each trait from z, over drivers whom nothing was learned from.
 
     One half of the drivers fits the regression, the other half is judged.
 

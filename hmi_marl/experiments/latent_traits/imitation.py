@@ -1,4 +1,4 @@
-r"""How likely people's actions are to the policy :math:`π(a | s, z)` that was learnt from them.
+r"""How likely people's actions are to the policy :math:`π(a | s, z)` that was learned from them.
 
 The z is from *other* windows of the same driver, so that it tells who drives and not what was done.
 The likelihood has an exact bound. Actions are drawn from :math:`p_k(v_t | v_{<t}, \text{seed},

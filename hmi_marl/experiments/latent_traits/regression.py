@@ -85,7 +85,7 @@ def trait_r2(
     same_size(fitted, vectors)
     own, held_out = _drivers(known), _drivers(truth)
     if own.max() == 0:
-        raise ValueError("traits are learnt from two drivers or more")
+        raise ValueError("traits are learned from two drivers or more")
     folds = GroupKFold(min(_FOLDS, own.max() + 1), shuffle=True, random_state=seed)
     splits = list(folds.split(fitted, groups=own))
     landmarks = min(_LANDMARKS, *(len(rows) for rows, _ in splits))

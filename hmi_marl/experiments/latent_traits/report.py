@@ -1,7 +1,7 @@
 """What trait models came to, told: text, JSON, figures and a page.
 
 Settings are told in the paper's order: unsupervised, supervised by who drives, by preference. Each
-may have been learnt several times, from different seeds.
+may have been learned several times, from different seeds.
 """
 
 from __future__ import annotations
@@ -241,7 +241,7 @@ def _sections(assessments: Assessments, pool: int) -> list[tuple[str, list[str],
             likelihood_rows(assessments),
         ),
         (
-            "The learnt policy / the demonstrations",
+            "The learned policy / the demonstrations",
             DRIVING_HEAD,
             driving_rows(assessments),
         ),

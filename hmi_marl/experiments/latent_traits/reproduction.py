@@ -47,8 +47,7 @@ from hmi_marl.experiments.latent_traits.settings import (
     TraitReproduction,
 )
 from hmi_marl.experiments.stages import Outcome
-from hmi_marl.files import make_folder, write_bytes, write_json, write_text
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value, make_folder, write_bytes, write_json, write_text
 from hmi_marl.reporting.blocks import page_of, pictures
 from hmi_marl.training.runs.claim import FREE as MACHINE
 from hmi_marl.training.runs.claim import check_same
@@ -71,7 +70,7 @@ def collect_datasets(settings: TraitReproduction, driver_run: Path, folder: Path
         if truth.is_file():  # which is written last
             about = read_about(truth)
             before = _binding(about.get("settings", {}))
-            check_same(before, _binding(plain(dataset)), truth.parent)
+            check_same(before, _binding(json_value(dataset)), truth.parent)
             _check_driver(about, driver_run, truth.parent)
             continue
         make_folder(folder / name)
@@ -96,21 +95,21 @@ def _binding(settings: dict[str, Any]) -> dict[str, Any]:
     return {"settings": {name: value for name, value in settings.items() if name not in FREE}}
 
 
-def learn_all(settings: TraitReproduction, folder: Path, workers: int, typed: str) -> None:
+def learn_all(settings: TraitReproduction, folder: Path, workers: int, command_line: str) -> None:
     """Learn every setting, ``workers`` at a time; finished ones are left alone.
 
     Raises:
         ValueError: what :func:`hmi_marl.training.traits.run.learn_traits` refuses.
     """
     jobs, data = settings.trainings(folder), folder / DEMONSTRATIONS
-    side_by_side(_learn, [(job, data, out, typed) for out, job in jobs.items()], workers)
+    side_by_side(_learn, [(job, data, out, command_line) for out, job in jobs.items()], workers)
 
 
-def _learn(settings: TraitSettings, demonstrations: Path, folder: Path, typed: str) -> None:
+def _learn(settings: TraitSettings, demonstrations: Path, folder: Path, command_line: str) -> None:
     from hmi_marl.training.traits.run import learn_traits  # torch, with the threads just set
 
     settings = replace(settings, threads=1)
-    learn_traits(settings, demonstrations, folder, typed=typed, line=own_line())
+    learn_traits(settings, demonstrations, folder, command_line=command_line, line=own_line())
 
 
 def assess_runs(
@@ -124,7 +123,7 @@ def assess_runs(
 
     Args:
         runs: their folders.
-        demonstrations: that they learnt from.
+        demonstrations: that they learned from.
         population: of drivers they did not; None to leave that out.
         driver_policy: whose the demonstrations are; None: as they tell it.
         size: how much.
@@ -134,19 +133,19 @@ def assess_runs(
         judged in every respect, others by how well they tell drivers apart.
 
     Raises:
-        FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learnt from
+        FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
             other demonstrations or that pool or hold out differently.
     """
     models = [load_traits(run) for run in runs]
     data = read_demonstrations(demonstrations)
     pools, digest = models[0].card.pool, sha256_of(demonstrations / OBSERVED)
-    share, _ = _learnt_from(runs[0], models[0])
+    share, _ = _learned_from(runs[0], models[0])
     for run, model in zip(runs, models, strict=True):
-        held_out, learnt = _learnt_from(run, model)
+        held_out, learned = _learned_from(run, model)
         if (model.card.pool, held_out) != (pools, share):
             raise ValueError(f"{run} pools or holds out other windows than {runs[0]}")
-        if learnt != digest:
-            raise ValueError(f"{run} learnt from other demonstrations than {demonstrations}")
+        if learned != digest:
+            raise ValueError(f"{run} learned from other demonstrations than {demonstrations}")
     _check_seeds(runs, models)
     split = Split.of(data, share, size.windows)
     windows = pool_sizes(split, pools, max(model.card.latent for model in models))
@@ -187,18 +186,18 @@ def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:
         odd = [n for n in told if n not in MACHINE and told[n] != settings.get(n)]
         if odd:
             raise ValueError(
-                f"{run} was learnt with another {odd[0]} than {other}: runs of one supervision "
+                f"{run} was learned with another {odd[0]} than {other}: runs of one supervision "
                 "are taken for seeds of one setting; judge them one at a time"
             )
 
 
-def _learnt_from(run: Path, model: TraitModel) -> tuple[float, str]:
+def _learned_from(run: Path, model: TraitModel) -> tuple[float, str]:
     """The share that a run held out, and the checksum of its demonstrations."""
     told = model.card.training
     try:
         return float(told["settings"]["held_out"]), str(told["demonstrations"])
     except (KeyError, TypeError, ValueError):
-        raise ValueError(f"{run} does not tell what it learnt from") from None
+        raise ValueError(f"{run} does not tell what it learned from") from None
 
 
 def write_report(
@@ -206,17 +205,17 @@ def write_report(
     assessments: Mapping[str, Sequence[Assessment]],
     pools: int,
     seconds: Mapping[str, float],
-    typed: str,
+    command_line: str,
     settings: Mapping[str, Any],
 ) -> Outcome:
     """Write the page, the figures and the numbers into ``folder``."""
     text, numbers = as_text(assessments, pools, seconds), as_json(assessments, pools)
     shown = exhibits(assessments, pools)
     write_text(folder / "traits.txt", text + "\n")
-    about = {"seconds": dict(seconds), "command": typed, "judged_with": settings}
+    about = {"seconds": dict(seconds), "command": command_line, "judged_with": settings}
     write_json(folder / "traits-report.json", numbers | about)
     for name, drawing in zip(("embeddings.png", "accuracy.png"), pictures(shown), strict=True):
         write_bytes(folder / name, drawing)
-    html = page_of("Latent traits", shown, seconds, typed, settings)
+    html = page_of("Latent traits", shown, seconds, command_line, settings)
     write_text(folder / "index.html", html)
     return Outcome(numbers, shown, seconds, text)

@@ -16,7 +16,7 @@ from hmi_marl.training.traits.settings import Supervision, TraitSettings
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
 DEMONSTRATIONS, POPULATION = "demonstrations", "population"
 FEWEST_STRANGERS = 4
-"""Whom nothing was learnt from: two to fit a regression by, and two to judge it by."""
+"""Whom nothing was learned from: two to fit a regression by, and two to judge it by."""
 _FRESH = 1
 """Added to the seed for the population's episodes."""
 
@@ -30,7 +30,7 @@ class AssessSettings:
     """
 
     windows: int = 800
-    """Most windows of each driver, learnt from or held out, that are encoded."""
+    """Most windows of each driver, learned from or held out, that are encoded."""
     episodes: int = 200
     """That the policy drives with each driver's z."""
     ranked: int = 100
@@ -60,11 +60,11 @@ class TraitReproduction:
     population: int = 200
     """Unseen drivers, over whom traits are regressed."""
     learn: TraitSettings = field(default_factory=TraitSettings)
-    """How each setting is learnt; supervision and seed are set for each."""
+    """How each setting is learned; supervision and seed are set for each."""
     seed: int = 0
     """Of the driver, the demonstrations and the first learning of each setting."""
     seeds: int = 1
-    """Times that each setting is learnt."""
+    """Times that each setting is learned."""
     judge: AssessSettings = field(default_factory=AssessSettings)
     """How much each model is tried."""
 
@@ -74,7 +74,7 @@ class TraitReproduction:
         object.__setattr__(self, "seed", check_seed(self.seed))
         if (self.learn.supervision, self.learn.seed) != ("none", 0):
             raise ValueError(
-                "every supervision is learnt, from --seed on: leave out "
+                "every supervision is learned, from --seed on: leave out "
                 "--learn.supervision and --learn.seed"
             )
         if self.population < FEWEST_STRANGERS:

@@ -51,9 +51,13 @@ ETA_1 = Variant("eta-1", "η = 1", tuple(replace(driver, eta=1.0) for driver in 
 VARIANTS = (PRINTED, ETA_1)
 
 
-def driver_job(drivers: tuple[str, ...], steps: int, teams: int, seed: int, folder: Path) -> Job:
+def driver_job(
+    drivers: tuple[str, ...], steps: int, num_teams: int, seed: int, folder: Path
+) -> Job:
     """One driver policy over these drivers, which later trainings in ``folder`` take."""
-    settings = TwoStage(drivers=drivers, driver_steps=steps, hmi_steps=0, teams=teams, seed=seed)
+    settings = TwoStage(
+        drivers=drivers, driver_steps=steps, hmi_steps=0, num_teams=num_teams, seed=seed
+    )
     return Job(settings, folder / DRIVER_RUN)
 
 
@@ -71,7 +75,7 @@ class ReproductionSettings:
     """Environment steps in which each HMI learns."""
     episodes: int = 2000
     """Episodes in each cell."""
-    teams: int = 512
+    num_teams: int = 512
     """Teams that train side by side."""
     seed: int = 0
     """Of all training."""
@@ -84,7 +88,7 @@ class ReproductionSettings:
         """Stage 1: one driver policy over everybody who drives in either table."""
         drivers = {spec(driver) for variant in VARIANTS for driver in variant.drivers}
         everybody = (*sorted(drivers), spec(DRIVERS["average"]))
-        return driver_job(everybody, self.driver_steps, self.teams, self.seed, folder)
+        return driver_job(everybody, self.driver_steps, self.num_teams, self.seed, folder)
 
     def hmi_jobs(self, folder: Path) -> list[Job]:
         """Stage 2: an HMI for each driver of the tables, and for the average one."""
@@ -98,7 +102,7 @@ class ReproductionSettings:
                     hmi_for=spec(driver),
                     driver_policy=str(folder / DRIVER_RUN),
                     hmi_steps=self.hmi_steps,
-                    teams=self.teams,
+                    num_teams=self.num_teams,
                     seed=self.seed,
                 ),
                 folder / run,
@@ -149,7 +153,7 @@ def play_table(
     workers: int,
     progress: Callable[[int], object],
 ) -> ReproducedTable:
-    """Play every cell of a variant with the policies that were learnt in ``folder``."""
+    """Play every cell of a variant with the policies that were learned in ``folder``."""
     average = PRINTED.hmi_run(DRIVERS["average"])
     hmis = {driver.name: variant.hmi_run(driver) for driver in variant.drivers}
     paths = {label: str(folder / run) for label, run in (hmis | {AVERAGE: average}).items()}

@@ -24,7 +24,7 @@ from hmi_marl.envs.worlds import check_world
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.alert_quality import AlertJudge, ExactRules, exact_settings
 from hmi_marl.experiments.episodes import Episodes, play_episodes
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.workers import check_workers, results
@@ -203,10 +203,9 @@ def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
     if not isinstance(hmi, LearnedPolicy) or "distracted" not in dict(hmi.card.reads):
         return None
     trained = hmi.card.training.get("team", {})
-    here = plain(team)
-    old = {"alert_strengths": [1.0], "fatigue": None}  # of cards that do not tell it
-    chain = ("alert_window", "weights", *old)
-    same = all((old | trained).get(name) == here[name] for name in chain)
+    here = json_value(team)
+    chain = ("alert_window", "weights", "alert_strengths", "fatigue")
+    same = all(trained.get(name) == here[name] for name in chain)
     if not same or trained["reward"] not in ("team", "attention"):
         return None
     trained_for = trained["driver"].get("drivers", [])

@@ -17,7 +17,7 @@ is called gamed with a driver if both hold:
 2. a step is worth less than nothing to this driver, in the reward that they learn from (but for
    the collision's own term, which is not what goes on after a step).
 
-With the first alone a protocol "crashes more": it may have learnt less, or have learnt to crash
+With the first alone a protocol "crashes more": it may have learned less, or have learned to crash
 while its partner was worse than it is now, which the run that was trained with
 ``end_at_crash=False`` shows, where crashing ends nothing.
 """
@@ -59,7 +59,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Comparison:
-    """Everything that was learnt and played."""
+    """Everything that was learned and played."""
 
     settings: CompareSettings
     played: Played

@@ -29,8 +29,7 @@ from hmi_marl.experiments.protocols.analysis import (
 from hmi_marl.experiments.protocols.figures import curves_figure, swap_figure, terms_figure
 from hmi_marl.experiments.protocols.play import Sums
 from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings
-from hmi_marl.files import write_bytes, write_json, write_text
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value, write_bytes, write_json, write_text
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.page import html_table, image, page, text_table
 from hmi_marl.reporting.statistics import Estimate
@@ -176,7 +175,7 @@ def notes(settings: CompareSettings, workers: int) -> dict[str, str]:
         "curves": (
             "Means over the seeds, interpolated on common environment steps, with the 95 % band of "
             "Student's t, cut off at what was seen (two seeds: thin lines instead). These are "
-            "the episodes that were learnt from, so with actions that were drawn (explored), not "
+            "the episodes that were learned from, so with actions that were drawn (explored), not "
             "the likeliest, by those who learn at the time. In two-stage's first part, and "
             "alternating's, there is no HMI."
         ),
@@ -201,7 +200,7 @@ def notes(settings: CompareSettings, workers: int) -> dict[str, str]:
             "term; where it is negative, ending early pays. GAMED: crashes more often than "
             f"two-stage's (intervals more than {MARGIN:g} apart) and a step is worth less than "
             "nothing; crashes more: only the former; fine: neither. The two-stage driver learns "
-            "from driving alone and is the reference, a mild one if it has not learnt long enough."
+            "from driving alone and is the reference, a mild one if it has not learned long enough."
         ),
         "time": f"Training only, side by side (workers: {workers}, a thread each).",
     }
@@ -248,7 +247,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
     settings, gaming = comparison.settings, gaming_of(comparison)
     return {
         "hmi_marl_version": hmi_marl.__version__,
-        "settings": plain(settings),
+        "settings": json_value(settings),
         "steps_each": settings.steps_each,
         "workers": comparison.workers,
         "protocols": {
@@ -327,7 +326,7 @@ def as_html(comparison: Comparison, figures: Mapping[str, bytes], command: str) 
         if key in figures:
             parts.append(image("png", figures[key], _TITLES[key]))
         parts += [html_table(*table) for table in tables]
-    return page("Protocols compared", "\n".join(parts), command, plain(settings))
+    return page("Protocols compared", "\n".join(parts), command, json_value(settings))
 
 
 FIGURES: Mapping[str, Callable[[Comparison], bytes]] = {

@@ -27,12 +27,12 @@ from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 
-Protocol = Literal["two-stage", "joint", "simultaneous", "simultaneous-parallel", "alternating"]
+Protocol = Literal["two-stage", "joint", "simultaneous", "simultaneous-moves", "alternating"]
 PROTOCOLS: tuple[Protocol, ...] = get_args(Protocol)
 TWO_STAGE: Protocol = "two-stage"
 EVERYBODY = "all"
 """In place of a driver's name: all of the population."""
-QUICK = {"steps": 300_000, "seeds": 2, "episodes": 200, "teams": 128}
+QUICK = {"steps": 300_000, "seeds": 2, "episodes": 200, "num_teams": 128}
 """What a coarse comparison changes."""
 
 
@@ -93,7 +93,7 @@ class CompareSettings:
     crash_check: bool = True
     """Train every protocol also with end_at_crash=False, with the first seed, to see whether
     crashing early pays."""
-    teams: int = 512
+    num_teams: int = 512
     """Teams side by side in training."""
     duration: float = 20.0
     """Length of an episode [s]."""
@@ -102,7 +102,7 @@ class CompareSettings:
 
     def __post_init__(self) -> None:
         _check_protocols(self.protocols)
-        for name in ("steps", "rounds", "seeds", "episodes", "teams"):
+        for name in ("steps", "rounds", "seeds", "episodes", "num_teams"):
             check_count(name, getattr(self, name))
         if not 0.0 < self.driver_share < 1.0:
             raise ValueError(
@@ -136,7 +136,7 @@ class CompareSettings:
     @property
     def _batches(self) -> tuple[int, int]:
         """In each round of alternating: of the driver, of the HMI. At least one each."""
-        wanted = self.steps / (self.teams * self.team().horizon * self.rounds)
+        wanted = self.steps / (self.num_teams * self.team().horizon * self.rounds)
         shares = self.driver_share, 1.0 - self.driver_share
         driver, hmi = (max(1, round(share * wanted)) for share in shares)
         return driver, hmi
@@ -145,7 +145,7 @@ class CompareSettings:
     def steps_apart(self) -> tuple[int, int]:
         """In how many environment steps driver and HMI learn where they learn one by one."""
         driver, hmi = (
-            count * self.rounds * self.teams * self.team().horizon for count in self._batches
+            count * self.rounds * self.num_teams * self.team().horizon for count in self._batches
         )
         return driver, hmi
 
@@ -182,7 +182,7 @@ class CompareSettings:
             "drivers": self.drivers,
             "seed": run.seed,
             "end_at_crash": not run.standing,
-            "teams": self.teams,
+            "num_teams": self.num_teams,
             "duration": self.duration,
             "vehicles": self.vehicles,
         }
@@ -197,7 +197,7 @@ class CompareSettings:
             return Alternating(**shared, **apart, rounds=self.rounds)
         if run.protocol == "joint":
             return Joint(**shared, **whole)
-        return Simultaneous(**shared, **whole, parallel=run.protocol == "simultaneous-parallel")
+        return Simultaneous(**shared, **whole, sequential=run.protocol != "simultaneous-moves")
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
         """The reward terms that the driver learns from."""
@@ -229,9 +229,9 @@ class CompareSettings:
         """
         hmis = "never", "when-distracted"
         known = {f"rule, {hmi}": [Pair("rule", hmi)] for hmi in hmis}
-        learnt = [run.name for run in self.main_runs if run.protocol == TWO_STAGE]
-        if learnt:
-            known |= {f"{TWO_STAGE}, {hmi}": [Pair(name, hmi) for name in learnt] for hmi in hmis}
+        learned = [run.name for run in self.main_runs if run.protocol == TWO_STAGE]
+        if learned:
+            known |= {f"{TWO_STAGE}, {hmi}": [Pair(name, hmi) for name in learned] for hmi in hmis}
         return known
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 HMI_READS = ("intended_action", "previous_intended_action", "applied_action", "alerted", "time")
 """What there is to infer attention from. Lidar and lanes would only have to be ignored."""
-HIDDEN_PPO = PPOSettings(learning_rate=2e-3, mini_batches=8)
+HIDDEN_PPO = PPOSettings(learning_rate=2e-3, num_mini_batches=8)
 """For HMIs with a memory."""
 _DECIMALS = 3
 
@@ -49,17 +49,22 @@ def strangers(count: int, seed: int) -> tuple[str, ...]:
 
 
 def conditioned_hmi(
-    driver_policy: str, hmi_steps: int, memory: int, teams: int, seed: int, others: int = 512
+    driver_policy: str,
+    hmi_steps: int,
+    rnn_hidden_dim: int,
+    num_teams: int,
+    seed: int,
+    others: int = 512,
 ) -> TwoStage:
     """Settings of an HMI for the four types and as many others, evenly drawn, attention hidden.
 
-    To be learnt with ``train(..., context=Places(model))``.
+    To be learned with ``train(..., context=Places(model))``.
 
     Args:
         driver_policy: who steers.
         hmi_steps: environment steps to learn from.
-        memory: units of its recurrent layer.
-        teams: side by side.
+        rnn_hidden_dim: units of its recurrent layer.
+        num_teams: side by side.
         seed: of the training, and of the others' traits.
         others: how many drivers without a name; the four types drive in a third of the episodes.
     """
@@ -69,17 +74,17 @@ def conditioned_hmi(
         driver_policy=driver_policy,
         hmi_steps=hmi_steps,
         ai_sees_attention=False,
-        memory=memory,
+        rnn_hidden_dim=rnn_hidden_dim,
         hmi_reads=HMI_READS,
         hmi_reward="attention",
         ppo=HIDDEN_PPO,
-        teams=teams,
+        num_teams=num_teams,
         seed=seed,
     )
 
 
 def learn_conditioned(
-    settings: TwoStage, evidence: Path, folder: Path, typed: str = "", line: int = 0
+    settings: TwoStage, evidence: Path, folder: Path, command_line: str = "", line: int = 0
 ) -> None:
     """Learn such an HMI in ``folder``, z being places in the evidence model of another run.
 
@@ -88,4 +93,4 @@ def learn_conditioned(
     """
     from hmi_marl.training.ppo.run import train  # torch, with the threads that were set by then
 
-    train(settings, folder, Places(load_evidence(evidence)), typed=typed, line=line)
+    train(settings, folder, Places(load_evidence(evidence)), command_line=command_line, line=line)

@@ -31,11 +31,13 @@ class Evidence(torch.nn.Module):
         columns, network = card.read_size + DERIVED, card.encoder
         self.register_buffer("centre", torch.zeros(card.read_size))
         self.register_buffer("scale", torch.ones(card.read_size))
-        self.memory = torch.nn.GRU(columns, network.memory, batch_first=True)
+        self.memory = torch.nn.GRU(columns, network.rnn_hidden_dim, batch_first=True)
         self.encoder = MLP(
-            network.memory + columns, card.latent, network.hidden, network.activation
+            network.rnn_hidden_dim + columns, card.latent, network.hidden_dims, network.activation
         )
-        self.place = MLP(len(TRAIT_NAMES), card.latent, card.place.hidden, card.place.activation)
+        self.place = MLP(
+            len(TRAIT_NAMES), card.latent, card.place.hidden_dims, card.place.activation
+        )
 
     def forward(
         self, turns: torch.Tensor, shown_traits: torch.Tensor, every: int = 1

@@ -1,7 +1,7 @@
 """Learning an evidence model in a folder, resumable.
 
 The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``, ``curve.json``
-(a row for every few updates), and what was learnt, ``evidence.json`` with its weights. The drives
+(a row for every few updates), and what was learned, ``evidence.json`` with its weights. The drives
 are not kept: they follow from the settings, and are driven again when a run goes on.
 """
 
@@ -43,7 +43,7 @@ def learn_evidence(
     settings: EvidenceSettings,
     folder: Path,
     quiet: bool = False,
-    typed: str = "",
+    command_line: str = "",
     line: int = 0,
 ) -> None:
     """Learn in ``folder``, going on where a run there was cut off.
@@ -52,7 +52,7 @@ def learn_evidence(
         settings: what to learn from, and how.
         folder: of the run.
         quiet: no progress bar.
-        typed: the command, kept with what was learnt.
+        typed: the command, kept with what was learned.
         line: of the terminal for the progress bar.
 
     Raises:
@@ -63,14 +63,14 @@ def learn_evidence(
         torch.set_num_threads(settings.threads)
         try:
             make_folder(folder)
-            _Run(settings, folder, typed).go(quiet, line)
+            _Run(settings, folder, command_line).go(quiet, line)
         finally:
             torch.set_num_threads(threads)
 
 
 class _Run:
-    def __init__(self, settings: EvidenceSettings, folder: Path, typed: str) -> None:
-        self._settings, self._folder, self._typed = settings, folder, typed
+    def __init__(self, settings: EvidenceSettings, folder: Path, command_line: str) -> None:
+        self._settings, self._folder, self._typed = settings, folder, command_line
         self._about: dict[str, Any] = {
             "protocol": "evidence",
             "version": hmi_marl.__version__,
@@ -123,14 +123,14 @@ class _Run:
     def _learn(self, drives: Drives, bar: tqdm[Any]) -> None:
         state, settings, shown = self._state, self._settings, self._shown(drives)
         whole = -(-drives.turns.shape[1] // settings.segment) * settings.segment
-        learnt, held_out = self._split()
+        learned, held_out = self._split()
         held_out = held_out[: settings.batch]
         unseen = _padded(drives.turns[held_out], drives.driving[held_out], whole)
         recent: list[float] = []
         while state.iteration < settings.updates:
             began = time.monotonic()
             draw = int(mix(settings.seed, Stream.LEARNING, 2 + state.iteration))
-            which = np.random.default_rng(draw).choice(learnt, settings.batch, replace=False)
+            which = np.random.default_rng(draw).choice(learned, settings.batch, replace=False)
             turns, driving = _padded(drives.turns[which], drives.driving[which], whole)
             share = state.iteration / settings.updates
             rate = _LAST_RATE + (1 - _LAST_RATE) * 0.5 * (1 + math.cos(math.pi * share))
@@ -161,17 +161,17 @@ class _Run:
         return torch.from_numpy(traits_part(drives.traits).astype(np.float32))
 
     def _split(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], ...]:
-        """Which drives are learnt from, and which are not."""
+        """Which drives are learned from, and which are not."""
         settings = self._settings
         order = np.random.default_rng(int(mix(settings.seed, Stream.LEARNING, 1)))
         mixed = order.permutation(settings.drives)  # drives lie by HMI
-        learnt, held_out = np.split(mixed, [settings.learnt])
-        return learnt, held_out
+        learned, held_out = np.split(mixed, [settings.learned])
+        return learned, held_out
 
     def _temperature(self, drives: Drives) -> float:
-        """By how much to tone the evidence down, so that drives not learnt from are told best.
+        """By how much to tone the evidence down, so that drives not learned from are told best.
 
-        What was learnt is too sure of itself, the more so the more of it is added up.
+        What was learned is too sure of itself, the more so the more of it is added up.
         """
         settings, (_, held_out) = self._settings, self._split()
         shown = self._shown(drives)

@@ -21,12 +21,12 @@ HMIS = (
     "belief:marge",
     "belief:bart",
 )
-"""Who alerts in the drives that are learnt from: the evidence is to hold beside any HMI."""
+"""Who alerts in the drives that are learned from: the evidence is to hold beside any HMI."""
 
 
 @dataclass(frozen=True)
 class EvidenceSettings:
-    """How an evidence model is learnt.
+    """How an evidence model is learned.
 
     Raises:
         ValueError, TypeError: a value out of its range, by name.
@@ -41,7 +41,7 @@ class EvidenceSettings:
     known: float = 0.4
     """Share of them driven by the drivers with a name; the others' traits are drawn evenly."""
     held_out: float = 0.05
-    """Share of the drives that is not learnt from, to see how well others are told."""
+    """Share of the drives that is not learned from, to see how well others are told."""
     updates: int = 2000
     """Gradient steps."""
     batch: int = 256
@@ -54,7 +54,7 @@ class EvidenceSettings:
     """Z, the size of e_t and w."""
     segment: int = 25
     """Turns after which the encoder's memory is emptied."""
-    encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), memory=48))
+    encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
     """From turns to e_t."""
     place: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
     """From traits to w."""
@@ -81,13 +81,15 @@ class EvidenceSettings:
             raise ValueError(f"held_out lies between 0 and 1, but got {self.held_out}")
         if not (math.isfinite(self.weight_decay) and self.weight_decay >= 0):
             raise ValueError(f"weight_decay is at least 0, but got {self.weight_decay}")
-        if not 2 <= self.batch <= self.learnt:
+        if not 2 <= self.batch <= self.learned:
             raise ValueError(
-                f"batch lies in 2 to {self.learnt}, the number of drives to learn from, but got "
+                f"batch lies in 2 to {self.learned}, the number of drives to learn from, but got "
                 f"{self.batch}"
             )
-        if not self.encoder.memory:
-            raise ValueError("an encoder has a memory of at least one unit: set encoder.memory")
+        if not self.encoder.rnn_hidden_dim:
+            raise ValueError(
+                "an encoder has a memory of at least one unit: set encoder.rnn_hidden_dim"
+            )
         self.card(self.team)
 
     @property
@@ -96,12 +98,12 @@ class EvidenceSettings:
         return TeamConfig(ai_sees_attention=False)
 
     @property
-    def learnt(self) -> int:
-        """How many drives are learnt from."""
+    def learned(self) -> int:
+        """How many drives are learned from."""
         return self.drives - max(2, round(self.held_out * self.drives))
 
     def card(self, team: TeamConfig) -> EvidenceCard:
-        """Of the model that is learnt."""
+        """Of the model that is learned."""
         return EvidenceCard.for_team(
             team,
             self.reads,

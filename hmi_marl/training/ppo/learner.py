@@ -24,7 +24,7 @@ class Learner(Protocol):
     """Acts in every step of a batch, then learns from it."""
 
     def begin(self, progress: float) -> None:
-        """Begin a batch of whole episodes; ``progress`` in [0, 1] is how much has been learnt."""
+        """Begin a batch of whole episodes; ``progress`` in [0, 1] is how much has been learned."""
 
     def act(self, observations: TensorDict) -> torch.Tensor:
         """Explore: actions of shape (N, columns)."""
@@ -85,14 +85,14 @@ class PPOLearner:
             actor,
             critic,
             storage,
-            num_learning_epochs=settings.epochs,
-            num_mini_batches=settings.mini_batches,
-            clip_param=settings.clip,
-            gamma=settings.discount,
-            lam=settings.trace,
-            entropy_coef=settings.entropy,
+            num_learning_epochs=settings.num_learning_epochs,
+            num_mini_batches=settings.num_mini_batches,
+            clip_param=settings.clip_param,
+            gamma=settings.gamma,
+            lam=settings.gae_lambda,
+            entropy_coef=settings.entropy_coef,
             learning_rate=settings.learning_rate,
-            max_grad_norm=settings.gradient_norm,
+            max_grad_norm=settings.max_grad_norm,
             use_clipped_value_loss=False,  # its range is that of the policy's ratio, not of values
             schedule="fixed",  # begin() sets the learning rate
             device=device,
@@ -104,7 +104,9 @@ class PPOLearner:
     def begin(self, progress: float) -> None:
         """See :meth:`Learner.begin`."""
         settings = self.settings
-        self.ppo.entropy_coef = _between(settings.entropy, settings.final_entropy, progress)
+        self.ppo.entropy_coef = _between(
+            settings.entropy_coef, settings.final_entropy_coef, progress
+        )
         rate = _between(settings.learning_rate, settings.final_learning_rate, progress)
         self.ppo.learning_rate = rate
         for group in self.ppo.optimizer.param_groups:
@@ -130,7 +132,7 @@ class PPOLearner:
             if late.any():
                 last = self.view(extras["final_observation"])
                 values = self.ppo.critic(last).squeeze(-1)
-                rewards[teams[late]] += self.settings.discount * values[late]
+                rewards[teams[late]] += self.settings.gamma * values[late]
         self.ppo.process_env_step(None, rewards, dones, {})
 
     def learn(self, observations: TensorDict) -> dict[str, float]:
@@ -146,7 +148,7 @@ class PPOLearner:
         return actions
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Everything that it has learnt, optimiser included, by flat names."""
+        """Everything that it has learned, optimiser included, by flat names."""
         saved = self.ppo.save()
         tensors = {
             f"{model}.{name}": value

@@ -24,10 +24,12 @@ def make_actor(card: PolicyCard) -> MLPModel:
     network = card.network
     head = {"class_name": OneAction, "choices": card.actions}
     template = _template("actor", card.inputs)
-    sizes = (template, GROUPS, "actor", 1, network.hidden, network.activation)
-    if not network.memory:
+    sizes = (template, GROUPS, "actor", 1, network.hidden_dims, network.activation)
+    if not network.rnn_hidden_dim:
         return MLPModel(*sizes, distribution_cfg=head)
-    return MemoryModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.memory)
+    return MemoryModel(
+        *sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.rnn_hidden_dim
+    )
 
 
 class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
@@ -71,8 +73,8 @@ def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
     Raises:
         ValueError: a recurrent network, or a vehicle AI that is not ``by_intent``.
     """
-    if driver.network.memory or vehicle_ai.network.memory:
-        raise ValueError("the composite policy has no memory; choose memory = 0")
+    if driver.network.rnn_hidden_dim or vehicle_ai.network.rnn_hidden_dim:
+        raise ValueError("the composite policy has no memory; choose rnn_hidden_dim = 0")
     if not vehicle_ai.by_intent:
         raise ValueError("in the composite policy the vehicle AI gives logits by intent")
     template = _template("actor", driver.inputs + vehicle_ai.inputs)
@@ -85,7 +87,7 @@ def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
 def make_critic(inputs: int, network: NetworkConfig) -> MLPModel:
     """V of what it reads; never recurrent."""
     template = _template("critic", inputs)
-    return MLPModel(template, GROUPS, "critic", 1, network.hidden, network.activation)
+    return MLPModel(template, GROUPS, "critic", 1, network.hidden_dims, network.activation)
 
 
 def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
@@ -109,7 +111,7 @@ _MEMORY = {
 
 def _mlp(card: PolicyCard) -> MLP:
     outputs = INTENTS if card.seat == DRIVER else card.outputs
-    return MLP(card.inputs, outputs, card.network.hidden, card.network.activation)
+    return MLP(card.inputs, outputs, card.network.hidden_dims, card.network.activation)
 
 
 def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:

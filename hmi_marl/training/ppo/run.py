@@ -1,7 +1,7 @@
 """The one training loop: the phases of a protocol, batch by batch, resumable in a folder.
 
 A run's folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``,
-``curve.json`` (a row for each batch), ``tensorboard/``, and the policies it has learnt,
+``curve.json`` (a row for each batch), ``tensorboard/``, and the policies it has learned,
 ``driver.json`` and ``vehicle_ai.json`` with their weights; on request also ``snapshots/STEPS/``,
 the same as they stood after so many environment steps.
 """
@@ -23,9 +23,8 @@ from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
-from hmi_marl.files import make_folder, write_json
-from hmi_marl.plain import plain
-from hmi_marl.training.protocols.phase import LEARNT, OTHER, TEAM, Phase
+from hmi_marl.files import json_value, make_folder, write_json
+from hmi_marl.training.protocols.phase import LEARNED, OTHER, TEAM, Phase
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.claim import SETTINGS, check_same, read_settings, told
 from hmi_marl.training.runs.jobs import CURVE
@@ -56,7 +55,7 @@ def train(
     folder: Path,
     context: Context | None = None,
     quiet: bool = False,
-    typed: str = "",
+    command_line: str = "",
     line: int = 0,
 ) -> None:
     """Learn what ``settings`` say in ``folder``, going on where a run there was cut off.
@@ -81,7 +80,7 @@ def train(
         threads = torch.get_num_threads()
         torch.set_num_threads(settings.threads)
         try:
-            _Run(settings, folder, processes, context, quiet, typed).go(line)
+            _Run(settings, folder, processes, context, quiet, command_line).go(line)
         finally:
             torch.set_num_threads(threads)
 
@@ -94,7 +93,7 @@ class _Run:
         processes: Processes,
         context: Context | None,
         quiet: bool,
-        typed: str,
+        command_line: str,
     ) -> None:
         self._settings = settings
         self._folder = folder
@@ -111,7 +110,7 @@ class _Run:
         }
         if context is not None:
             self._about[CONTEXT_OF] = context.digest
-        self._typed = typed
+        self._typed = command_line
         self._device = processes.device(settings.device)
         self._phases = [_in_context(phase, context) for phase in settings.phases()]
         self._learners: dict[str, PPOLearner] = {}
@@ -122,7 +121,7 @@ class _Run:
         self._claim_folder()
         phases, state = self._phases, self._state
         if state.phase == len(phases):
-            return  # all is learnt
+            return  # all is learned
         total = sum(self._steps(phase) * self._iterations(phase) for phase in phases)
         name = self._folder.name
         board = self._folder / "tensorboard"
@@ -139,7 +138,7 @@ class _Run:
     def _claim_folder(self) -> None:
         """Begin a run here, or go on with the one that is here."""
         path, checkpoint = self._folder / SETTINGS, self._folder / CHECKPOINT
-        if checkpoint.is_file():  # otherwise nothing was learnt that could be lost
+        if checkpoint.is_file():  # otherwise nothing was learned that could be lost
             check_same(read_settings(path), self._about, self._folder)
             self._state = Checkpoint.load(checkpoint)
         elif self._processes.is_first:
@@ -147,11 +146,11 @@ class _Run:
         self._processes.wait()
 
     def _iterations(self, phase: Phase) -> int:
-        return phase.iterations(self._settings.teams, self._processes.count)
+        return phase.iterations(self._settings.num_teams, self._processes.count)
 
     def _steps(self, phase: Phase) -> int:
         """In one batch, over all processes."""
-        return self._settings.teams * phase.team.horizon * self._processes.count
+        return self._settings.num_teams * phase.team.horizon * self._processes.count
 
     def _learn(self, phase: Phase, telling: Telling) -> None:
         state, iterations = self._state, self._iterations(phase)
@@ -187,7 +186,7 @@ class _Run:
     def _make_env(self, phase: Phase) -> TeamVecEnv:
         settings = self._settings
         return make_vec(
-            settings.teams,
+            settings.num_teams,
             phase.seat,  # type: ignore[arg-type]
             self._partner(phase),
             device=self._device,
@@ -199,7 +198,7 @@ class _Run:
         if phase.partner is None:
             return None
         other = OTHER[phase.seat]
-        if phase.partner == LEARNT:
+        if phase.partner == LEARNED:
             return load_policy(self._folder, other, phase.team)
         make = make_driver_policy if other == DRIVER else make_hmi
         partner = make(phase.partner, phase.team)
@@ -211,7 +210,7 @@ class _Run:
         if phase.seat != TEAM or phase.joint:
             return self._learner(phase.seat, phase.cards, env)
         driver, vehicle_ai = (self._learner(card.seat, (card,), env) for card in phase.cards)
-        return TwoLearners(driver, vehicle_ai, IntentShown(env) if phase.turns else None)
+        return TwoLearners(driver, vehicle_ai, IntentShown(env) if phase.sequential else None)
 
     def _learner(self, name: str, cards: tuple[PolicyCard, ...], env: TeamVecEnv) -> PPOLearner:
         """The learner of this name: as it stands, as it was saved, or a new one."""
@@ -220,7 +219,7 @@ class _Run:
         settings, state = self._settings, self._state
         torch.manual_seed(self._draw(Stream.LEARNING, _INITIAL_WEIGHTS[name]))
         view = SeatView(env, cards, settings.critic == "team", self._context)
-        critic = NetworkConfig(settings.network.hidden, settings.network.activation)
+        critic = NetworkConfig(settings.network.hidden_dims, settings.network.activation)
         learner = PPOLearner(
             make_joint_actor(*cards) if len(cards) == 2 else make_actor(*cards),
             make_critic(view.critic_inputs, critic),
@@ -253,15 +252,15 @@ class _Run:
             self._processes.wait()
             return
         training = self._about | {
-            "team": plain(phase.team),
+            "team": json_value(phase.team),
             "steps": self._state.steps,
             "command": self._typed,
         }
-        for card, weights in self._learnt(phase):
+        for card, weights in self._learned(phase):
             save_policy(folder, replace(card, training=training), weights)
         self._processes.wait()
 
-    def _learnt(self, phase: Phase) -> Iterable[tuple[PolicyCard, Weights]]:
+    def _learned(self, phase: Phase) -> Iterable[tuple[PolicyCard, Weights]]:
         if phase.joint:
             actor = self._learners[TEAM].ppo.actor
             return zip(phase.cards, weights_of_both(actor), strict=True)
@@ -282,6 +281,6 @@ def _in_context(phase: Phase, context: Context | None) -> Phase:
     """The phase with the vehicle AI conditioned on z, if there is one."""
     if context is None:
         return phase
-    if phase.seat == DRIVER and phase.partner == LEARNT:
+    if phase.seat == DRIVER and phase.partner == LEARNED:
         raise ValueError("a vehicle AI conditioned on z cannot be a partner in training")
     return replace(phase, cards=tuple(card.with_context(context.size) for card in phase.cards))

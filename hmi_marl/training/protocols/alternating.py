@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
-from hmi_marl.training.protocols.phase import LEARNT, Phase
+from hmi_marl.training.protocols.phase import LEARNED, Phase
 from hmi_marl.training.protocols.settings import TrainSettings, check_count
 
 
@@ -49,7 +49,7 @@ class Alternating(TrainSettings):
                         seat,
                         team,
                         max(1, steps[seat] // self.rounds),
-                        "never" if first else LEARNT,
+                        "never" if first else LEARNED,
                         (self.card(seat, team),),
                         progress=(k / self.rounds, (k + 1) / self.rounds),
                     )

@@ -25,7 +25,7 @@ class Joint(TrainSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_count("steps", self.steps)
-        if self.memory:
+        if self.rnn_hidden_dim:
             raise ValueError("the composite policy has no memory; use another protocol, or 0")
 
     def phases(self) -> tuple[Phase, ...]:

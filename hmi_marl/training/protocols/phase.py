@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from hmi_marl.agents.learned.policy import PolicyCard
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 
-LEARNT = "learnt"
-"""As a partner: the other seat's policy, as far as this run has learnt it."""
+LEARNED = "learned"
+"""As a partner: the other seat's policy, as far as this run has learned it."""
 TEAM = "team"
 
 
@@ -25,7 +25,7 @@ class Phase:
     steps: int
     """Environment steps, rounded up to whole batches."""
     partner: str | None = None
-    """In the other seat: a name of the catalogue, a trained run, or ``LEARNT``."""
+    """In the other seat: a name of the catalogue, a trained run, or ``LEARNED``."""
     cards: tuple[PolicyCard, ...] = ()
     """Of the policies that learn."""
     joint: bool = False
@@ -33,14 +33,14 @@ class Phase:
     progress: tuple[float, float] = (0.0, 1.0)
     """Which part of all that its learner will learn this phase is, for schedules."""
 
-    def iterations(self, teams: int, processes: int) -> int:
+    def iterations(self, num_teams: int, processes: int) -> int:
         """Batches of one episode of each team in each process."""
-        return math.ceil(self.steps / (teams * self.team.horizon * processes))
+        return math.ceil(self.steps / (num_teams * self.team.horizon * processes))
 
     @property
-    def turns(self) -> bool:
+    def sequential(self) -> bool:
         """Whether the vehicle AI learns to see a^H_t."""
-        return all(card.taking_turns for card in self.cards)
+        return all(card.sequential for card in self.cards)
 
 
 OTHER = {DRIVER: VEHICLE_AI, VEHICLE_AI: DRIVER}

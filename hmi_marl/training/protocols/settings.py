@@ -25,47 +25,47 @@ class PPOSettings:
         ValueError: a number out of its range, by name.
     """
 
-    epochs: int = 3
-    """Times that each batch is learnt from."""
-    mini_batches: int = 16
+    num_learning_epochs: int = 3
+    """Times that each batch is learned from."""
+    num_mini_batches: int = 16
     """Parts of a batch, a gradient step each."""
-    discount: float = 0.98
+    gamma: float = 0.98
     """γ per step: 0.98 looks about 10 s ahead."""
-    trace: float = 0.95
+    gae_lambda: float = 0.95
     """λ of generalised advantage estimation."""
     learning_rate: float = 1e-3
     """At the start."""
     final_learning_rate: float = 2e-5
     """At the end; in between it falls along a line."""
-    entropy: float = 0.01
+    entropy_coef: float = 0.01
     """Bonus for the policy's entropy at the start."""
-    final_entropy: float = 0.0
+    final_entropy_coef: float = 0.0
     """The same at the end."""
-    clip: float = 0.2
+    clip_param: float = 0.2
     """How far an update may move the probability of an action, as a ratio."""
-    gradient_norm: float = 1.0
+    max_grad_norm: float = 1.0
     """Longest gradient."""
     reward_scale: float = 0.1
-    """Rewards are learnt from in this unit, so that values are not in the hundreds."""
+    """Rewards are learned from in this unit, so that values are not in the hundreds."""
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "mini_batches"):
+        for name in ("num_learning_epochs", "num_mini_batches"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
-        for name in ("discount", "trace"):
+        for name in ("gamma", "gae_lambda"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} lies in [0, 1], but got {getattr(self, name)}")
         for name in (
             "learning_rate",
             "final_learning_rate",
-            "clip",
-            "gradient_norm",
+            "clip_param",
+            "max_grad_norm",
             "reward_scale",
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} is a positive number, but got {value}")
-        for name in ("entropy", "final_entropy"):
+        for name in ("entropy_coef", "final_entropy_coef"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is a number of at least 0, but got {value}")
@@ -83,13 +83,13 @@ class TrainSettings(TeamSettings):
     """Who drives, drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     seed: int = 0
     """Same seed, same weights (on one machine, with one number of processes)."""
-    teams: int = 512
+    num_teams: int = 512
     """Teams side by side. A batch is one whole episode of each."""
     condition: Condition = "traits"
     """What the policies know of the driver: their traits, or nothing ("hidden")."""
     critic: Critic = "team"
-    """What values are learnt from: the whole team's state, or what the seat itself sees."""
-    memory: int = 0
+    """What values are learned from: the whole team's state, or what the seat itself sees."""
+    rnn_hidden_dim: int = 0
     """Units of a recurrent layer in the vehicle AI's network, for hidden attention; 0 for none."""
     hmi_reads: tuple[str, ...] = ()
     """Parts of its observation that the vehicle AI reads; all of them by default."""
@@ -109,21 +109,25 @@ class TrainSettings(TeamSettings):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", check_seed(self.seed))
-        if self.teams < 1:
-            raise ValueError(f"there is at least one team, but got teams = {self.teams}")
+        if self.num_teams < 1:
+            raise ValueError(f"there is at least one team, but got num_teams = {self.num_teams}")
         if self.threads < 1:
             raise ValueError(f"there is at least one thread, but got threads = {self.threads}")
         if self.snapshots < 0:
             raise ValueError(f"snapshots is a number of times, but got {self.snapshots}")
         if self.checkpoint_every < 0:
             raise ValueError(f"checkpoint_every is a time [s], but got {self.checkpoint_every}")
-        if self.network.memory:
-            raise ValueError("only the vehicle AI has a memory: set memory, not network.memory")
-        NetworkConfig(memory=self.memory)  # checks it
-        least = 2 if self.memory else 1  # rsl_rl mixes up the axes of one team with a memory
-        if self.ppo.mini_batches * least > self.teams:
+        if self.network.rnn_hidden_dim:
             raise ValueError(
-                f"{self.teams} teams make no {self.ppo.mini_batches} mini-batches of at least "
+                "only the vehicle AI has a memory: set memory, not network.rnn_hidden_dim"
+            )
+        NetworkConfig(rnn_hidden_dim=self.rnn_hidden_dim)  # checks it
+        least = (
+            2 if self.rnn_hidden_dim else 1
+        )  # rsl_rl mixes up the axes of one team with a memory
+        if self.ppo.num_mini_batches * least > self.num_teams:
+            raise ValueError(
+                f"{self.num_teams} teams make no {self.ppo.num_mini_batches} mini-batches of at least "
                 f"{least}; choose more teams or fewer mini-batches"
             )
         self.card(VEHICLE_AI, self.team(self.drivers))
@@ -133,12 +137,14 @@ class TrainSettings(TeamSettings):
         raise NotImplementedError("a protocol lays out its phases")
 
     def card(
-        self, seat: str, team: TeamConfig, by_intent: bool = False, taking_turns: bool = True
+        self, seat: str, team: TeamConfig, by_intent: bool = False, sequential: bool = True
     ) -> PolicyCard:
         """The policy that learns in a seat: it reads all it sees but what it is not to know."""
-        network = replace(self.network, memory=self.memory if seat == VEHICLE_AI else 0)
+        network = replace(
+            self.network, rnn_hidden_dim=self.rnn_hidden_dim if seat == VEHICLE_AI else 0
+        )
         knows = self.condition == "traits"
-        card = make_card(seat, team, network, knows, by_intent=by_intent, taking_turns=taking_turns)
+        card = make_card(seat, team, network, knows, by_intent=by_intent, sequential=sequential)
         return card.reading(self.hmi_reads) if self.hmi_reads and seat == VEHICLE_AI else card
 
 

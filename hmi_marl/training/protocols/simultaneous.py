@@ -14,15 +14,16 @@ from hmi_marl.training.protocols.settings import TrainSettings, check_count
 class Simultaneous(TrainSettings):
     """Simultaneous: two agents learn at once, with a common critic's view or their own.
 
-    Example: hmi-marl train simultaneous --critic own --parallel --out runs/at-once
+    Example: hmi-marl train simultaneous --critic own --no-sequential --out runs/at-once
     """
 
     steps: int = 14_000_000
     """Environment steps."""
     reward: Sharing = "team"
     """What they learn from."""
-    parallel: bool = False
-    """Both act at once, the vehicle AI seeing a^H one step late, instead of taking turns."""
+    sequential: bool = True
+    """The driver moves first and the vehicle AI sees a^H_t; if not, both move at the same time and
+    it sees a^H_{t-1}."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -31,6 +32,7 @@ class Simultaneous(TrainSettings):
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""
         team = self.team(self.drivers, self.reward)
-        turns = not self.parallel
-        cards = tuple(self.card(seat, team, taking_turns=turns) for seat in (DRIVER, VEHICLE_AI))
+        cards = tuple(
+            self.card(seat, team, sequential=self.sequential) for seat in (DRIVER, VEHICLE_AI)
+        )
         return (Phase("simultaneous", TEAM, team, self.steps, cards=cards),)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
-from hmi_marl.training.protocols.phase import LEARNT, Phase
+from hmi_marl.training.protocols.phase import LEARNED, Phase
 from hmi_marl.training.protocols.settings import TrainSettings, check_count
 
 POPULATION = "population"
@@ -49,7 +49,7 @@ class TwoStage(TrainSettings):
         driving = self.team(self.drivers, self.driver_reward)
         assisted = self.team(self._assisted, self.hmi_reward)
         hmi = (self.card(VEHICLE_AI, assisted),)
-        partner = LEARNT if self.driver_policy is None else self.driver_policy
+        partner = LEARNED if self.driver_policy is None else self.driver_policy
         second = Phase("hmi", VEHICLE_AI, assisted, self.hmi_steps, partner, hmi)
         if self.driver_policy is not None:
             return (second,)

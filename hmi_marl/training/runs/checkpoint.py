@@ -30,13 +30,13 @@ class Checkpoint:
     phase: int = 0
     """The phase that goes on; the number of phases if all is done."""
     iteration: int = 0
-    """Batches learnt from in that phase."""
+    """Batches learned from in that phase."""
     steps: int = 0
     """Environment steps taken in the whole run, over all processes."""
     seconds: float = 0.0
     """Spent so far."""
     tensors: dict[str, dict[str, torch.Tensor]] = field(default_factory=dict)
-    """What each learner has learnt, by its name."""
+    """What each learner has learned, by its name."""
     curve: list[dict[str, Any]] = field(default_factory=list)
     """A row for each batch."""
 

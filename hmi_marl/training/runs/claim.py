@@ -10,12 +10,10 @@ from typing import Any
 from hmi_marl.agents.catalogue import learned_file
 from hmi_marl.agents.learned.shipped import is_shipped
 from hmi_marl.envs.config import DRIVER
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value
 
 SETTINGS = "run.json"
 POLICY = "driver_policy"
-LATER: dict[str, Any] = {"alert_strengths": [1.0]}
-"""Settings that are younger than some runs, with what those had. (One that was None needs none.)"""
 FREE = ("device", "threads", "checkpoint_every")
 """Settings of the machine rather than the run: they may differ when it goes on elsewhere."""
 
@@ -26,7 +24,7 @@ def told(settings: object) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: there is no such driver.
     """
-    content: dict[str, Any] = plain(settings)
+    content: dict[str, Any] = json_value(settings)
     name = content.get(POLICY)
     weights = learned_file(name, DRIVER) if isinstance(name, str) else None
     if isinstance(name, str) and weights is not None:
@@ -68,7 +66,7 @@ def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> Non
         if isinstance(policy, dict):  # wherever it lies and whatever its folder is called
             settings[POLICY] = policy.get("sha256")
         own = {k: v for k, v in about.items() if k not in ("settings", "command")}
-        return LATER | own | settings
+        return own | settings
 
     old, new = binding(before), binding(now)
     differing = [name for name in new if old.get(name) != new[name]]

@@ -43,7 +43,9 @@ def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
     return {run.name: json.loads((run / CURVE).read_text("utf-8"))[-1]["seconds"] for run in runs}
 
 
-def train_all(jobs: Sequence[Job], workers: int, typed: str = "", quiet: bool = False) -> None:
+def train_all(
+    jobs: Sequence[Job], workers: int, command_line: str = "", quiet: bool = False
+) -> None:
     """Train every job, ``workers`` of them at a time; finished ones are left alone.
 
     Jobs must not need each other's results. Runs that were cut off go on.
@@ -53,7 +55,7 @@ def train_all(jobs: Sequence[Job], workers: int, typed: str = "", quiet: bool = 
         ValueError: what :func:`hmi_marl.training.ppo.run.train` refuses.
     """
     need_training()
-    side_by_side(_train, [(job, typed, quiet) for job in jobs], workers)
+    side_by_side(_train, [(job, command_line, quiet) for job in jobs], workers)
 
 
 def side_by_side(
@@ -73,12 +75,12 @@ def own_line() -> int:
 
 
 def need_training() -> None:
-    """Raise ``ModuleNotFoundError``, saying what to install, if nothing can be learnt here."""
+    """Raise ``ModuleNotFoundError``, saying what to install, if nothing can be learned here."""
     need("training", *TRAINING)
 
 
-def _train(job: Job, typed: str, quiet: bool) -> None:
+def _train(job: Job, command_line: str, quiet: bool) -> None:
     from hmi_marl.training.ppo.run import train  # torch, with the threads that were just set
 
     settings = replace(job.settings, threads=1)
-    train(settings, job.folder, quiet=quiet, typed=typed, line=own_line())
+    train(settings, job.folder, quiet=quiet, command_line=command_line, line=own_line())

@@ -63,7 +63,7 @@ class Telling:
         self._bar.set_description(name)
 
     def batch(self, row: Mapping[str, float], steps: int, taken: int) -> None:
-        """A batch of ``taken`` steps has been learnt from, ``steps`` in all."""
+        """A batch of ``taken`` steps has been learned from, ``steps`` in all."""
         self._bar.update(taken)
         self._bar.set_postfix({name: f"{row[name]:.4g}" for name in _ON_THE_BAR if name in row})
         if self._writer is None:

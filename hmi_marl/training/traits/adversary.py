@@ -65,7 +65,7 @@ class Adversary:
         )
 
     def prepare(self, batch: Batch) -> None:
-        """Take the encoder's units from a batch of demonstrations, before anything is learnt."""
+        """Take the encoder's units from a batch of demonstrations, before anything is learned."""
         encoder = self.model.encoder
         encoder.standardise_by(batch)
         with torch.no_grad():
@@ -173,7 +173,7 @@ class Adversary:
         return f.reshape(*driven.length.shape, -1)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Everything that it has learnt, optimiser included, by flat names."""
+        """Everything that it has learned, optimiser included, by flat names."""
         tensors = {f"{_MODEL}{name}": value for name, value in self.model.state_dict().items()}
         return tensors | flat_moments(self._optimizer.state_dict())
 

@@ -41,7 +41,9 @@ class Generator:
     ) -> None:
         self._settings, self._config, self._alert_rate = settings, config, alert_rate
         self._units, self._device = units, device
-        sample = _observations(torch.zeros(settings.teams, card.inputs("policy"), device=device))
+        sample = _observations(
+            torch.zeros(settings.num_teams, card.inputs("policy"), device=device)
+        )
         self.learner = PPOLearner(
             make_policy(card),
             make_value(card),
@@ -66,7 +68,7 @@ class Generator:
         return self._config.horizon
 
     def begin(self, progress: float) -> None:
-        """Begin a round; ``progress`` in [0, 1] is how much has been learnt."""
+        """Begin a round; ``progress`` in [0, 1] is how much has been learned."""
         self.learner.begin(progress)
 
     def drive(self, z: torch.Tensor, seeds: NDArray[np.uint64]) -> tuple[Drives, Batch]:

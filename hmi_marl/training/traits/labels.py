@@ -64,7 +64,7 @@ def make_labels(
     elif supervision == "preference":
         labels[marked] = _preferences(demonstrations, marked, preferences)
     if supervision != "none" and len(np.unique(labels[~np.isnan(labels)])) < 2:
-        raise ValueError("all labels are the same, so nothing can be learnt from them")
+        raise ValueError("all labels are the same, so nothing can be learned from them")
     return labels
 
 

@@ -142,7 +142,7 @@ class Reward(torch.nn.Module):
 
     def __init__(self, card: TraitCard) -> None:
         super().__init__()
-        self._discount = card.discount
+        self._gamma = card.gamma
         self.reward = _mlp(card, "reward")
         self.potential = _mlp(card, "potential")
 
@@ -152,7 +152,7 @@ class Reward(torch.nn.Module):
         """The reward of transitions from situations x (B, D) by v_t (B,) to x' (B, D), z (B, Z)."""
         done = one_hot(actions, ACTIONS).to(x.dtype)
         base = self.reward(torch.cat([x, done, z], dim=-1))
-        shaping = self._discount * self.potential(torch.cat([after, z], dim=-1))
+        shaping = self._gamma * self.potential(torch.cat([after, z], dim=-1))
         return (base + shaping - self.potential(torch.cat([x, z], dim=-1))).squeeze(-1)
 
 
@@ -161,7 +161,7 @@ class Discriminator(torch.nn.Module):
 
     ``width``, shape (Z,), is the log-variance with which L2 reads z off the policy's driving. The
     bound holds for any; one of its own keeps the encoder's doubt about people apart from how
-    strangely a policy drives that has not learnt yet, which else drowns z in noise.
+    strangely a policy drives that has not learned yet, which else drowns z in noise.
     """
 
     def __init__(self, card: TraitCard) -> None:
@@ -175,7 +175,7 @@ def make_policy(card: TraitCard) -> MLPModel:
     """π(a | s, z), which reads a situation and z side by side."""
     template = TensorDict({"actor": torch.zeros(1, card.inputs("policy"))}, batch_size=[1])
     head = {"class_name": OneAction, "choices": ACTIONS}
-    sizes = (template, GROUPS, "actor", 1, card.policy.hidden, card.policy.activation)
+    sizes = (template, GROUPS, "actor", 1, card.policy.hidden_dims, card.policy.activation)
     return MLPModel(*sizes, distribution_cfg=head)
 
 
@@ -214,4 +214,4 @@ def weights_of_model(
 
 def _mlp(card: TraitCard, part: str) -> MLP:
     network: NetworkConfig = getattr(card, part)
-    return MLP(card.inputs(part), 1, network.hidden, network.activation)
+    return MLP(card.inputs(part), 1, network.hidden_dims, network.activation)

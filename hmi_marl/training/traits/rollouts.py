@@ -1,4 +1,4 @@
-"""Driving by the learnt policy π(a | s, z), in the world that the demonstrations are from.
+"""Driving by the learned policy π(a | s, z), in the world that the demonstrations are from.
 
 The policy stands for the person and their lapses together, so its action is the applied action:
 the attention chain is out of play. Alerts sound as often as in the demonstrations, whatever
@@ -78,7 +78,7 @@ def drive(
 class _Alarm(RandomAlert):
     """Sound at random, at the same time as the car acts, which hears it."""
 
-    takes_turns = False
+    sequential = False
 
     def __init__(self, rate: float, imitator: _Imitator) -> None:
         super().__init__(rate)

@@ -6,7 +6,7 @@ demonstrated pools; the discriminator learns from that and from demonstrations, 
 goes on imitating; and the policy learns for the reward, by PPO.
 
 The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``, ``curve.json``
-(a row for each round), ``tensorboard/``, and what was learnt, ``traits.json`` with its weights.
+(a row for each round), ``tensorboard/``, and what was learned, ``traits.json`` with its weights.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ from hmi_marl.demonstrations.parquet import (
 from hmi_marl.demonstrations.windows import alert_rate, held_out, team_of
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
-from hmi_marl.files import make_folder, write_json
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value, make_folder, write_json
 from hmi_marl.training.runs.claim import SETTINGS, check_same, read_settings
 from hmi_marl.training.runs.jobs import CURVE
 from hmi_marl.training.runs.progress import Telling
@@ -64,7 +63,7 @@ def learn_traits(
     folder: Path,
     preferences: Mapping[str, float] | None = None,
     quiet: bool = False,
-    typed: str = "",
+    command_line: str = "",
     line: int = 0,
 ) -> None:
     """Learn from a dataset in ``folder``, going on where a run there was cut off.
@@ -76,12 +75,12 @@ def learn_traits(
         folder: of the run.
         preferences: what people answered, by name, for the preference-supervised setting.
         quiet: no progress bar and no TensorBoard.
-        typed: the command, kept with what was learnt.
+        typed: the command, kept with what was learned.
         line: of the terminal for the progress bar.
 
     Raises:
         FileNotFoundError: no demonstrations there.
-        ValueError: the folder holds another run, or demonstrations that cannot be learnt from, or
+        ValueError: the folder holds another run, or demonstrations that cannot be learned from, or
             preferences for a setting that asks for none.
     """
     if preferences is not None and settings.supervision != "preference":
@@ -92,7 +91,7 @@ def learn_traits(
     with torch.random.fork_rng():
         torch.set_num_threads(settings.threads)
         try:
-            run = _Run(settings, demonstrations, folder, preferences, typed)
+            run = _Run(settings, demonstrations, folder, preferences, command_line)
             make_folder(folder)
             run.go(quiet, line)
         finally:
@@ -106,9 +105,9 @@ class _Run:
         place: Path,
         folder: Path,
         preferences: Mapping[str, float] | None,
-        typed: str,
+        command_line: str,
     ) -> None:
-        self._settings, self._folder, self._typed = settings, folder, typed
+        self._settings, self._folder, self._typed = settings, folder, command_line
         self._state = Checkpoint()
         self._saved_at = time.monotonic()
         asks_truth = settings.supervision == "preference" and preferences is None
@@ -116,8 +115,8 @@ class _Run:
         self._about: dict[str, Any] = {
             "protocol": "traits",
             "version": hmi_marl.__version__,
-            "settings": plain(settings),
-            "preferences": plain(preferences),
+            "settings": json_value(settings),
+            "preferences": json_value(preferences),
             "demonstrations": sha256_of(place / OBSERVED),
         }
         if data.observed.about.get("team", {}).get("end_at_crash"):
@@ -125,10 +124,10 @@ class _Run:
                 "these windows end at a crash, which would tell them from the policy's, whose "
                 "crashed car stands; collect with --no-end-at-crash"
             )
-        learnt = ~held_out(data.observed, settings.held_out)
-        if not learnt.any():
+        learned = ~held_out(data.observed, settings.held_out)
+        if not learned.any():
             raise ValueError("held_out leaves no window to learn from; demonstrate more")
-        data = data.take(learnt)
+        data = data.take(learned)
         observed = data.observed
         rng = np.random.default_rng(self._draw(Stream.LEARNING, 0))
         labels = make_labels(data, settings.supervision, settings.labelled, rng, preferences)
@@ -144,7 +143,7 @@ class _Run:
         self._adversary = Adversary(self._card, settings, self._generator.policy, device)
         pools = self._windows.draw(rng, PREPARING_POOLS, settings.pool)
         self._adversary.prepare(self._windows.batch(pools, device))
-        self._about_data = {"drivers": list(observed.names), "about": plain(observed.about)}
+        self._about_data = {"drivers": list(observed.names), "about": json_value(observed.about)}
 
     def go(self, quiet: bool, line: int) -> None:
         self._claim_folder()
@@ -152,7 +151,7 @@ class _Run:
         if state.phase == _DONE:
             return
         name, board = self._folder.name, self._folder / "tensorboard"
-        per_round = settings.teams * self._generator.horizon
+        per_round = settings.num_teams * self._generator.horizon
         total = per_round * settings.rounds(self._generator.horizon)
         with Telling(board, name, total, state.steps, quiet, line) as telling:
             if state.phase == _IMITATING:
@@ -195,10 +194,10 @@ class _Run:
         settings, iteration = self._settings, self._state.iteration
         rng = self._seed(2 * iteration + 1)
         self._generator.begin(iteration / settings.rounds(self._generator.horizon))
-        pools = self._windows.draw(rng, settings.teams // settings.pool, settings.pool)
+        pools = self._windows.draw(rng, settings.num_teams // settings.pool, settings.pool)
         with torch.no_grad():
             z = self._adversary.encode(self._windows.batch(pools, self._device)).sample()
-        number = np.arange(settings.teams) + iteration * settings.teams
+        number = np.arange(settings.num_teams) + iteration * settings.num_teams
         drives, driven = self._generator.drive(z, mix(settings.seed, Stream.TRAINING, number))
         rows = [
             self._adversary.learn(*self._demonstrated(rng), driven, z)
@@ -235,13 +234,13 @@ class _Run:
 
     def _claim_folder(self) -> None:
         path, checkpoint = self._folder / SETTINGS, self._folder / CHECKPOINT
-        if not checkpoint.is_file():  # nothing was learnt that could be lost
+        if not checkpoint.is_file():  # nothing was learned that could be lost
             write_json(path, self._about | {"command": self._typed})
             return
         before = read_settings(path)
         if before.get("demonstrations") != self._about["demonstrations"]:
             raise ValueError(
-                f"{self._folder} holds a run that learnt from other demonstrations; choose another "
+                f"{self._folder} holds a run that learned from other demonstrations; choose another "
                 "--out, or remove the folder"
             )
         check_same(before, self._about, self._folder)

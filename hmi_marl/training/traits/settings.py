@@ -54,7 +54,7 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class TraitSettings:
-    """How latent traits are learnt from demonstrations.
+    """How latent traits are learned from demonstrations.
 
     Raises:
         ValueError, TypeError: a value out of its range, saying what to use instead.
@@ -70,7 +70,7 @@ class TraitSettings:
     margin: float = 2.0
     """ε of L3, how far apart vectors of different labels are to be."""
     held_out: float = 0.2
-    """Share of each driver's windows, the last ones, that is never learnt from."""
+    """Share of each driver's windows, the last ones, that is never learned from."""
     latent: int = 2
     """Size of z."""
     pool: int = 8
@@ -82,7 +82,7 @@ class TraitSettings:
     not need the policy's driving."""
     steps: int = 1_000_000
     """Environment steps of the policy, rounded up to whole rounds."""
-    teams: int = 64
+    num_teams: int = 64
     """Cars that the policy drives in a round, one window each; pools of them share one z."""
     expert_pools: int = 16
     """Pools of demonstrations in each update of the discriminator, two of each driver drawn."""
@@ -106,11 +106,11 @@ class TraitSettings:
     """Of the policy π."""
     ppo: PPOSettings = field(
         default_factory=lambda: PPOSettings(
-            epochs=4,
-            mini_batches=4,
+            num_learning_epochs=4,
+            num_mini_batches=4,
             learning_rate=1e-3,
             final_learning_rate=1e-4,
-            entropy=0.0,
+            entropy_coef=0.0,
             reward_scale=1.0,
         )
     )
@@ -133,7 +133,7 @@ class TraitSettings:
             )
         if self.softness and self.supervision == "id":
             raise ValueError("softness is for graded labels, but who drives is not graded")
-        for name in ("steps", "teams", "expert_pools", "updates", "threads", "pool", "latent"):
+        for name in ("steps", "num_teams", "expert_pools", "updates", "threads", "pool", "latent"):
             check_count(name, getattr(self, name))
         if self.expert_pools % 2:
             raise ValueError(f"expert_pools is an even number, but got {self.expert_pools}")
@@ -160,17 +160,19 @@ class TraitSettings:
             _check_positive(name, getattr(self, name), zero)
         if self.checkpoint_every < 0:
             raise ValueError(f"checkpoint_every is a time [s], but got {self.checkpoint_every}")
-        if self.teams % self.pool:
+        if self.num_teams % self.pool:
             raise ValueError(
-                f"the policy's windows are pooled too: teams is a multiple of pool = {self.pool}, "
-                f"but got {self.teams}"
+                f"the policy's windows are pooled too: num_teams is a multiple of pool = {self.pool}, "
+                f"but got {self.num_teams}"
             )
-        if self.ppo.mini_batches > self.teams:
-            raise ValueError(f"{self.teams} teams make no {self.ppo.mini_batches} mini-batches")
+        if self.ppo.num_mini_batches > self.num_teams:
+            raise ValueError(
+                f"{self.num_teams} teams make no {self.ppo.num_mini_batches} mini-batches"
+            )
 
     def rounds(self, horizon: int) -> int:
         """How many rounds, if a window has ``horizon`` steps."""
-        return math.ceil(self.steps / (self.teams * horizon))
+        return math.ceil(self.steps / (self.num_teams * horizon))
 
     def card(self, layout: Layout) -> TraitCard:
         """The model for states of this layout."""
@@ -179,7 +181,7 @@ class TraitSettings:
             self.latent,
             self.encoder_units,
             self.pool,
-            self.ppo.discount,
+            self.ppo.gamma,
             self.reward,
             self.potential,
             self.policy,

@@ -55,7 +55,7 @@ def test_by_name(name, made, evidence):
     assert set(np.ravel(alerts)) <= {0, 1}
 
 
-def test_the_exact_ones_need_nothing_learnt_but_their_hmis(tmp_path):
+def test_the_exact_ones_need_nothing_learned_but_their_hmis(tmp_path):
     nothing = Trained(*(str(tmp_path / name) for name in ("evidence", "conditioned", "hidden-{}")))
     assert type(make_adaptive("expected", HIDDEN, True, trained=nothing)) is ExpectedValueHMI
     with pytest.raises(FileNotFoundError, match=r"no evidence model at .*evidence"):
@@ -106,7 +106,7 @@ def test_unknown_names_are_refused(name, message):
 
 def test_who_acts_at_once_cannot_adapt():
     with pytest.raises(ValueError, match=r"adaptive HMI goes by a\^H_t; use an env.* takes turns"):
-        make_hmi("adapt:bayes", HIDDEN, taking_turns=False)
+        make_hmi("adapt:bayes", HIDDEN, sequential=False)
 
 
 def test_a_folder_of_that_name_is_not_taken_for_a_run(tmp_path, monkeypatch):

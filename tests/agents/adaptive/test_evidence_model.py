@@ -63,7 +63,10 @@ def test_by_default_it_reads_what_everybody_may_see():
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
         ({"latent": 0}, "latent is at least 1, but got 0"),
         ({"segment": 0}, "segment is at least 1, but got 0"),
-        ({"place": NetworkConfig((4,), memory=2)}, "place has no memory: set encoder.memory alone"),
+        (
+            {"place": NetworkConfig((4,), rnn_hidden_dim=2)},
+            "place has no memory: set encoder.rnn_hidden_dim alone",
+        ),
     ],
     ids=str,
 )

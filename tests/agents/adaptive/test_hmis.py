@@ -238,9 +238,9 @@ MAKE = {
 def test_drivers_are_known_on_the_next_trip_and_forgotten_by_a_reset(kind):
     hmi = MAKE[kind]()
     stranger = episode(hmi)
-    learnt = hmi.estimator.belief.probabilities.copy()
+    learned = hmi.estimator.belief.probabilities.copy()
     hmi.next_trip(seeds(COUNT))
-    np.testing.assert_array_equal(hmi.estimator.belief.probabilities, learnt)
+    np.testing.assert_array_equal(hmi.estimator.belief.probabilities, learned)
     acquainted = episode(hmi, begin=hmi.next_trip)
     assert (acquainted[0] != stranger[0]).any()
     again = episode(hmi)

@@ -312,4 +312,6 @@ def test_means_and_spreads_are_right_in_a_continuous_population():
         for trait in range(3):
             assert mean_is_0(away[:, trait])
             assert mean_is_0(away[:, trait] ** 2 - belief.spread[:, trait] ** 2)
-    assert (belief.spread[:, 0] < 0.8 * table[:, 0].std()).mean() > 0.5, "β was learnt something of"
+    assert (belief.spread[:, 0] < 0.8 * table[:, 0].std()).mean() > 0.5, (
+        "β was learned something of"
+    )

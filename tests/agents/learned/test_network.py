@@ -70,7 +70,7 @@ def test_two_layers_by_hand():
 
 
 def test_one_unit_of_memory_by_hand():
-    config = NetworkConfig((1,), "relu", memory=1)
+    config = NetworkConfig((1,), "relu", rnn_hidden_dim=1)
     weights = {
         "memory.input_weight": np.array([[0.5], [1.0], [2.0]], np.float32),
         "memory.hidden_weight": np.array([[0.25], [-1.0], [3.0]], np.float32),
@@ -115,7 +115,7 @@ def test_an_answer_does_not_depend_on_who_else_is_asked(memory):
 
 
 def test_a_memory_is_that_of_marked_teams_alone_after_forgetting():
-    config = NetworkConfig((4,), memory=3)
+    config = NetworkConfig((4,), rnn_hidden_dim=3)
     weights = drawn_weights(config, 2, 5)
     forgets, keeps, fresh = (Network(config, weights) for _ in range(3))
     x = np.random.default_rng(1).standard_normal((3, 2, 2)).astype(np.float32)
@@ -133,7 +133,7 @@ def test_a_memory_is_that_of_marked_teams_alone_after_forgetting():
 
 @pytest.mark.parametrize("teams", [1, 2])
 def test_a_memory_needs_to_be_told_for_how_many_teams(teams):
-    config = NetworkConfig((4,), memory=3)
+    config = NetworkConfig((4,), rnn_hidden_dim=3)
     network = Network(config, drawn_weights(config, 2, 5))
     with pytest.raises(RuntimeError, match=rf"call reset\(seeds\) for {teams} teams first"):
         network(np.zeros((teams, 2), np.float32))
@@ -141,7 +141,7 @@ def test_a_memory_needs_to_be_told_for_how_many_teams(teams):
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 def test_huge_inputs_do_not_overflow(activation):
-    config = NetworkConfig((4,), activation, memory=3)
+    config = NetworkConfig((4,), activation, rnn_hidden_dim=3)
     network = Network(config, drawn_weights(config, 2, 5, scale=1e4))
     network.forget(2)
     assert np.isfinite(network(np.full((2, 2), 1e6, np.float32))).all()
@@ -156,7 +156,7 @@ def test_the_shapes_of_the_weights():
         "layer2.weight": (5, 32),
         "layer2.bias": (5,),
     }
-    assert NetworkConfig((8,), memory=4).shapes(10, 2) == {
+    assert NetworkConfig((8,), rnn_hidden_dim=4).shapes(10, 2) == {
         "memory.input_weight": (12, 10),
         "memory.hidden_weight": (12, 4),
         "memory.input_bias": (12,),
@@ -190,7 +190,7 @@ def test_sizes_may_come_as_a_list_as_json_has_them():
 
 
 def test_inputs_of_marked_teams_alone_are_remembered():
-    config = NetworkConfig((4,), memory=3)
+    config = NetworkConfig((4,), rnn_hidden_dim=3)
     weights = drawn_weights(config, 2, 5)
     some, plain = (Network(config, weights) for _ in range(2))
     x = np.random.default_rng(1).standard_normal((3, 2, 2)).astype(np.float32)

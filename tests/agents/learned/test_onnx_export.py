@@ -86,7 +86,7 @@ def test_a_context_is_an_input_of_its_own(tmp_path, by_intent):
 
 
 def test_a_memory_goes_from_step_to_step(tmp_path):
-    policy = policy_for("vehicle_ai", NetworkConfig((6,), "elu", memory=4))
+    policy = policy_for("vehicle_ai", NetworkConfig((6,), "elu", rnn_hidden_dim=4))
     run = ReferenceEvaluator(exported(policy, tmp_path))
     policy.reset(np.arange(7, dtype=np.uint64))
     memory = np.zeros((7, 4), np.float32)

@@ -271,7 +271,7 @@ def test_drawing_needs_seeds():
 
 
 def test_a_memory_begins_with_the_episode():
-    card = make_card("vehicle_ai", CONFIG, NetworkConfig((3,), memory=2), knows_traits=True)
+    card = make_card("vehicle_ai", CONFIG, NetworkConfig((3,), rnn_hidden_dim=2), knows_traits=True)
     policy = LearnedPolicy(card, weights_for(card), CONFIG)
     seen = observations(vehicle_ai_layout(CONFIG))
     policy.reset(SEEDS)

@@ -17,7 +17,9 @@ from hmi_marl.agents.learned.policy_files import find_policy, load_policy, read_
 from hmi_marl.envs.config import TeamConfig
 
 CONFIG = TeamConfig()
-CARD = make_card("vehicle_ai", CONFIG, NetworkConfig((4, 3), "tanh", memory=2), True, context=2)
+CARD = make_card(
+    "vehicle_ai", CONFIG, NetworkConfig((4, 3), "tanh", rnn_hidden_dim=2), True, context=2
+)
 
 
 def weights_for(card, seed=0):
@@ -55,7 +57,7 @@ class Burglar:
     [
         CARD,
         make_card("driver", CONFIG, NetworkConfig(), knows_traits=False),
-        make_card("vehicle_ai", CONFIG, NetworkConfig(), True, by_intent=True, taking_turns=False),
+        make_card("vehicle_ai", CONFIG, NetworkConfig(), True, by_intent=True, sequential=False),
         replace(CARD, training={"seed": 3, "settings": {"drivers": ["bart"], "memory": None}}),
     ],
     ids=["memory and context", "driver", "by intent", "training"],
@@ -161,11 +163,11 @@ def test_weights_that_are_gone_are_told(tmp_path):
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl policy 1"', "is no JSON file"),
+        (b'{"format": "hmi-marl policy 2"', "is no JSON file"),
         (b"[1, 2]", "is not a policy that can be read here: format None"),
         (b'{"format": "hmi-marl policy 2"}', "is not a policy .* format 'hmi-marl policy 2'"),
         (b'{"layers": 3}', "is not a policy that can be read here: format None"),
-        (b'{"format": "hmi-marl policy 1"}', "is a damaged policy card: 'seat'"),
+        (b'{"format": "hmi-marl policy 2"}', "is a damaged policy card: 'seat'"),
     ],
     ids=str,
 )
@@ -186,9 +188,9 @@ def test_other_files_are_no_policies(tmp_path, content, told):
         {"reads": []},
         {"reads": [["speed", "wide"]]},
         {"network": None},
-        {"network": {"hidden": [64], "depth": 2}},
+        {"network": {"hidden_dims": [64], "depth": 2}},
         {"network": {"hidden": "64"}},
-        {"network": {"hidden": [64], "activation": "__import__"}},
+        {"network": {"hidden_dims": [64], "activation": "__import__"}},
         {"context": "two"},
         {"context": -2},
         {"by_intent": True},  # it reads intended_action

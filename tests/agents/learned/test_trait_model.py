@@ -23,7 +23,7 @@ CARD = TraitCard(
     (("lidar", 3), ("speed", 1)),
     latent=2,
     encoder_units=5,
-    discount=0.9,
+    gamma=0.9,
     reward=NetworkConfig((4,), "tanh"),
     potential=NetworkConfig((3,), "tanh"),
     policy=NetworkConfig((4, 3), "elu"),
@@ -68,10 +68,13 @@ def windows(seed=0, length=(6, 2, 4, 1)):
         ({"latent": 0}, "latent is at least 1, but got 0"),
         ({"encoder_units": -3}, "encoder_units is at least 1, but got -3"),
         ({"pool": 0}, "pool is at least 1, but got 0"),
-        ({"discount": 1.01}, r"discount lies in \[0, 1\], but got 1.01"),
-        ({"discount": math.nan}, r"discount lies in \[0, 1\], but got nan"),
+        ({"gamma": 1.01}, r"gamma lies in \[0, 1\], but got 1.01"),
+        ({"gamma": math.nan}, r"gamma lies in \[0, 1\], but got nan"),
         *(
-            ({part: NetworkConfig(memory=2)}, "only the encoder has a memory: set encoder_units")
+            (
+                {part: NetworkConfig(rnn_hidden_dim=2)},
+                "only the encoder has a memory: set encoder_units",
+            )
             for part in PARTS
         ),
     ],

@@ -201,7 +201,7 @@ def test_training_with_one_thread_learns_on_one_thread_in_a_cold_process(tmp_pat
         "    seen.add(torch.get_num_threads())\n"
         "    return learn(self, *args)\n"
         "PPOLearner.learn = watched\n"
-        "settings = TwoStage(driver_steps=12_800, hmi_steps=12_800, teams=128, threads=1)\n"
+        "settings = TwoStage(driver_steps=12_800, hmi_steps=12_800, num_teams=128, threads=1)\n"
         "train(settings, Path('run'), quiet=True)\n"
         "print(seen, torch.get_num_threads())".replace("'run'", repr(str(tmp_path / "run")))
     )

@@ -23,8 +23,10 @@ def test_sizes_that_make_no_evaluation_are_refused(changes, told):
         AdaptSettings(**changes)
 
 
-def test_what_is_learnt_for_it_goes_by_the_driver_that_was_learnt(tmp_path):
-    size = AdaptReproduction(drives=1000, updates=7, hmi_steps=99, memory=5, teams=16, seed=3)
+def test_what_is_learned_for_it_goes_by_the_driver_that_was_learned(tmp_path):
+    size = AdaptReproduction(
+        drives=1000, updates=7, hmi_steps=99, rnn_hidden_dim=5, num_teams=16, seed=3
+    )
     evidence, hmi = size.evidence(tmp_path), size.conditioned(tmp_path)
     assert (evidence.drives, evidence.updates, evidence.seed) == (1000, 7, 3)
     assert (hmi.hmi_steps, hmi.memory, hmi.teams, hmi.seed) == (99, 5, 16, 3)

@@ -77,7 +77,7 @@ def test_teams_do_not_depend_on_each_other():
     np.testing.assert_allclose(alone.probabilities, together.probabilities[2:3], rtol=1e-9)
 
 
-def test_what_was_learnt_of_a_driver_stays_from_trip_to_trip():
+def test_what_was_learned_of_a_driver_stays_from_trip_to_trip():
     rate = 0.01
     told = trips(adaptive(rate), keep_beliefs=True).probabilities
     np.testing.assert_array_equal(told[:, 0, 0], np.full((4, 4), 0.25))

@@ -31,7 +31,7 @@ SMALL = AssessSettings(windows=10, episodes=3, ranked=4)
 def record(policy: Path | str, **settings: Any) -> Demonstrations:
     small: dict[str, Any] = {"drivers": CAST, "steps": 100, "duration": 1.0, "vehicles": (1, 4)}
     (data,) = collect(
-        CollectSettings(**{**small, **settings}, driver_policy=str(policy), teams=10_000)
+        CollectSettings(**{**small, **settings}, driver_policy=str(policy), num_teams=10_000)
     )
     return data
 
@@ -54,7 +54,7 @@ def population(steering: Path) -> Demonstrations:
 
 def model_for(split: Split, **card: Any) -> TraitModel:
     training: Mapping[str, Any] = {"settings": {"supervision": "id"}}
-    return untrained(split.learnt.observed.layout, pool=2, training=training, **card)
+    return untrained(split.learned.observed.layout, pool=2, training=training, **card)
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_what_is_not_known_is_none_in_json(split: Split) -> None:
     def constant(name: str, values: Any) -> Any:
         return values * (not name.startswith(("reward", "potential")))
 
-    model = untrained(split.learnt.observed.layout, pool=2, change=constant)
+    model = untrained(split.learned.observed.layout, pool=2, change=constant)
     one = AssessSettings(windows=10, episodes=1, ranked=2)
     found = assess(model, split, None, None, one, (1,))
     content = json.loads(json.dumps(found.as_json(), allow_nan=False))
@@ -151,7 +151,7 @@ def test_progress_is_told(split: Split) -> None:
 def test_recorded_people_are_judged_as_far_as_can_be(split: Split) -> None:
     """Without seeds nothing can be played again, and without the truth nobody knows traits."""
     sides = (
-        Demonstrations(replace(part.observed, seeds=None)) for part in (split.learnt, split.unseen)
+        Demonstrations(replace(part.observed, seeds=None)) for part in (split.learned, split.unseen)
     )
     people, calls = Split(*sides), []
     found = assess(model_for(split), people, None, None, SMALL, (1, 2), lambda: calls.append(None))

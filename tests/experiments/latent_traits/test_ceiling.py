@@ -27,7 +27,7 @@ def steering(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def observe(driver_policy: Path | str, **settings: Any) -> Observed:
     small: dict[str, Any] = {"steps": 40, "duration": 2.0, "vehicles": (1, 8)}
     (data,) = collect(
-        CollectSettings(**{**small, **settings}, driver_policy=str(driver_policy), teams=10_000)
+        CollectSettings(**{**small, **settings}, driver_policy=str(driver_policy), num_teams=10_000)
     )
     return data.observed
 

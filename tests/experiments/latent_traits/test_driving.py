@@ -26,7 +26,7 @@ def observe(**settings: Any) -> Observed:
     small: dict[str, Any] = {"drivers": ("bart", "marge"), "steps": 300, "duration": 6.0}
     (data,) = collect(
         CollectSettings(
-            **{"vehicles": (20, 20), **small, **settings}, driver_policy="random", teams=10_000
+            **{"vehicles": (20, 20), **small, **settings}, driver_policy="random", num_teams=10_000
         )
     )
     return data.observed

@@ -102,24 +102,24 @@ def test_pooled_states_are_averages() -> None:
     np.testing.assert_array_equal(hidden.driver, [0, 0, 0, 1, 1])
 
 
-# What was learnt from, and what was not.
+# What was learned from, and what was not.
 
 
-def test_windows_that_are_judged_were_never_learnt_from() -> None:
+def test_windows_that_are_judged_were_never_learned_from() -> None:
     data = driven({"lisa": 10, "marge": 5, "bart": 4})
     split = Split.of(data, 0.4, 100)
-    learnt, unseen = split.learnt.observed, split.unseen.observed
-    assert learnt.seeds is not None
+    learned, unseen = split.learned.observed, split.unseen.observed
+    assert learned.seeds is not None
     assert unseen.seeds is not None
-    assert not np.isin(unseen.seeds, learnt.seeds).any()
-    assert len(learnt) + len(unseen) == 19
-    np.testing.assert_array_equal(np.bincount(learnt.driver), [6, 3, 2])
+    assert not np.isin(unseen.seeds, learned.seeds).any()
+    assert len(learned) + len(unseen) == 19
+    np.testing.assert_array_equal(np.bincount(learned.driver), [6, 3, 2])
     np.testing.assert_array_equal(np.bincount(unseen.driver), [4, 2, 2])
     for who in range(3):  # the last ones are held out
         own = np.flatnonzero(data.observed.driver == who)
         assert data.observed.seeds is not None
         theirs = data.observed.seeds[own]
-        both = [part.seeds[part.driver == who] for part in (learnt, unseen)]
+        both = [part.seeds[part.driver == who] for part in (learned, unseen)]
         np.testing.assert_array_equal(np.concatenate(both), theirs)
     assert split.unseen.truth is not None
     assert len(split.unseen.truth.traits) == 8
@@ -128,10 +128,10 @@ def test_windows_that_are_judged_were_never_learnt_from() -> None:
 def test_at_most_so_many_windows_of_each_driver_are_taken() -> None:
     data = driven({"lisa": 10, "marge": 5, "bart": 4})
     whole, some = (Split.of(data, 0.4, most) for most in (100, 3))
-    for part, all_of_it in ((some.learnt, whole.learnt), (some.unseen, whole.unseen)):
+    for part, all_of_it in ((some.learned, whole.learned), (some.unseen, whole.unseen)):
         first = all_of_it.observed.take(all_of_it.observed.number < 3)
         np.testing.assert_array_equal(part.observed.seeds, first.seeds)
-    np.testing.assert_array_equal(np.bincount(some.learnt.observed.driver), [3, 3, 2])
+    np.testing.assert_array_equal(np.bincount(some.learned.observed.driver), [3, 3, 2])
     np.testing.assert_array_equal(np.bincount(some.unseen.observed.driver), [3, 2, 2])
 
 
@@ -157,7 +157,7 @@ def test_too_few_windows_are_told_beforehand() -> None:
         pool_sizes(split, 4, 2)
     few = Split.of(driven({"lisa": 40, "marge": 30}), 0.9, 100)
     with pytest.raises(ValueError, match="of marge there are 3"):
-        pool_sizes(few, 1, 2)  # too few were learnt from
+        pool_sizes(few, 1, 2)  # too few were learned from
     gone = Split.of(driven({"lisa": 40, "marge": 1}), 0.2, 100)
     with pytest.raises(ValueError, match="of marge there are 0"):
         pool_sizes(gone, 1, 2)
@@ -252,7 +252,7 @@ def test_windows_of_nobody_are_not_judged() -> None:
     assert rows[0].pools == 6
 
 
-# Traits of drivers who were not learnt from.
+# Traits of drivers who were not learned from.
 
 
 def strangers(count: int = 12, windows: int = 2, seed: int = 0) -> Demonstrations:

@@ -142,7 +142,7 @@ def test_only_the_true_policy_reaches_the_exact_likelihood(tmp_path: Path) -> No
     save_policy(tmp_path, card, weights)
     drivers = ("calm:0,1,0,1", "vague:0.8,0.2,0,3")
     settings = CollectSettings(
-        drivers=drivers, steps=400, duration=2.0, driver_policy=str(tmp_path), teams=10_000
+        drivers=drivers, steps=400, duration=2.0, driver_policy=str(tmp_path), num_teams=10_000
     )
     (data,) = collect(settings)
     observed = data.observed

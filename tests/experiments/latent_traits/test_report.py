@@ -291,7 +291,7 @@ def test_the_text_tells_everything() -> None:
         "Who drives, from so many windows",
         "Traits of unseen drivers",
         "Log-likelihood of held-out actions per step [nats]",
-        "The learnt policy / the demonstrations",
+        "The learned policy / the demonstrations",
         "Rank correlation of recovered and true driving return",
         "holds   by driver: accuracy within 3 points of the ceiling (2.0)",
         "pools of 2, 4, 16.",
@@ -313,7 +313,7 @@ def test_what_was_left_out_is_told_and_nothing_else() -> None:
     text = as_text({"none": [people]}, POOL, {})
     assert "There is no exact ceiling." in text
     assert "Recorded drives cannot be played again" in text
-    for title in ("The learnt policy", "Rank correlation", "Traits of unseen"):
+    for title in ("The learned policy", "Rank correlation", "Traits of unseen"):
         assert title not in text
 
 

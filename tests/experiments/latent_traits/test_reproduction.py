@@ -72,7 +72,7 @@ def a_run(
     margin: float = 2.0,
     **card: Any,
 ) -> Path:
-    """As if it had learnt from the data."""
+    """As if it had learned from the data."""
     training = {
         "settings": {
             "supervision": supervision,
@@ -92,7 +92,7 @@ def a_run(
 # What is made.
 
 
-def test_every_setting_is_learnt_as_often_as_there_are_seeds(tmp_path: Path) -> None:
+def test_every_setting_is_learned_as_often_as_there_are_seeds(tmp_path: Path) -> None:
     size = TraitReproduction(seeds=2, seed=5, learn=TraitSettings(latent=3))
     jobs = size.trainings(tmp_path)
     assert [(path.name, job.supervision, job.seed) for path, job in jobs.items()] == [
@@ -149,7 +149,7 @@ def test_what_is_recorded_is_not_recorded_again(
     # Another dataset in its place is told.
     with pytest.raises(ValueError, match=r"demonstrations holds another .*steps = 2000, now 1900"):
         collect_datasets(replace(TINY, demonstrated=1900), steering, tmp_path)
-    # Too little is told before anything is learnt from it.
+    # Too little is told before anything is learned from it.
     larger = replace(TINY, learn=TraitSettings(pool=2))
     with pytest.raises(ValueError, match="too few windows to judge by"):
         collect_datasets(larger, steering, tmp_path)
@@ -230,10 +230,13 @@ def test_what_cannot_be_judged_together_is_told(tmp_path: Path, data: Path) -> N
     for run, told in (
         (a_run(tmp_path / "pool", data, pool=1), "pool pools or holds out other windows than"),
         (a_run(tmp_path / "share", data, held_out=0.3), "share pools or holds out other"),
-        (a_run(tmp_path / "from", other), "from learnt from other demonstrations than"),
-        (a_run(tmp_path / "none", data, training={}), "none does not tell what it learnt from"),
+        (a_run(tmp_path / "from", other), "from learned from other demonstrations than"),
+        (a_run(tmp_path / "none", data, training={}), "none does not tell what it learned from"),
         (good, "good and .*good are of one seed"),
-        (a_run(tmp_path / "wide", data, margin=3.0, seed=1), "wide was learnt with another margin"),
+        (
+            a_run(tmp_path / "wide", data, margin=3.0, seed=1),
+            "wide was learned with another margin",
+        ),
     ):
         with pytest.raises(ValueError, match=told):
             assess_runs([good, run], data, None, None, SMALL)

@@ -31,7 +31,7 @@ Z = {"bart": [0.3, -0.2], "marge": [1.0, 1.0]}
 def observe(**settings: Any) -> Observed:
     small: dict[str, Any] = {"drivers": ("bart", "marge"), "steps": 300, "duration": 4.0}
     (data,) = collect(
-        CollectSettings(**{**small, **settings}, driver_policy="random", teams=10_000)
+        CollectSettings(**{**small, **settings}, driver_policy="random", num_teams=10_000)
     )
     return data.observed
 
@@ -48,7 +48,7 @@ def model_of(layout: Layout, **weights: Any) -> TraitModel:
     """Weights of zero, but those told, by name with __ for the dot."""
     one = NetworkConfig((1,), "relu")
     reads = tuple((part.name, part.size) for part in layout.parts)
-    card = TraitCard(reads, encoder_units=2, discount=0.9, reward=one, potential=one, policy=one)
+    card = TraitCard(reads, encoder_units=2, gamma=0.9, reward=one, potential=one, policy=one)
     values = {name: np.zeros(size, np.float32) for name, size in card.shapes.items()}
     values["state.scale"] += 1.0
     for name, given in weights.items():

@@ -21,7 +21,7 @@ from hmi_marl.experiments.metrics_table.table import TableConfig, make_cell, pla
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.reporting.statistics import Estimate
 
-TINY = ["--driver-steps", "1", "--hmi-steps", "1", "--episodes", "4", "--teams", "16"]
+TINY = ["--driver-steps", "1", "--hmi-steps", "1", "--episodes", "4", "--num-teams", "16"]
 
 
 @pytest.fixture(scope="module")
@@ -144,15 +144,15 @@ def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys):
     assert "<img" in page
     assert "http" not in page.replace("http-equiv", "")
     weights = (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns
-    assert main(command) == 0  # nothing is learnt twice
+    assert main(command) == 0  # nothing is learned twice
     assert (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns == weights
 
 
-def test_traits_are_reproduced_and_nothing_is_learnt_twice(tmp_path: Path, monkeypatch, capsys):
+def test_traits_are_reproduced_and_nothing_is_learned_twice(tmp_path: Path, monkeypatch, capsys):
     out = tmp_path / "traits"
     command = ["reproduce", "traits", "--driver-run", str(save_driver(tmp_path / "driver"))]
     command += ["--demonstrated", "2000", "--population", "4", "--workers", "1", "--out", str(out)]
-    learn = {"pool": 1, "teams": 2, "ppo.mini-batches": 1, "steps": 1, "imitation-updates": 1}
+    learn = {"pool": 1, "num_teams": 2, "ppo.mini-batches": 1, "steps": 1, "imitation-updates": 1}
     for name, value in (learn | {"encoder-units": 4, "device": "cpu"}).items():
         command += [f"--learn.{name}", str(value)]
     command += ["--judge.episodes", "1", "--judge.ranked", "2"]

@@ -22,8 +22,7 @@ from hmi_marl.experiments.metrics_table.table import (
     make_table,
     play_cell,
 )
-from hmi_marl.files import write_json
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value, write_json
 
 ESTIMATES = ("steps", "speed_return", "distraction_return", "attention_return", "min_time_headway")
 
@@ -273,11 +272,11 @@ def learned_hmi(config: TeamConfig, **training: Any) -> LearnedPolicy:
 
 def test_a_learned_hmi_should_have_become_the_optimum_for_whom_it_was_trained() -> None:
     team = TeamConfig(driver="homer")
-    for_lisa = {"team": plain(TeamConfig(driver="lisa"))}
+    for_lisa = {"team": json_value(TeamConfig(driver="lisa"))}
     lisas, homers = (solve_alerts(name).policy for name in ("lisa", "homer"))
     rule = known_rule(learned_hmi(team, **for_lisa), team)
     np.testing.assert_array_equal(rule, lisas)
-    for_both = {"team": plain(TeamConfig(driver=["lisa", "homer"]))}
+    for_both = {"team": json_value(TeamConfig(driver=["lisa", "homer"]))}
     np.testing.assert_array_equal(known_rule(learned_hmi(team, **for_both), team), homers)
 
 
@@ -316,7 +315,7 @@ def test_exact_values_are_those_of_the_alerts_that_there_are() -> None:
 
 def test_a_learned_hmi_of_other_alerts_has_no_known_rule() -> None:
     team = TeamConfig(driver="homer")
-    old = plain(team)
+    old = json_value(team)
     for name in ("alert_strengths", "fatigue"):  # cards that are older than these
         del old[name]
     np.testing.assert_array_equal(
@@ -324,5 +323,5 @@ def test_a_learned_hmi_of_other_alerts_has_no_known_rule() -> None:
     )
     weary = TeamConfig(driver="homer", fatigue=Fatigue())
     assert known_rule(learned_hmi(weary, team=old), weary) is None
-    rule = known_rule(learned_hmi(weary, team=plain(weary)), weary)
+    rule = known_rule(learned_hmi(weary, team=json_value(weary)), weary)
     np.testing.assert_array_equal(rule, solve_alerts("homer", fatigue=Fatigue()).policy)

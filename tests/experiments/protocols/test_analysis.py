@@ -26,7 +26,7 @@ from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings, 
 from hmi_marl.reporting.statistics import Estimate
 
 SETTINGS = CompareSettings(
-    protocols=("two-stage", "simultaneous"), seeds=2, drivers=("bart",), teams=16
+    protocols=("two-stage", "simultaneous"), seeds=2, drivers=("bart",), num_teams=16
 )
 
 
@@ -203,7 +203,7 @@ def test_a_driver_who_crashes_but_would_gain_by_going_on_does_not_game() -> None
     assert verdict_of(gaming_of(told), "simultaneous") == "crashes more"
 
 
-def test_the_worth_of_a_step_is_in_the_reward_that_is_learnt_from() -> None:
+def test_the_worth_of_a_step_is_in_the_reward_that_is_learned_from() -> None:
     # the driver's own terms are worth less than nothing, alerts make up for it
     crashing = sums(-200.0, crashes=60, alert=500.0 * 100)
     changed = {"simultaneous_seed0": crashing, "simultaneous_seed1": crashing}

@@ -20,7 +20,7 @@ from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings
 from hmi_marl.reporting.statistics import Estimate
 
 SETTINGS = CompareSettings(
-    protocols=("two-stage", "simultaneous"), seeds=2, drivers=("bart", "homer"), teams=16
+    protocols=("two-stage", "simultaneous"), seeds=2, drivers=("bart", "homer"), num_teams=16
 )
 COMMAND = "hmi-marl compare --out '<script>alert(1)</script>'"
 

@@ -28,12 +28,12 @@ TINY = CompareSettings(
     rounds=1,
     seeds=2,
     episodes=8,
-    teams=16,
+    num_teams=16,
     duration=1.0,
     vehicles=(1, 3),
 )
 TYPED = (
-    "compare --steps 160 --rounds 1 --seeds 2 --episodes 8 --teams 16 --duration 1 "
+    "compare --steps 160 --rounds 1 --seeds 2 --episodes 8 --num-teams 16 --duration 1 "
     "--vehicles 1 3 --workers 1"
 )
 
@@ -61,7 +61,7 @@ def batches(settings: CompareSettings, training) -> int:
         quick(CompareSettings()),
         TINY,
         CompareSettings(steps=1),
-        CompareSettings(steps=777_777, driver_share=0.37, rounds=3, teams=100),
+        CompareSettings(steps=777_777, driver_share=0.37, rounds=3, num_teams=100),
     ],
 )
 def test_every_run_takes_the_same_number_of_steps(settings: CompareSettings) -> None:
@@ -85,8 +85,8 @@ def test_every_run_has_its_own_folder_seed_and_setting() -> None:
     assert jobs["joint-seed6"].seed == 6
     assert jobs["joint-seed6"].end_at_crash
     assert not jobs["joint-seed5-standing"].end_at_crash
-    assert jobs["simultaneous-parallel-seed5"].parallel
-    assert not jobs["simultaneous-seed5"].parallel
+    assert not jobs["simultaneous-moves-seed5"].sequential
+    assert jobs["simultaneous-seed5"].sequential
     assert "joint-seed6-standing" not in jobs
     unchecked = replace(TINY, crash_check=False)
     assert not any("standing" in job.folder.name for job in unchecked.jobs(Path("out")))
@@ -97,7 +97,7 @@ def test_the_reward_is_that_of_those_who_learn_together() -> None:
         job.folder.name: job.settings
         for job in replace(TINY, reward="individual").jobs(Path("out"))
     }
-    for protocol in ("joint", "simultaneous", "simultaneous-parallel"):
+    for protocol in ("joint", "simultaneous", "simultaneous-moves"):
         assert jobs[f"{protocol}-seed0"].reward == "individual"
     alternating = jobs["alternating-seed0"]
     assert (alternating.driver_reward, alternating.hmi_reward) == ("individual", "individual")
@@ -142,8 +142,8 @@ def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
         ({"rounds": 0}, "rounds is at least 1"),
         ({"seeds": 0}, "seeds is at least 1"),
         ({"episodes": 0}, "episodes is at least 1"),
-        ({"teams": 0}, "teams is at least 1"),
-        ({"teams": 8}, "8 teams make no 16 mini-batches"),
+        ({"num_teams": 0}, "teams is at least 1"),
+        ({"num_teams": 8}, "8 teams make no 16 mini-batches"),
         ({"driver_share": 0.0}, "driver_share lies between 0 and 1"),
         ({"driver_share": float("nan")}, "driver_share lies between 0 and 1"),
         ({"reward": "driving"}, "reward is 'default', 'team' or 'individual'"),
@@ -221,7 +221,7 @@ def test_drivers_share_the_episodes_among_them(folder: Path) -> None:
 
 
 def test_a_swapped_pair_plays_as_anybody_would_play_it(folder: Path) -> None:
-    swapped = Pair("alternating-seed1", "simultaneous-parallel-seed1")
+    swapped = Pair("alternating-seed1", "simultaneous-moves-seed1")
     sums = play_pair(TINY, folder, swapped)[EVERYBODY]
     team = TINY.team()
     seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + 8, dtype=np.uint64)
@@ -248,7 +248,7 @@ def test_results_do_not_depend_on_the_workers(folder: Path) -> None:
 def test_runs_are_trained_as_their_protocols_say(folder: Path) -> None:
     cards = {run: read_policy(folder / run.name / "vehicle_ai.json")[0] for run in TINY.main_runs}
     for run, card in cards.items():
-        assert card.taking_turns == (run.protocol != "simultaneous-parallel")
+        assert card.sequential == (run.protocol != "simultaneous-moves")
         assert card.by_intent == (run.protocol == "joint")
         assert card.training["steps"] == TINY.steps_each
     standing = read_policy(folder / Run("joint", 0, standing=True).name / "driver.json")[0]

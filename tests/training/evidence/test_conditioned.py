@@ -47,11 +47,11 @@ def test_the_types_drive_in_about_a_third_of_the_episodes(others):
     assert not settings.ai_sees_attention
 
 
-def test_an_hmi_is_learnt_that_is_conditioned_on_places(tmp_path):
+def test_an_hmi_is_learned_that_is_conditioned_on_places(tmp_path):
     model = untrained_evidence(TeamConfig(ai_sees_attention=False))
     settings = conditioned_hmi("random", 1, 4, 16, seed=0, others=8)
     train(settings, tmp_path, context=Places(model), quiet=True)
     policy = load_policy(tmp_path, "vehicle_ai", TeamConfig(ai_sees_attention=False))
     assert policy.card.context == 3
     assert dict(policy.card.reads).keys() == set(HMI_READS)
-    assert policy.card.network.memory == 4
+    assert policy.card.network.rnn_hidden_dim == 4

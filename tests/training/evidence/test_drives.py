@@ -20,7 +20,7 @@ SETTINGS = EvidenceSettings(
     drives=12,
     batch=4,
     reads=("speed", "intended_action"),
-    encoder=NetworkConfig((4,), memory=2),
+    encoder=NetworkConfig((4,), rnn_hidden_dim=2),
 )
 
 

@@ -32,7 +32,7 @@ def random_module(card, seed=0):
     "sizes",
     [
         SMALL,
-        SMALL | {"segment": 20, "encoder": NetworkConfig((7, 5), "elu", memory=6)},
+        SMALL | {"segment": 20, "encoder": NetworkConfig((7, 5), "elu", rnn_hidden_dim=6)},
         SMALL | {"segment": 1, "place": NetworkConfig((6, 6), "relu"), "latent": 8},
     ],
     ids=["small", "one segment", "no memory to speak of"],
@@ -117,7 +117,7 @@ def test_the_loss_of_whole_drives_by_hand():
         assert loss.item() == pytest.approx(np.mean(each), rel=1e-4)
 
 
-def test_turns_that_there_were_not_are_not_learnt_from():
+def test_turns_that_there_were_not_are_not_learned_from():
     module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
     read = torch.randn(3, 20, module.card.read_size + DERIVED)
     driving = torch.arange(20) < torch.tensor([[20], [9], [13]])

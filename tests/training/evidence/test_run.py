@@ -22,7 +22,7 @@ TINY = EvidenceSettings(
     batch=6,
     held_out=0.2,
     latent=3,
-    encoder=NetworkConfig((6,), memory=4),
+    encoder=NetworkConfig((6,), rnn_hidden_dim=4),
     place=NetworkConfig((5,)),
     checkpoint_every=0.0,
 )
@@ -41,7 +41,7 @@ def driven_once(driven, monkeypatch):
     monkeypatch.setattr(run, "drive_all", lambda settings, progress: driven)
 
 
-def learnt(folder, settings=TINY, **choices):
+def learned(folder, settings=TINY, **choices):
     learn_evidence(settings, folder, quiet=True, **choices)
     return {name: (folder / name).read_bytes() for name in FILES}
 
@@ -52,7 +52,7 @@ def rows(folder):
 
 
 def test_a_run_leaves_a_model_its_settings_and_a_curve(tmp_path):
-    learn_evidence(TINY, tmp_path, quiet=True, typed="hmi-marl reproduce adapt")
+    learn_evidence(TINY, tmp_path, quiet=True, command_line="hmi-marl reproduce adapt")
     about = json.loads((tmp_path / "run.json").read_text())
     assert about["command"] == "hmi-marl reproduce adapt"
     assert about["settings"]["updates"] == 3
@@ -74,12 +74,12 @@ def test_a_run_leaves_a_model_its_settings_and_a_curve(tmp_path):
 def test_the_drives_are_those_of_the_settings(tmp_path, driven, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(run, "drive_all", REAL)
-        one = learnt(tmp_path / "one")
-    assert learnt(tmp_path / "two") == one
+        one = learned(tmp_path / "one")
+    assert learned(tmp_path / "two") == one
 
 
 def test_units_are_those_of_the_turns_that_there_were(tmp_path, driven):
-    learnt(tmp_path)
+    learned(tmp_path)
     model = load_evidence(tmp_path)
     read = driven.turns[driven.driving][:, : model.card.read_size].astype(np.float64)
     np.testing.assert_allclose(model.weights["read.centre"], read.mean(axis=0), atol=1e-4)
@@ -91,14 +91,14 @@ def test_units_are_those_of_the_turns_that_there_were(tmp_path, driven):
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_does_not(tmp_path):
-    one = learnt(tmp_path / "one")
-    assert learnt(tmp_path / "two") == one
-    assert learnt(tmp_path / "other", replace(TINY, seed=1))[FILES[0]] != one[FILES[0]]
+    one = learned(tmp_path / "one")
+    assert learned(tmp_path / "two") == one
+    assert learned(tmp_path / "other", replace(TINY, seed=1))[FILES[0]] != one[FILES[0]]
 
 
-def test_weights_are_learnt(tmp_path):
+def test_weights_are_learned(tmp_path):
     few, more = (replace(TINY, updates=n) for n in (1, 3))
-    assert learnt(tmp_path / "few", few)[FILES[0]] != learnt(tmp_path / "more", more)[FILES[0]]
+    assert learned(tmp_path / "few", few)[FILES[0]] != learned(tmp_path / "more", more)[FILES[0]]
 
 
 def with_traits(driven, k):
@@ -108,32 +108,32 @@ def with_traits(driven, k):
     return Drives(driven.turns, driven.driving, Traits.from_array(traits))
 
 
-def test_held_out_drives_are_not_learnt_from(tmp_path, driven, monkeypatch):
+def test_held_out_drives_are_not_learned_from(tmp_path, driven, monkeypatch):
     settings = replace(TINY, batch=16, updates=1)  # all that there are to learn from
-    assert settings.learnt == 16
+    assert settings.learned == 16
     monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)  # about which they are asked
-    whole, same = learnt(tmp_path / "whole", settings)[FILES[0]], []
+    whole, same = learned(tmp_path / "whole", settings)[FILES[0]], []
     for k in range(TINY.drives):
         other = with_traits(driven, k)
         monkeypatch.setattr(run, "drive_all", lambda *_, other=other: other)
-        same.append(learnt(tmp_path / str(k), settings)[FILES[0]] == whole)
-    assert sum(same) == TINY.drives - settings.learnt
+        same.append(learned(tmp_path / str(k), settings)[FILES[0]] == whole)
+    assert sum(same) == TINY.drives - settings.learned
 
 
 def test_each_update_learns_from_drives_of_its_own(tmp_path, driven, monkeypatch):
     monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)
-    whole, changed = learnt(tmp_path / "whole")[FILES[0]], []
+    whole, changed = learned(tmp_path / "whole")[FILES[0]], []
     for k in range(TINY.drives):
         other = with_traits(driven, k)
         monkeypatch.setattr(run, "drive_all", lambda *_, other=other: other)
-        changed.append(learnt(tmp_path / str(k))[FILES[0]] != whole)
-    assert TINY.batch < sum(changed) <= TINY.learnt
+        changed.append(learned(tmp_path / str(k))[FILES[0]] != whole)
+    assert TINY.batch < sum(changed) <= TINY.learned
 
 
-def test_evidence_is_toned_down_as_suits_drives_that_were_not_learnt_from(
+def test_evidence_is_toned_down_as_suits_drives_that_were_not_learned_from(
     tmp_path, driven, monkeypatch
 ):
-    settled = learnt(tmp_path / "settled")
+    settled = learned(tmp_path / "settled")
     asked, loss_at_end = [], run.Evidence.loss_at_end
 
     def told(self, turns, driving, shown, temperatures):
@@ -143,9 +143,9 @@ def test_evidence_is_toned_down_as_suits_drives_that_were_not_learnt_from(
 
     monkeypatch.setattr(run.Evidence, "loss_at_end", told)
     monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)
-    assert learnt(tmp_path / "plain")[FILES[0]] != settled[FILES[0]]
+    assert learned(tmp_path / "plain")[FILES[0]] != settled[FILES[0]]
     ((count, tried, losses),) = asked
-    assert count == TINY.drives - TINY.learnt
+    assert count == TINY.drives - TINY.learned
     as_it_was, model = load_evidence(tmp_path / "plain"), load_evidence(tmp_path / "settled")
     temperature = model.card.training["temperature"]
     assert temperature == pytest.approx(tried[losses.argmin()])
@@ -164,7 +164,7 @@ def test_evidence_is_toned_down_as_suits_drives_that_were_not_learnt_from(
 
 @pytest.mark.parametrize("cut", [1, 2, 3])
 def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(cut, tmp_path, monkeypatch):
-    whole = learnt(tmp_path / "whole")
+    whole = learned(tmp_path / "whole")
     saves, save = [], Checkpoint.save
 
     def fail_after(self, path):
@@ -176,36 +176,36 @@ def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(cut, tmp_path,
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "save", fail_after)
         with pytest.raises(KeyboardInterrupt):
-            learnt(tmp_path / "cut")
+            learned(tmp_path / "cut")
     assert not (tmp_path / "cut" / FILES[0]).exists()
     assert Checkpoint.load(tmp_path / "cut" / "checkpoint.safetensors").iteration == cut
-    assert learnt(tmp_path / "cut") == whole
+    assert learned(tmp_path / "cut") == whole
     held_out = [row["held_out_loss"] for row in rows(tmp_path / "cut")]
     assert held_out == [row["held_out_loss"] for row in rows(tmp_path / "whole")]
 
 
 def test_how_often_it_saves_and_on_how_many_threads_changes_nothing(tmp_path):
-    one = learnt(tmp_path / "one")
+    one = learned(tmp_path / "one")
     seldom = replace(TINY, checkpoint_every=1e9)
-    assert learnt(tmp_path / "two", seldom)[FILES[0]] == one[FILES[0]]
-    assert learnt(tmp_path / "one", replace(TINY, threads=2)) == one
+    assert learned(tmp_path / "two", seldom)[FILES[0]] == one[FILES[0]]
+    assert learned(tmp_path / "one", replace(TINY, threads=2)) == one
 
 
 def test_a_finished_run_is_left_alone(tmp_path, monkeypatch):
-    one = learnt(tmp_path)
+    one = learned(tmp_path)
     monkeypatch.setattr(run, "drive_all", None)
-    assert learnt(tmp_path) == one
+    assert learned(tmp_path) == one
 
 
 def test_another_run_in_the_folder_is_refused(tmp_path):
-    learnt(tmp_path)
+    learned(tmp_path)
     with pytest.raises(ValueError, match=r"holds another run \(latent = 3, now 4\)"):
-        learnt(tmp_path, replace(TINY, latent=4))
+        learned(tmp_path, replace(TINY, latent=4))
 
 
 def test_a_driver_that_is_not_there_is_told_at_once(tmp_path):
     with pytest.raises(FileNotFoundError, match="no policy for the seat of driver"):
-        learnt(tmp_path / "run", replace(TINY, driver_policy=str(tmp_path / "nowhere")))
+        learned(tmp_path / "run", replace(TINY, driver_policy=str(tmp_path / "nowhere")))
 
 
 def test_torch_is_left_as_it_was(tmp_path):
@@ -213,7 +213,7 @@ def test_torch_is_left_as_it_was(tmp_path):
     expected = torch.rand(1).item()
     torch.manual_seed(5)
     threads = torch.get_num_threads()
-    learnt(tmp_path, replace(TINY, threads=2))
+    learned(tmp_path, replace(TINY, threads=2))
     assert torch.get_num_threads() == threads
     assert torch.rand(1).item() == expected
 
@@ -221,7 +221,7 @@ def test_torch_is_left_as_it_was(tmp_path):
 def test_progress_is_shown_unless_quiet(tmp_path, capsys):
     learn_evidence(TINY, tmp_path / "shown")
     assert "3/3" in capsys.readouterr().err
-    learnt(tmp_path / "quiet")
+    learned(tmp_path / "quiet")
     assert capsys.readouterr().err == ""
 
 

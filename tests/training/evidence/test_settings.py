@@ -6,20 +6,20 @@ from hmi_marl.training.evidence.settings import EvidenceSettings
 
 def test_the_card_is_as_the_settings_say():
     settings = EvidenceSettings(
-        latent=5, segment=10, reads=("speed", "lane"), encoder=NetworkConfig((8,), memory=3)
+        latent=5, segment=10, reads=("speed", "lane"), encoder=NetworkConfig((8,), rnn_hidden_dim=3)
     )
     card = settings.card(settings.team)
     assert (card.latent, card.segment, card.read_size) == (5, 10, 5)
-    assert card.encoder == NetworkConfig((8,), memory=3)
+    assert card.encoder == NetworkConfig((8,), rnn_hidden_dim=3)
     assert card.place == settings.place
     assert not settings.team.ai_sees_attention
 
 
 @pytest.mark.parametrize(
-    ("drives", "held_out", "learnt"), [(100, 0.05, 95), (100, 0.5, 50), (20, 0.001, 18)]
+    ("drives", "held_out", "learned"), [(100, 0.05, 95), (100, 0.5, 50), (20, 0.001, 18)]
 )
-def test_at_least_two_drives_are_held_out(drives, held_out, learnt):
-    assert EvidenceSettings(drives=drives, held_out=held_out, batch=4).learnt == learnt
+def test_at_least_two_drives_are_held_out(drives, held_out, learned):
+    assert EvidenceSettings(drives=drives, held_out=held_out, batch=4).learned == learned
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_at_least_two_drives_are_held_out(drives, held_out, learnt):
         ({"batch": 1}, r"batch lies in 2 to \d+, .* but got 1"),
         ({"drives": 40, "batch": 39}, r"batch lies in 2 to 38, .* but got 39"),
         ({"encoder": NetworkConfig((8,))}, r"a memory of at least one unit: set encoder\.memory"),
-        ({"place": NetworkConfig((8,), memory=2)}, "place has no memory"),
+        ({"place": NetworkConfig((8,), rnn_hidden_dim=2)}, "place has no memory"),
         ({"reads": ("speed", "distracted")}, "no part 'distracted' to read"),
         ({"seed": -1}, "a seed lies in"),
     ],

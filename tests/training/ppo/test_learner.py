@@ -34,7 +34,7 @@ def env_for(seat, num_teams=16, world=CrashingWorld, **settings):
     return TeamVecEnv(teaming, seat, None if seat == "team" else KeepsSpeed())
 
 
-def learner_for(env, cards, settings=PPOSettings(mini_batches=2), seed=0, centralised=True):  # noqa: B008
+def learner_for(env, cards, settings=PPOSettings(num_mini_batches=2), seed=0, centralised=True):  # noqa: B008
     torch.manual_seed(seed)
     view = SeatView(env, cards, centralised)
     return PPOLearner(
@@ -68,7 +68,7 @@ def same(one, two):
 
 def test_time_outs_alone_are_worth_what_was_seen_last():
     env = env_for("driver", 4, world=StandingWorld, reward="driving")
-    settings = PPOSettings(mini_batches=1, discount=0.9, reward_scale=0.5)
+    settings = PPOSettings(num_mini_batches=1, gamma=0.9, reward_scale=0.5)
     learner = learner_for(env, (card_for(env, "driver"),), settings)
     with torch.no_grad():  # V = 1 + 2 time
         for weight in learner.ppo.critic.parameters():
@@ -105,9 +105,9 @@ def test_time_outs_alone_are_worth_what_was_seen_last():
 def test_what_it_learns_from_falls_along_lines():
     env = env_for("driver")
     settings = PPOSettings(
-        mini_batches=2,
-        entropy=0.04,
-        final_entropy=0.02,
+        num_mini_batches=2,
+        entropy_coef=0.04,
+        final_entropy_coef=0.02,
         learning_rate=1e-3,
         final_learning_rate=2e-4,
     )
@@ -127,7 +127,7 @@ def test_what_was_saved_goes_on_as_if_nothing_had_happened(memory):
     first, second = learner_for(env, cards), learner_for(env, cards, seed=1)
     for seed in range(2):
         learn_from(env, first, seed)
-    learn_from(env, second, 9)  # has learnt something else
+    learn_from(env, second, 9)  # has learned something else
     saved = {name: values.clone() for name, values in first.tensors().items()}
     assert any(name.startswith("optimizer.") for name in saved)
     assert not same(saved, second.tensors())
@@ -139,7 +139,7 @@ def test_what_was_saved_goes_on_as_if_nothing_had_happened(memory):
     assert not same(saved, first.tensors())
 
 
-def test_a_learner_that_has_learnt_nothing_can_be_saved_too():
+def test_a_learner_that_has_learned_nothing_can_be_saved_too():
     env = env_for("vehicle_ai")
     cards = (card_for(env, "vehicle_ai"),)
     first, second = learner_for(env, cards), learner_for(env, cards, seed=1)
@@ -156,11 +156,11 @@ def test_what_was_saved_of_other_networks_is_refused():
         wider.load(first.tensors())
 
 
-def test_a_memory_is_learnt_from_as_it_was_when_it_acted():
+def test_a_memory_is_learned_from_as_it_was_when_it_acted():
     # Replayed with the memory that was stored, every action is as likely as when it was drawn.
     env = env_for("vehicle_ai", 12)
-    card = card_for(env, "vehicle_ai", NetworkConfig((8,), memory=4))
-    learner = learner_for(env, (card,), PPOSettings(mini_batches=3))
+    card = card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=4))
+    learner = learner_for(env, (card,), PPOSettings(num_mini_batches=3))
     for weight in learner.ppo.actor.parameters():
         torch.nn.init.normal_(weight, std=0.7)
     for seed in (1, 2):  # nothing may be left of the first batch in the second
@@ -182,7 +182,7 @@ def test_a_memory_is_learnt_from_as_it_was_when_it_acted():
 
 
 def two_learners(env, turns):
-    cards = [card_for(env, seat, taking_turns=turns) for seat in ("driver", "vehicle_ai")]
+    cards = [card_for(env, seat, sequential=turns) for seat in ("driver", "vehicle_ai")]
     driver, vehicle_ai = (learner_for(env, (card,)) for card in cards)
     return TwoLearners(driver, vehicle_ai, IntentShown(env) if turns else None)
 
@@ -246,7 +246,7 @@ def state_of(index, sizes):
 def bandit(actor, columns, worth, iterations=50, teams=64, steps=4):
     """Learn a bandit of as many states as ``worth(state, actions)`` takes."""
     settings = PPOSettings(
-        mini_batches=4, learning_rate=1e-2, final_learning_rate=1e-2, reward_scale=1.0
+        num_mini_batches=4, learning_rate=1e-2, final_learning_rate=1e-2, reward_scale=1.0
     )
     states = 5
     learner = PPOLearner(
@@ -297,8 +297,8 @@ def test_the_composite_head_learns_an_alert_for_every_intent():
         right = (alert == intent % 2).float()
         return right + right * (intent == best[state]).float()
 
-    learnt = bandit(make_joint_actor(driver, vehicle_ai), 2, worth)
-    assert learnt == [[4, 0], [3, 1], [2, 0], [1, 1], [0, 0]]
+    learned = bandit(make_joint_actor(driver, vehicle_ai), 2, worth)
+    assert learned == [[4, 0], [3, 1], [2, 0], [1, 1], [0, 0]]
 
 
 def rule_of(policy, env):
@@ -329,7 +329,7 @@ def test_ppo_learns_the_exact_optimum_of_alerting(name):
     env = env_for("vehicle_ai", 64, world=StandingWorld, driver=name, duration=2.0)
     card = card_for(env, "vehicle_ai", NetworkConfig((16,)))
     iterations = 60
-    settings = PPOSettings(mini_batches=4, learning_rate=5e-3, final_learning_rate=1e-4)
+    settings = PPOSettings(num_mini_batches=4, learning_rate=5e-3, final_learning_rate=1e-4)
     learner = learner_for(env, (card,), settings)
     for iteration in range(iterations):
         learner.begin(iteration / iterations)

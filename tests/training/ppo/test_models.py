@@ -140,7 +140,7 @@ def test_the_weights_of_both_halves_fit_their_cards():
 def test_a_composite_policy_that_cannot_be_is_refused():
     driver, _ = cards()
     with pytest.raises(ValueError, match="composite policy has no memory; choose memory = 0"):
-        make_joint_actor(*cards(NetworkConfig((7,), memory=2)))
+        make_joint_actor(*cards(NetworkConfig((7,), rnn_hidden_dim=2)))
     reads_intent = make_card("vehicle_ai", CONFIG, SMALL, knows_traits=True)
     with pytest.raises(ValueError, match="the vehicle AI gives logits by intent"):
         make_joint_actor(driver, reads_intent)

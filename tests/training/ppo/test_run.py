@@ -27,11 +27,11 @@ from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.checkpoint import Checkpoint
 
 TINY = {
-    "teams": 8,  # 40 steps a batch
+    "num_teams": 8,  # 40 steps a batch
     "duration": 1.0,
     "vehicles": (1, 3),
     "network": NetworkConfig((8,)),
-    "ppo": PPOSettings(epochs=1, mini_batches=2),
+    "ppo": PPOSettings(num_learning_epochs=1, num_mini_batches=2),
     "device": "cpu",
     "threads": 1,
     "checkpoint_every": 0.0,
@@ -42,12 +42,16 @@ PROTOCOLS = {
     "two-stage": TWO_STAGE,
     "joint": Joint(steps=80, **TINY),
     "simultaneous": Simultaneous(steps=80, **TINY),
-    "at once": Simultaneous(steps=80, parallel=True, critic="own", **TINY),
+    "at once": Simultaneous(steps=80, sequential=False, critic="own", **TINY),
     "alternating": ALTERNATING,
-    "hidden attention": replace(TWO_STAGE, ai_sees_attention=False, memory=4, condition="hidden"),
+    "hidden attention": replace(
+        TWO_STAGE, ai_sees_attention=False, rnn_hidden_dim=4, condition="hidden"
+    ),
     "graded alerts": replace(TWO_STAGE, alert_strengths=(0.3, 0.6, 1.0), fatigue=(8, 3, 0.5)),
     "graded alerts, joint": Joint(steps=80, alert_strengths=(0.3, 0.6, 1.0), **TINY),
-    "two memories at once": Simultaneous(steps=80, memory=4, ai_sees_attention=False, **TINY),
+    "two memories at once": Simultaneous(
+        steps=80, rnn_hidden_dim=4, ai_sees_attention=False, **TINY
+    ),
 }
 SEATS = ("driver", "vehicle_ai")
 WEIGHTS = tuple(f"{seat}.safetensors" for seat in SEATS)
@@ -64,13 +68,13 @@ class TwoTraits:
         return traits[:, [0, 3]]
 
 
-def learnt(folder, settings, **choices):
+def learned(folder, settings, **choices):
     train(settings, folder, quiet=True, **choices)
     return files(folder)
 
 
 def files(folder):
-    """What the run has learnt: the policies' files, byte by byte."""
+    """What the run has learned: the policies' files, byte by byte."""
     names = [f"{seat}.{suffix}" for seat in SEATS for suffix in ("safetensors", "json")]
     return {name: (folder / name).read_bytes() for name in names}
 
@@ -89,7 +93,7 @@ def rows(folder):
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
     settings = PROTOCOLS[name]
-    train(settings, tmp_path, quiet=True, typed="hmi-marl train it")
+    train(settings, tmp_path, quiet=True, command_line="hmi-marl train it")
     steps = 320 if settings is ALTERNATING else 160 if isinstance(settings, TwoStage) else 80
     curve = json.loads((tmp_path / "curve.json").read_text())
     assert [row["steps"] for row in curve] == list(range(40, steps + 1, 40))
@@ -126,11 +130,11 @@ def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
 
 @pytest.mark.parametrize("settings", [TWO_STAGE, PROTOCOLS["simultaneous"]], ids=["turns", "both"])
 def test_the_same_seed_gives_the_same_weights_and_another_does_not(settings, tmp_path):
-    one = learnt(tmp_path / "one", settings)
+    one = learned(tmp_path / "one", settings)
     torch.manual_seed(99)  # nobody else's draws come in
-    assert learnt(tmp_path / "again", settings) == one
+    assert learned(tmp_path / "again", settings) == one
     assert rows(tmp_path / "again") == rows(tmp_path / "one")
-    other = learnt(tmp_path / "other", replace(settings, seed=1))
+    other = learned(tmp_path / "other", replace(settings, seed=1))
     assert all(a != b for a, b in zip(weights(one), weights(other), strict=True))
 
 
@@ -143,9 +147,9 @@ def test_the_draws_of_others_are_left_alone(tmp_path):
 
 
 def test_threads_and_checkpoints_do_not_change_results(tmp_path):
-    one = learnt(tmp_path / "one", TWO_STAGE)
+    one = learned(tmp_path / "one", TWO_STAGE)
     others = replace(TWO_STAGE, threads=int(numba.config.NUMBA_NUM_THREADS), checkpoint_every=1e9)
-    assert weights(learnt(tmp_path / "two", others)) == weights(one)
+    assert weights(learned(tmp_path / "two", others)) == weights(one)
 
 
 class Killed(BaseException):
@@ -156,7 +160,7 @@ class Killed(BaseException):
 def test_a_run_cut_off_at_any_checkpoint_ends_as_if_it_had_not_been(
     settings, tmp_path, monkeypatch
 ):
-    whole = learnt(tmp_path / "whole", settings)
+    whole = learned(tmp_path / "whole", settings)
     save, saves = Checkpoint.save, 0
 
     def counted(self, path):
@@ -174,13 +178,13 @@ def test_a_run_cut_off_at_any_checkpoint_ends_as_if_it_had_not_been(
         with pytest.raises(Killed):
             train(settings, folder, quiet=True)
         saves = total
-        assert learnt(folder, settings) == whole
+        assert learned(folder, settings) == whole
         assert rows(folder) == rows(tmp_path / "whole")
 
 
 @pytest.mark.parametrize("card", [1, 2, 3, 4])
 def test_a_run_cut_off_in_the_middle_of_writing_a_policy_mends_it(card, tmp_path, monkeypatch):
-    whole = learnt(tmp_path / "whole", ALTERNATING)
+    whole = learned(tmp_path / "whole", ALTERNATING)
     write, written = weight_files.write_json, 0
 
     def cut_off(path, content):
@@ -193,7 +197,7 @@ def test_a_run_cut_off_in_the_middle_of_writing_a_policy_mends_it(card, tmp_path
     monkeypatch.setattr(weight_files, "write_json", cut_off)
     with pytest.raises(Killed):
         train(ALTERNATING, tmp_path / "cut", quiet=True)
-    assert learnt(tmp_path / "cut", ALTERNATING) == whole
+    assert learned(tmp_path / "cut", ALTERNATING) == whole
 
 
 KILLED = """
@@ -220,7 +224,7 @@ train({name}, Path(sys.argv[1]), quiet=True)
 )
 def test_a_run_that_was_killed_goes_on_to_the_same_bytes(name, batches, before, tmp_path):
     settings = globals()[name]
-    whole = learnt(tmp_path / "whole", settings)
+    whole = learned(tmp_path / "whole", settings)
     folder = tmp_path / "killed"
     path = os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, "-c", KILLED.format(name=name, batches=batches), str(folder)]
@@ -230,7 +234,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(name, batches, before, 
     state = Checkpoint.load(folder / "checkpoint.safetensors")
     assert (state.phase, state.iteration) == before
     assert state.steps == 40 * (batches - 1)
-    assert learnt(folder, settings) == whole
+    assert learned(folder, settings) == whole
     assert rows(folder) == rows(tmp_path / "whole")
 
 
@@ -263,27 +267,27 @@ def test_a_run_goes_on_elsewhere_with_other_threads_and_checkpoints(tmp_path):
             r"\(hmi_for = 'population', now 'homer', driver_steps = 80, now 81\)",
         ),
         (
-            replace(TWO_STAGE, ppo=PPOSettings(mini_batches=3)),
-            r"\(ppo = \{.*'mini_batches': 2,.*, n",
+            replace(TWO_STAGE, ppo=PPOSettings(num_mini_batches=3)),
+            r"\(ppo = \{.*'num_mini_batches': 2,.*, n",
         ),
         (Joint(steps=80, **TINY), "protocol = 'TwoStage', now 'Joint'"),
     ],
     ids=["seed", "two of them", "ppo", "protocol"],
 )
 def test_a_folder_with_another_run_is_left_alone(settings, told, tmp_path):
-    before = learnt(tmp_path, TWO_STAGE)
+    before = learned(tmp_path, TWO_STAGE)
     with pytest.raises(ValueError, match=told):
         train(settings, tmp_path, quiet=True)
     assert files(tmp_path) == before
 
 
 def test_a_run_from_before_there_were_strengths_goes_on(tmp_path):
-    before = learnt(tmp_path, TWO_STAGE)
+    before = learned(tmp_path, TWO_STAGE)
     about = json.loads((tmp_path / "run.json").read_text())
     for name in ("alert_strengths", "fatigue"):
         del about["settings"][name]
     (tmp_path / "run.json").write_text(json.dumps(about))
-    assert learnt(tmp_path, TWO_STAGE) == before
+    assert learned(tmp_path, TWO_STAGE) == before
     with pytest.raises(ValueError, match=r"alert_strengths = \[1.0\], now \[0.5, 1.0\]"):
         train(replace(TWO_STAGE, alert_strengths=(0.5, 1.0)), tmp_path, quiet=True)
 
@@ -304,15 +308,15 @@ def test_a_damaged_checkpoint_is_told(tmp_path):
 
 
 def test_a_run_that_was_cut_off_before_its_first_checkpoint_begins_anew(tmp_path):
-    whole = learnt(tmp_path / "whole", TWO_STAGE)
+    whole = learned(tmp_path / "whole", TWO_STAGE)
     train(TWO_STAGE, tmp_path / "cut", quiet=True)
     (tmp_path / "cut" / "checkpoint.safetensors").unlink()
-    assert learnt(tmp_path / "cut", TWO_STAGE) == whole
+    assert learned(tmp_path / "cut", TWO_STAGE) == whole
 
 
 def test_snapshots_are_the_policies_on_their_way(tmp_path):
     settings = replace(TWO_STAGE, driver_steps=5 * 40, hmi_steps=40, snapshots=2)
-    whole = learnt(tmp_path, settings)
+    whole = learned(tmp_path, settings)
     taken = {int(path.name): path for path in (tmp_path / "snapshots").iterdir()}
     assert sorted(taken) == [120, 200, 240]  # batches 3 and 5 of the driver's, 1 of the HMI's
     names = {steps: {path.name for path in place.iterdir()} for steps, place in taken.items()}
@@ -324,16 +328,16 @@ def test_snapshots_are_the_policies_on_their_way(tmp_path):
     assert read_policy(taken[120] / "driver.json")[0].training["steps"] == 120
 
 
-def test_a_driver_is_learnt_alone(tmp_path):
+def test_a_driver_is_learned_alone(tmp_path):
     train(replace(TWO_STAGE, hmi_steps=0), tmp_path, quiet=True)
     assert (tmp_path / "driver.json").exists()
     assert not (tmp_path / "vehicle_ai.json").exists()
 
 
 def test_an_hmi_learns_beside_the_driver_of_another_run(tmp_path):
-    one = learnt(tmp_path / "one", TWO_STAGE)
+    one = learned(tmp_path / "one", TWO_STAGE)
     settings = replace(TWO_STAGE, driver_policy=str(tmp_path / "one"), seed=5)
-    two = learnt(tmp_path / "two", settings)
+    two = learned(tmp_path / "two", settings)
     assert len(rows(tmp_path / "two")) == 2
     for name in ("driver.json", "driver.safetensors"):
         assert two[name] == one[name]  # kept with the run, which is whole without the other
@@ -343,7 +347,7 @@ def test_an_hmi_learns_beside_the_driver_of_another_run(tmp_path):
     assert not (tmp_path / "ruled" / "driver.json").exists()
 
 
-def test_a_driver_that_is_not_there_is_told_before_anything_is_learnt(tmp_path):
+def test_a_driver_that_is_not_there_is_told_before_anything_is_learned(tmp_path):
     settings = replace(TWO_STAGE, driver_policy=str(tmp_path / "nowhere"))
     with pytest.raises(FileNotFoundError, match=r"no policy for the seat of driver at .*nowhere"):
         train(settings, tmp_path / "run", quiet=True)

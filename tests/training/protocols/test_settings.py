@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.plain import plain
+from hmi_marl.files import json_value
 from hmi_marl.training.protocols.alternating import Alternating
 from hmi_marl.training.protocols.joint import Joint
 from hmi_marl.training.protocols.settings import PPOSettings, TrainSettings
@@ -17,18 +17,18 @@ PROTOCOLS = (TwoStage, Joint, Simultaneous, Alternating)
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"epochs": 0}, "epochs is at least 1, but got 0"),
-        ({"mini_batches": 0}, "mini_batches is at least 1, but got 0"),
-        ({"discount": 1.01}, r"discount lies in \[0, 1\], but got 1\.01"),
-        ({"trace": -0.1}, r"trace lies in \[0, 1\]"),
-        ({"discount": float("nan")}, "discount lies in"),
+        ({"num_learning_epochs": 0}, "num_learning_epochs is at least 1, but got 0"),
+        ({"num_mini_batches": 0}, "num_mini_batches is at least 1, but got 0"),
+        ({"gamma": 1.01}, r"gamma lies in \[0, 1\], but got 1\.01"),
+        ({"gae_lambda": -0.1}, r"gae_lambda lies in \[0, 1\]"),
+        ({"gamma": float("nan")}, "gamma lies in"),
         ({"learning_rate": 0.0}, r"learning_rate is a positive number, but got 0\.0"),
         ({"final_learning_rate": float("inf")}, "final_learning_rate is a positive number"),
-        ({"clip": float("nan")}, "clip is a positive number"),
-        ({"gradient_norm": -1.0}, "gradient_norm is a positive number"),
+        ({"clip_param": float("nan")}, "clip_param is a positive number"),
+        ({"max_grad_norm": -1.0}, "max_grad_norm is a positive number"),
         ({"reward_scale": 0.0}, "reward_scale is a positive number"),
-        ({"entropy": -0.01}, r"entropy is a number of at least 0, but got -0\.01"),
-        ({"final_entropy": float("nan")}, "final_entropy is a number of at least 0"),
+        ({"entropy_coef": -0.01}, r"entropy_coef is a number of at least 0, but got -0\.01"),
+        ({"final_entropy_coef": float("nan")}, "final_entropy_coef is a number of at least 0"),
     ],
     ids=str,
 )
@@ -38,7 +38,7 @@ def test_what_ppo_cannot_be_told(changed, told):
 
 
 def test_what_ppo_may_be_told_at_the_edges():
-    PPOSettings(1, 1, 0.0, 1.0, entropy=0.0, final_entropy=0.0)
+    PPOSettings(1, 1, 0.0, 1.0, entropy_coef=0.0, final_entropy_coef=0.0)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -47,14 +47,18 @@ def test_what_ppo_may_be_told_at_the_edges():
     [
         ({"seed": -1}, ValueError, r"a seed lies in \[0, 2\^64\), but got -1"),
         ({"seed": 0.5}, TypeError, "a seed is an integer, not 0.5"),
-        ({"teams": 0}, ValueError, "at least one team, but got teams = 0"),
+        ({"num_teams": 0}, ValueError, "at least one team, but got num_teams = 0"),
         ({"snapshots": -1}, ValueError, "snapshots is a number of times, but got -1"),
         ({"checkpoint_every": -1.0}, ValueError, "checkpoint_every is a time"),
         ({"threads": 0}, ValueError, "at least one thread"),
-        ({"network": NetworkConfig(memory=3)}, ValueError, "set memory, not network.memory"),
-        ({"memory": -1}, ValueError, "memory = -1"),
         (
-            {"teams": 4, "ppo": PPOSettings(mini_batches=5)},
+            {"network": NetworkConfig(rnn_hidden_dim=3)},
+            ValueError,
+            "set rnn_hidden_dim, not network.rnn_hidden_dim",
+        ),
+        ({"rnn_hidden_dim": -1}, ValueError, "rnn_hidden_dim = -1"),
+        (
+            {"num_teams": 4, "ppo": PPOSettings(num_mini_batches=5)},
             ValueError,
             "4 teams make no 5 mini-batches of at least 1; choose more teams or fewer mini-batches",
         ),
@@ -80,11 +84,14 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
         (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps is at least 1"),
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
         (
-            lambda: TwoStage(teams=8, memory=4, ppo=PPOSettings(mini_batches=5)),
+            lambda: TwoStage(num_teams=8, rnn_hidden_dim=4, ppo=PPOSettings(num_mini_batches=5)),
             "8 teams make no 5 mini-batches of at least 2; choose more teams or fewer",
         ),
         (lambda: Joint(steps=0), "steps is at least 1"),
-        (lambda: Joint(memory=4), "the composite policy has no memory; use another protocol, or 0"),
+        (
+            lambda: Joint(rnn_hidden_dim=4),
+            "the composite policy has no memory; use another protocol, or 0",
+        ),
         (lambda: Simultaneous(steps=-5), "steps is at least 1, but got -5"),
         (lambda: Alternating(rounds=0), "rounds is at least 1"),
         (lambda: Alternating(driver_steps=0), "driver_steps is at least 1"),
@@ -103,10 +110,10 @@ def test_settings_alone_lay_out_no_phases():
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_settings_are_fit_for_json_and_know_their_defaults(protocol):
-    told = plain(protocol())
+    told = json_value(protocol())
     assert told["drivers"] == ["lisa", "marge", "bart", "homer"]
-    assert told["ppo"]["discount"] == 0.98
-    assert told["network"] == {"hidden": [64, 64], "activation": "relu", "memory": 0}
+    assert told["ppo"]["gamma"] == 0.98
+    assert told["network"] == {"hidden": [64, 64], "activation": "relu", "rnn_hidden_dim": 0}
     assert told["duration"] == 20.0
 
 

@@ -48,7 +48,7 @@ def test_a_run_that_has_not_begun_can_be_kept_too(tmp_path):
     assert Checkpoint.load(tmp_path / "checkpoint.safetensors") == Checkpoint()
 
 
-def test_views_into_larger_tensors_and_learnt_ones_can_be_kept(tmp_path):
+def test_views_into_larger_tensors_and_learned_ones_can_be_kept(tmp_path):
     path, wide = tmp_path / "checkpoint.safetensors", torch.arange(6.0).reshape(2, 3)
     tensors = {"driver": {"x": wide.T, "y": wide[:, 1], "z": torch.nn.Parameter(wide)}}
     Checkpoint(tensors=tensors).save(path)
@@ -76,7 +76,7 @@ def test_a_pickle_is_not_opened(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [{}, {"format": "hmi-marl checkpoint 0"}, {"format": "hmi-marl policy 1"}, [FORMAT], 3],
+    [{}, {"format": "hmi-marl checkpoint 0"}, {"format": "hmi-marl policy 2"}, [FORMAT], 3],
     ids=str,
 )
 def test_files_of_others_are_told(tmp_path, content):

@@ -6,7 +6,7 @@ from hmi_marl.training.protocols.joint import Joint
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job, train_all
 
-TINY = {"teams": 16, "duration": 1.0}
+TINY = {"num_teams": 16, "duration": 1.0}
 
 
 def test_the_number_of_workers_does_not_change_the_weights(tmp_path):

@@ -17,11 +17,11 @@ from hmi_marl.training.runs.processes import Processes, joined
 
 SETTINGS = Simultaneous(
     steps=160,
-    teams=4,  # in each of two processes: 40 steps a batch
+    num_teams=4,  # in each of two processes: 40 steps a batch
     duration=1.0,
     vehicles=(1, 2),
-    memory=3,
-    ppo=PPOSettings(epochs=1, mini_batches=2),
+    rnn_hidden_dim=3,
+    ppo=PPOSettings(num_learning_epochs=1, num_mini_batches=2),
     device="cpu",
     threads=1,
     checkpoint_every=0.0,
@@ -62,7 +62,7 @@ with joined() as processes:
         "rsl_rl": processes.as_rsl_rl(),
         "mean": processes.mean({"a": 1.0 + processes.rank, "b": -3.0}),
         "seeds": seeds,
-        "learnt": digest.hexdigest(),
+        "learned": digest.hexdigest(),
     }
     processes.wait()
 (folder / f"{told['rank']}.json").write_text(json.dumps(told))
@@ -107,7 +107,7 @@ def test_with_gpus_auto_is_the_processs_own(monkeypatch):
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory):
-    """The folder of a run that two processes learnt together, and what each of them told."""
+    """The folder of a run that two processes learned together, and what each of them told."""
     folder = tmp_path_factory.mktemp("two")
     script = folder / "script.py"
     script.write_text(SCRIPT)
@@ -134,7 +134,7 @@ def test_two_processes_know_each_other_and_mean_is_over_both(two):
 
 def test_two_processes_play_other_episodes_and_learn_the_same(two):
     _, (one, other) = two
-    assert one["learnt"] == other["learnt"]
+    assert one["learned"] == other["learned"]
     assert len(one["seeds"]) == 4  # 160 steps, 40 a batch
     assert len({*one["seeds"], *other["seeds"]}) == 8
 

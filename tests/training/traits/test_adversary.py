@@ -13,14 +13,14 @@ from hmi_marl.training.traits.pools import Units, Windows, transitions
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
 
 SETTINGS = TraitSettings(
-    teams=4,
+    num_teams=4,
     pool=2,
     expert_pools=4,
     encoder_units=5,
     reward=NetworkConfig((4,)),
     potential=NetworkConfig((4,)),
     policy=NetworkConfig((4,)),
-    ppo=PPOSettings(mini_batches=2),
+    ppo=PPOSettings(num_mini_batches=2),
     learning_rate=1e-2,
 )
 CARD = SETTINGS.card(LAYOUT)

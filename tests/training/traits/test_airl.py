@@ -188,7 +188,7 @@ def test_our_network_f_given_z_recovers_both_of_two_opposite_experts() -> None:
     card = TraitCard(
         (("cell", STATES),),
         latent=1,
-        discount=GAMMA,
+        gamma=GAMMA,
         reward=NetworkConfig((32,), "tanh"),
         potential=NetworkConfig((32,), "tanh"),
     )

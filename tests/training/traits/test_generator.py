@@ -16,7 +16,10 @@ from hmi_marl.training.traits.settings import TraitSettings
 
 CONFIG = TeamConfig(duration=1.0, end_at_crash=False, scene=Scene(vehicles=(1, 2)))
 SETTINGS = TraitSettings(
-    teams=8, pool=4, policy=NetworkConfig((8,)), ppo=PPOSettings(mini_batches=2, epochs=2)
+    num_teams=8,
+    pool=4,
+    policy=NetworkConfig((8,)),
+    ppo=PPOSettings(num_mini_batches=2, num_learning_epochs=2),
 )
 CARD = SETTINGS.card(observed_layout(CONFIG))
 SIZE = observed_layout(CONFIG).size
@@ -80,7 +83,7 @@ def test_it_learns_what_pays():
     assert np.mean(shares[-5:]) > np.mean(shares[:5]) + 0.3
 
 
-def test_what_was_not_learnt_from_is_forgotten():
+def test_what_was_not_learned_from_is_forgotten():
     one = generator()
     for number in range(2):  # a full storage would raise
         drives, _ = one.drive(Z, SEEDS + number)

@@ -29,7 +29,7 @@ CARD = TraitCard(
     tuple((part.name, part.size) for part in LAYOUT.parts),
     latent=3,
     encoder_units=6,
-    discount=0.9,
+    gamma=0.9,
     reward=NetworkConfig((7, 5), "tanh"),
     potential=NetworkConfig((4,), "elu"),
     policy=NetworkConfig((8,)),
@@ -59,7 +59,7 @@ def encoder() -> ContextEncoder:
 
 
 @pytest.fixture
-def learnt() -> tuple[Discriminator, torch.nn.Module, TraitModel]:
+def learned() -> tuple[Discriminator, torch.nn.Module, TraitModel]:
     """A model in torch, whose encoder has units, and the same in NumPy."""
     discriminator, policy = loud(Discriminator(CARD)), make_policy(CARD)
     loud(policy.mlp, seed=1)
@@ -275,8 +275,8 @@ def test_the_weights_fit_the_card_and_are_copies() -> None:
         np.testing.assert_array_equal(weights[name], values)
 
 
-def test_numpy_encodes_as_torch_does(learnt) -> None:  # type: ignore[no-untyped-def]
-    discriminator, _, model = learnt
+def test_numpy_encodes_as_torch_does(learned) -> None:  # type: ignore[no-untyped-def]
+    discriminator, _, model = learned
     encoded = model.encode(OBSERVED.states, OBSERVED.actions, OBSERVED.alerts, OBSERVED.length)
     alone = WINDOWS.batch(np.arange(6)[:, None])
     with torch.no_grad():
@@ -287,8 +287,8 @@ def test_numpy_encodes_as_torch_does(learnt) -> None:  # type: ignore[no-untyped
     np.testing.assert_allclose(latent.variance, posterior.log_variance.exp(), rtol=1e-4)
 
 
-def test_numpy_drives_as_torch_does(learnt) -> None:  # type: ignore[no-untyped-def]
-    _, policy, model = learnt
+def test_numpy_drives_as_torch_does(learned) -> None:  # type: ignore[no-untyped-def]
+    _, policy, model = learned
     z = np.random.default_rng(1).standard_normal((6, 3))
     x = torch.from_numpy(UNITS.standardise(X))
     with torch.no_grad():
@@ -300,8 +300,8 @@ def test_numpy_drives_as_torch_does(learnt) -> None:  # type: ignore[no-untyped-
     np.testing.assert_allclose(model.policy(X[:, 0], z[0]), shared, **CLOSE)
 
 
-def test_numpy_rewards_as_torch_does(learnt) -> None:  # type: ignore[no-untyped-def]
-    discriminator, _, model = learnt
+def test_numpy_rewards_as_torch_does(learned) -> None:  # type: ignore[no-untyped-def]
+    discriminator, _, model = learned
     rng = np.random.default_rng(2)
     drives, t = np.array([1, 3, 4, 1]), np.array([0, 5, 3, 2])
     before, actions, after = X[drives, t], OBSERVED.actions[drives, t], X[drives, t + 1]

@@ -186,7 +186,7 @@ def test_windows_of_a_single_step_have_no_transitions():
     assert [len(values) for values in found] == [0, 0, 0, 0]
 
 
-def test_windows_that_cannot_be_learnt_from_are_refused():
+def test_windows_that_cannot_be_learned_from_are_refused():
     single = made_up([1, 1], driver=[0, 0]).observed
     with pytest.raises(ValueError, match="windows of a single step lead nowhere"):
         Windows(single, np.full(2, NAN), Units.of(single))

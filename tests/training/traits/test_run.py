@@ -30,7 +30,7 @@ from hmi_marl.training.traits.settings import TraitSettings
 TINY = TraitSettings(
     steps=40,  # two rounds of 4 cars for 5 steps
     imitation_updates=2,
-    teams=4,
+    num_teams=4,
     pool=2,
     expert_pools=2,
     labelled_pools=3,
@@ -38,7 +38,7 @@ TINY = TraitSettings(
     reward=NetworkConfig((4,)),
     potential=NetworkConfig((4,)),
     policy=NetworkConfig((4,)),
-    ppo=PPOSettings(epochs=1, mini_batches=2),
+    ppo=PPOSettings(num_learning_epochs=1, num_mini_batches=2),
     labelled=0.5,
     settling=0.0,
     device="cpu",
@@ -50,13 +50,13 @@ FILES = ("traits.safetensors", "traits.json")
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     """Ten windows of five steps of each driver, most of which share a scene with few others."""
-    settings = CollectSettings(duration=1.0, steps=50, vehicles=(1, 2), teams=16)
+    settings = CollectSettings(duration=1.0, steps=50, vehicles=(1, 2), num_teams=16)
     folder = tmp_path_factory.mktemp("demonstrations")
     write_demonstrations(folder, collect(settings))
     return folder
 
 
-def learnt(folder, dataset, settings=TINY, **choices):
+def learned(folder, dataset, settings=TINY, **choices):
     learn_traits(settings, dataset, folder, quiet=True, **choices)
     return {name: (folder / name).read_bytes() for name in FILES}
 
@@ -70,7 +70,7 @@ def rows(folder):
 @pytest.mark.parametrize("supervision", ["none", "id", "preference"])
 def test_every_setting_leaves_a_model_and_tells_its_losses(supervision, dataset, tmp_path):
     settings = replace(TINY, supervision=supervision)
-    learn_traits(settings, dataset, tmp_path, quiet=True, typed="hmi-marl traits train it")
+    learn_traits(settings, dataset, tmp_path, quiet=True, command_line="hmi-marl traits train it")
     model = load_traits(tmp_path)
     assert model.card.training["settings"]["supervision"] == supervision
     assert model.card.training["command"] == "hmi-marl traits train it"
@@ -90,9 +90,9 @@ def test_every_setting_leaves_a_model_and_tells_its_losses(supervision, dataset,
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_does_not(dataset, tmp_path):
-    one = learnt(tmp_path / "one", dataset)
-    assert learnt(tmp_path / "two", dataset) == one
-    assert learnt(tmp_path / "other", dataset, replace(TINY, seed=1))[FILES[0]] != one[FILES[0]]
+    one = learned(tmp_path / "one", dataset)
+    assert learned(tmp_path / "two", dataset) == one
+    assert learned(tmp_path / "other", dataset, replace(TINY, seed=1))[FILES[0]] != one[FILES[0]]
 
 
 def with_other_truth(dataset, folder, keep_eta=True):
@@ -121,11 +121,11 @@ def with_other_truth(dataset, folder, keep_eta=True):
 
 
 @pytest.mark.parametrize("supervision", ["none", "id", "preference"])
-def test_nothing_of_the_hidden_truth_is_learnt_from(supervision, dataset, tmp_path):
+def test_nothing_of_the_hidden_truth_is_learned_from(supervision, dataset, tmp_path):
     settings = replace(TINY, supervision=supervision)
     other = with_other_truth(dataset, tmp_path / "other")
-    one = learnt(tmp_path / "one", dataset, settings)[FILES[0]]
-    assert learnt(tmp_path / "two", other, settings)[FILES[0]] == one
+    one = learned(tmp_path / "one", dataset, settings)[FILES[0]]
+    assert learned(tmp_path / "two", other, settings)[FILES[0]] == one
 
 
 def test_the_preference_setting_is_told_eta_alone_so_that_the_test_above_could_fail(
@@ -133,48 +133,48 @@ def test_the_preference_setting_is_told_eta_alone_so_that_the_test_above_could_f
 ):
     settings = replace(TINY, supervision="preference")
     other = with_other_truth(dataset, tmp_path / "other", keep_eta=False)
-    one = learnt(tmp_path / "one", dataset, settings)[FILES[0]]
-    assert learnt(tmp_path / "two", other, settings)[FILES[0]] != one
+    one = learned(tmp_path / "one", dataset, settings)[FILES[0]]
+    assert learned(tmp_path / "two", other, settings)[FILES[0]] != one
 
 
 @pytest.mark.parametrize("supervision", ["none", "id"])
-def test_without_a_truth_the_same_is_learnt(supervision, dataset, tmp_path):
+def test_without_a_truth_the_same_is_learned(supervision, dataset, tmp_path):
     settings = replace(TINY, supervision=supervision)
     alone = tmp_path / "alone"
     alone.mkdir()
     (alone / OBSERVED).write_bytes((dataset / OBSERVED).read_bytes())
-    one = learnt(tmp_path / "one", dataset, settings)
-    assert learnt(tmp_path / "two", alone, settings) == one
+    one = learned(tmp_path / "one", dataset, settings)
+    assert learned(tmp_path / "two", alone, settings) == one
 
 
-def test_held_out_windows_are_not_learnt_from(dataset, tmp_path):
+def test_held_out_windows_are_not_learned_from(dataset, tmp_path):
     data = read_demonstrations(dataset)
     last = data.observed.number >= 8
     alerts = np.where(last[:, None], 1 - data.observed.alerts, data.observed.alerts)
     changed = replace(data.observed, alerts=alerts)
     write_demonstrations(tmp_path / "data", iter([Demonstrations(changed, data.truth)]))
-    one = learnt(tmp_path / "one", dataset)[FILES[0]]
-    assert learnt(tmp_path / "two", tmp_path / "data")[FILES[0]] == one
+    one = learned(tmp_path / "one", dataset)[FILES[0]]
+    assert learned(tmp_path / "two", tmp_path / "data")[FILES[0]] == one
     settings = replace(TINY, held_out=0.0)
-    two = learnt(tmp_path / "three", dataset, settings)[FILES[0]]
-    assert learnt(tmp_path / "four", tmp_path / "data", settings)[FILES[0]] != two
+    two = learned(tmp_path / "three", dataset, settings)[FILES[0]]
+    assert learned(tmp_path / "four", tmp_path / "data", settings)[FILES[0]] != two
 
 
 def test_people_answer_for_themselves(dataset, tmp_path):
     settings = replace(TINY, supervision="preference")
     answers = {name: k / 3 for k, name in enumerate(PAPER_DRIVERS)}
-    one = learnt(tmp_path / "one", dataset, settings, preferences=answers)
+    one = learned(tmp_path / "one", dataset, settings, preferences=answers)
     turned = {name: 1.0 - value for name, value in answers.items()}
     other = {**turned, "lisa": 0.1}
-    assert learnt(tmp_path / "two", dataset, settings, preferences=other) != one
+    assert learned(tmp_path / "two", dataset, settings, preferences=other) != one
     with pytest.raises(ValueError, match="say nothing of bart, homer"):
-        learnt(tmp_path / "three", dataset, settings, preferences={"lisa": 0.0, "marge": 1.0})
+        learned(tmp_path / "three", dataset, settings, preferences={"lisa": 0.0, "marge": 1.0})
 
 
 def test_a_finished_run_is_left_alone(dataset, tmp_path, monkeypatch):
-    one = learnt(tmp_path, dataset)
+    one = learned(tmp_path, dataset)
     monkeypatch.setattr(run._Run, "_round", None)
-    assert learnt(tmp_path, dataset) == one
+    assert learned(tmp_path, dataset) == one
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3])
@@ -182,7 +182,7 @@ def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(
     cut, dataset, tmp_path, monkeypatch
 ):
     settings = replace(TINY, supervision="id")
-    whole = learnt(tmp_path / "whole", dataset, settings)
+    whole = learned(tmp_path / "whole", dataset, settings)
     saves = 0
     save = Checkpoint.save
 
@@ -196,14 +196,14 @@ def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "save", fail_after)
         with pytest.raises(KeyboardInterrupt):
-            learnt(tmp_path / "cut", dataset, settings)
-    assert learnt(tmp_path / "cut", dataset, settings) == whole
+            learned(tmp_path / "cut", dataset, settings)
+    assert learned(tmp_path / "cut", dataset, settings) == whole
     assert rows(tmp_path / "cut") == rows(tmp_path / "whole")
 
 
 def test_a_killed_run_goes_on(dataset, tmp_path):
     settings = replace(TINY, steps=200)
-    whole = learnt(tmp_path / "whole", dataset, settings)
+    whole = learned(tmp_path / "whole", dataset, settings)
     program = (
         "from pathlib import Path; import sys; sys.path.insert(0, sys.argv[1]);"
         "from test_run import TINY; from dataclasses import replace;"
@@ -220,23 +220,23 @@ def test_a_killed_run_goes_on(dataset, tmp_path):
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert learnt(folder, dataset, settings) == whole
+    assert learned(folder, dataset, settings) == whole
 
 
 def test_another_run_in_the_folder_is_refused(dataset, tmp_path):
-    learnt(tmp_path / "run", dataset)
+    learned(tmp_path / "run", dataset)
     with pytest.raises(ValueError, match=r"holds another run \(margin = 2.0, now 3.0\)"):
-        learnt(tmp_path / "run", dataset, replace(TINY, margin=3.0))
+        learned(tmp_path / "run", dataset, replace(TINY, margin=3.0))
     other = with_other_truth(dataset, tmp_path / "data")
     data = read_demonstrations(other)
     write_demonstrations(other, iter([data.take(np.arange(len(data))[::-1])]))
-    with pytest.raises(ValueError, match="learnt from other demonstrations"):
-        learnt(tmp_path / "run", other)
+    with pytest.raises(ValueError, match="learned from other demonstrations"):
+        learned(tmp_path / "run", other)
 
 
 def test_the_machine_may_be_another_one(dataset, tmp_path):
-    one = learnt(tmp_path, dataset)
-    assert learnt(tmp_path, dataset, replace(TINY, checkpoint_every=9.0, threads=2)) == one
+    one = learned(tmp_path, dataset)
+    assert learned(tmp_path, dataset, replace(TINY, checkpoint_every=9.0, threads=2)) == one
 
 
 def test_curves_go_to_tensorboard(dataset, tmp_path, capsys):
@@ -245,8 +245,8 @@ def test_curves_go_to_tensorboard(dataset, tmp_path, capsys):
     assert "40.0/40.0" in capsys.readouterr().err
 
 
-def test_a_larger_z_can_be_learnt(dataset, tmp_path):
-    learnt(tmp_path, dataset, replace(TINY, latent=3))
+def test_a_larger_z_can_be_learned(dataset, tmp_path):
+    learned(tmp_path, dataset, replace(TINY, latent=3))
     assert isinstance(load_traits(tmp_path), TraitModel)
     assert load_traits(tmp_path).card.latent == 3
 

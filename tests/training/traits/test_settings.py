@@ -23,12 +23,12 @@ def test_the_model_is_the_papers():
     assert (card.encoder_units, card.latent, card.pool) == (128, 2, 8)
     assert card.reward == NetworkConfig((32, 32))
     assert card.potential == card.policy == NetworkConfig((32,))
-    assert card.discount == settings.ppo.discount
+    assert card.gamma == settings.ppo.gamma
     assert card.state_size == LAYOUT.size
 
 
 def test_rounds_are_whole():
-    settings = TraitSettings(steps=1001, teams=8)
+    settings = TraitSettings(steps=1001, num_teams=8)
     assert settings.rounds(100) == 2
     assert replace(settings, steps=800).rounds(100) == 1
 
@@ -43,8 +43,8 @@ def test_rounds_are_whole():
         ({"labelled_pools": 1}, "labelled_pools is at least 2"),
         ({"expert_pools": 3}, "expert_pools is an even number"),
         ({"imitation_updates": -1}, "imitation_updates is a number"),
-        ({"teams": 12}, "teams is a multiple of pool = 8, but got 12"),
-        ({"teams": 2, "pool": 2}, "2 teams make no 4 mini-batches"),
+        ({"num_teams": 12}, "teams is a multiple of pool = 8, but got 12"),
+        ({"num_teams": 2, "pool": 2}, "2 teams make no 4 mini-batches"),
         ({"latent": 0}, "latent is at least 1"),
         ({"steps": 0}, "steps is at least 1"),
         ({"margin": 0.0}, "margin is a positive number"),

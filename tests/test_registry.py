@@ -1,0 +1,37 @@
+import pytest
+
+from hmi_marl.registry import Registry
+
+
+@pytest.fixture
+def fruit():
+    registry = Registry("fruit", "market --help")
+    registry.register("apple", "red or green", 1, aliases=("Pomme",))
+    registry.register("pear", "green", 2)
+    return registry
+
+
+def test_entries_are_found_by_name_and_alias_whatever_the_case(fruit):
+    assert fruit.find("APPLE").value == fruit.find("pomme").value == fruit["Apple"].value == 1
+    assert list(fruit) == ["apple", "pear"]
+    assert fruit.helps() == {"apple": "red or green", "pear": "green"}
+    assert "pomme" in fruit
+    assert "plum" not in fruit
+    assert 1 not in fruit
+
+
+def test_an_unknown_name_is_refused_with_the_nearest(fruit):
+    with pytest.raises(ValueError, match=r"unknown fruit 'peer'.*pear"):
+        fruit.find("peer")
+
+
+@pytest.mark.parametrize("name", ["pear", "POMME"])
+def test_a_name_is_registered_once(fruit, name):
+    with pytest.raises(ValueError, match="already a fruit called"):
+        fruit.register(name, "again", 3)
+
+
+@pytest.mark.parametrize("name", ["", "a:b", "a/b"])
+def test_names_that_mean_something_else_are_refused(fruit, name):
+    with pytest.raises(ValueError, match="a fruit needs a name without"):
+        fruit.register(name, "no", 3)
