@@ -65,7 +65,7 @@ class Registry(Mapping[str, Entry[T]]):
             ValueError: there is none; the message suggests the nearest name.
         """
         if name not in self:
-            raise ValueError(unknown(self.kind, name, list(self._by_alias.values()), self.see))
+            raise ValueError(unknown(self.kind, name, self._by_alias, self.see))
         return self[name]
 
     def helps(self) -> dict[str, str]:
