@@ -86,16 +86,17 @@ def _overview() -> Any:
 
 
 def _description() -> str:
-    from hmi_marl.agents.catalogue import DRIVER_POLICY_NAMES, HMI_NAMES
+    from hmi_marl.agents.catalogue import known_names
+    from hmi_marl.envs.config import DRIVER, VEHICLE_AI
     from hmi_marl.envs.drivers import DRIVERS
 
     kinds = (
         ("drivers", {name: str(driver) for name, driver in DRIVERS.items()}),
-        ("HMIs", HMI_NAMES),
-        ("driver policies", DRIVER_POLICY_NAMES),
+        ("HMIs", known_names(VEHICLE_AI)),
+        ("driver policies", known_names(DRIVER)),
     )
     known = "\n\n".join(
-        f"{title}:\n" + "\n".join(f"  {name:<16} {meaning}" for name, meaning in kind.items())
+        f"{title}:\n" + "\n".join(f"  {name:<24} {meaning}" for name, meaning in kind.items())
         for title, kind in kinds
     )
     return (

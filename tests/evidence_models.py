@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.catalogue import Trained
-from hmi_marl.agents.adaptive.evidence_files import save_evidence
-from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, EvidenceModel
+from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, EvidenceModel, save_evidence
+from hmi_marl.agents.adaptive.factory import Trained
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import PolicyCard, make_card
-from hmi_marl.agents.learned.policy_files import save_policy
+from hmi_marl.agents.learned.policy import PolicyCard, make_card, save_policy
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import Teaming

@@ -7,8 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.attention_watch import AttentionWatch, step_of
-from hmi_marl.agents.memory import Draws, Memoryless
+from hmi_marl.agents.memory import AttentionWatch, Draws, Memoryless, step_of
 from hmi_marl.envs.alerts import PLAIN, Alerts, need_plain
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from hmi_marl import merge_v0
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import make_card
-from hmi_marl.agents.learned.policy_files import load_policy, save_policy
+from hmi_marl.agents.learned.policy import load_policy, make_card, save_policy
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.demonstrations import recording as collecting
 from hmi_marl.demonstrations.dataset import Demonstrations, Observed, Truth

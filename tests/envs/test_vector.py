@@ -10,7 +10,7 @@ from standing_world import CrashingWorld, StandingWorld, standing_teams
 
 from hmi_marl import Driver, Scene, TraitDistributions, merge_v0
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.streams import episode_seed

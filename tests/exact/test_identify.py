@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import LearnedPolicy, make_card
-from hmi_marl.agents.learned.policy_files import load_policy, save_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, load_policy, make_card, save_policy
 from hmi_marl.demonstrations.dataset import Observed, Truth
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs import attention

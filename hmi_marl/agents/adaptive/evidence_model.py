@@ -18,15 +18,15 @@ evidence of the chain does not.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
 from hmi_marl.agents.learned.situations import LONG_AGO
 from hmi_marl.envs.config import TeamConfig
@@ -35,6 +35,7 @@ from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
 from hmi_marl.envs.teaming import NO_ACTION
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.bayes_filter import check_candidates
+from hmi_marl.files import sha256
 
 READS = ("intended_action", "previous_intended_action", "applied_action")
 """Parts of the vehicle AI's observation that an encoder reads by default: what the driver wants and
@@ -120,6 +121,11 @@ class EvidenceCard:
         return shapes
 
 
+FORMAT = CardFormat("hmi-marl evidence 2", "evidence model", EvidenceCard)
+NAME = "evidence.json"
+"""File name of the card; the weights are in ``evidence.safetensors`` next to it."""
+
+
 class Turns:
     """What is read of each turn of N trips, put together from the vehicle AI's observations.
 
@@ -183,18 +189,16 @@ class EvidenceModel:
     """
 
     def __init__(self, card: EvidenceCard, weights: Weights) -> None:
-        check_shapes(card.shapes, weights, "evidence model")
+        FORMAT.check(card, weights)
         self.card = card
         self.weights = weights
         self._place = Network(card.place, part_of(weights, "place"))
 
     @property
     def digest(self) -> str:
-        """Tells this model from others, whose latent spaces have other units: a SHA-256."""
-        digest = hashlib.sha256()
-        for name in self.card.shapes:
-            digest.update(np.asarray(self.weights[name], np.float32, order="C").tobytes())
-        return digest.hexdigest()
+        """SHA-256 checksum of the weights, which identifies the latent space."""
+        arrays = (np.asarray(self.weights[n], np.float32, order="C") for n in self.card.shapes)
+        return sha256(b"".join(array.tobytes() for array in arrays))
 
     def encoder(self) -> Network:
         """An encoder with a memory of its own."""
@@ -210,6 +214,30 @@ class EvidenceModel:
     def places(self, traits: Traits) -> NDArray[np.float64]:
         """W of K drivers, shape (K, Z)."""
         return self._place(traits_part(traits).astype(np.float32))
+
+
+def save_evidence(folder: Path, card: EvidenceCard, weights: Weights) -> Path:
+    """Write an evidence model into ``folder``; return the path of its card.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+    return FORMAT.save(folder / NAME, card, weights)
+
+
+def load_evidence(place: str | Path) -> EvidenceModel:
+    """Load the evidence model of a training run.
+
+    Args:
+        place: folder of the run, the ``.json`` itself, or ``trained:NAME``.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_card` and :meth:`CardFormat.read`.
+    """
+    path = find_card(
+        place, "evidence", "evidence model", "; learn one with hmi-marl reproduce adapt"
+    )
+    return EvidenceModel(*FORMAT.read(path))
 
 
 class LearnedEvidence:

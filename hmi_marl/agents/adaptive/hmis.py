@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
-from hmi_marl.agents.attention_watch import AttentionWatch
 from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.agents.memory import AttentionWatch
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.seats import Policy, moves_sequentially

@@ -1,7 +1,7 @@
-"""The networks of learned policies, as they act: NumPy alone, so that playing needs no torch.
+"""Networks of learned policies for acting, in NumPy alone, so that playing needs no torch.
 
-Training builds the same network in torch (:mod:`hmi_marl.training.ppo.models`) and hands its weights
-over. They act in double precision, so that what a policy does cannot depend on how many teams
+Training builds the same network in torch (:mod:`hmi_marl.training.ppo.models`) and passes on its
+weights. Here they act in double precision, so that an action does not depend on how many teams
 share a batch.
 """
 

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.learned.network import Weights
-from hmi_marl.agents.learned.policy import INTENT, INTENTS, LearnedPolicy, PolicyCard, check_weights
+from hmi_marl.agents.learned.policy import FORMAT, INTENT, INTENTS, LearnedPolicy, PolicyCard
 from hmi_marl.extras import needing
 from hmi_marl.files import write_bytes
 
@@ -51,14 +51,14 @@ def export_onnx(policy: LearnedPolicy | tuple[PolicyCard, Weights], path: Path) 
 
     Args:
         policy: as it acts, or its card and weights, as
-            :func:`hmi_marl.agents.learned.policy_files.read_policy` gives them.
+            :func:`hmi_marl.agents.learned.policy.read_policy` gives them.
         path: of the new file, by custom ``.onnx``.
 
     Raises:
         ValueError: weights that do not fit the card.
     """
     card, weights = (policy.card, policy.weights) if isinstance(policy, LearnedPolicy) else policy
-    check_weights(card, weights)
+    FORMAT.check(card, weights)
     write_bytes(path, _model(card, weights).SerializeToString())
 
 

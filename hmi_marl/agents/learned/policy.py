@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights
 from hmi_marl.agents.memory import Draws
 from hmi_marl.envs.alerts import FULL, check_strengths
@@ -162,9 +163,8 @@ _HINTS = {
 }
 
 
-def check_weights(card: PolicyCard, weights: Weights) -> None:
-    """Raise ``ValueError`` unless these are the weights that the card tells, all finite."""
-    check_shapes(card.shapes, weights, "policy")
+FORMAT = CardFormat("hmi-marl policy 2", "policy", PolicyCard)
+"""Files of a policy: a card and weights for each seat."""
 
 
 class LearnedPolicy:
@@ -183,7 +183,7 @@ class LearnedPolicy:
     def __init__(
         self, card: PolicyCard, weights: Weights, config: TeamConfig, greedy: bool = True
     ) -> None:
-        check_weights(card, weights)
+        FORMAT.check(card, weights)
         if card.seat == VEHICLE_AI and card.alert_strengths != config.alert_strengths:
             raise ValueError(
                 f"this vehicle_ai policy gives alerts of strengths {card.alert_strengths}, but "
@@ -257,3 +257,53 @@ class LearnedPolicy:
         logits = logits - logits.max(axis=1, keepdims=True)
         odds = np.exp(logits)
         return odds / odds.sum(axis=1, keepdims=True)
+
+
+def save_policy(folder: Path, card: PolicyCard, weights: Weights) -> Path:
+    """Write ``<seat>.safetensors`` and ``<seat>.json`` into ``folder``; return the latter.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+    return FORMAT.save(folder / f"{card.seat}.json", card, weights)
+
+
+def find_policy(place: str | Path, seat: str) -> Path:
+    """Return the path of the card of a seat's policy; see :func:`find_card`.
+
+    Raises:
+        FileNotFoundError: there is none; the message says for which seats there is one.
+    """
+    there = [agent for agent in AGENTS if (Path(place) / f"{agent}.json").is_file()]
+    hint = f"; it holds one for {' and '.join(there)}" if there else ""
+    return find_card(place, seat, f"policy for the seat of {seat}", hint)
+
+
+def read_policy(path: Path) -> tuple[PolicyCard, dict[str, NDArray[np.float32]]]:
+    """Return a policy's card and weights; see :meth:`CardFormat.read`."""
+    return FORMAT.read(path)
+
+
+def load_policy(
+    place: str | Path, seat: str, config: TeamConfig, greedy: bool = True
+) -> LearnedPolicy:
+    """Load the policy that a training run learned for a seat.
+
+    Args:
+        place: folder of the run, a policy's ``.json``, or ``trained:NAME``.
+        seat: "driver" or "vehicle_ai".
+        config: configuration of the teams in which it acts.
+        greedy: take the likeliest action, else draw.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_policy` and :meth:`CardFormat.read`; also a
+            policy for the other seat, or one that reads what is not shown here.
+    """
+    path = find_policy(place, seat)
+    card, weights = read_policy(path)
+    if card.seat != seat:
+        raise ValueError(f"{path} is a policy for the seat of {card.seat}, not of {seat}")
+    try:
+        return LearnedPolicy(card, weights, config, greedy)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None

@@ -6,13 +6,13 @@ holds the checksum of every file. Only what it lists is loaded, and only if it i
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hmi_marl.files import sha256_of
 from hmi_marl.names import HELP, suggest, unknown
 
 FORMAT = "hmi-marl trained 1"
@@ -109,10 +109,10 @@ def find_shipped(name: str | Path, kind: str, folder: Path = FOLDER) -> Path:
         )
     for path, digest in agent.files.items():
         try:
-            content = (folder / path).read_bytes()
+            found = sha256_of(folder / path)
         except FileNotFoundError:
             raise FileNotFoundError(f"{folder / path} is missing; {_REMEDY}") from None
-        if hashlib.sha256(content).hexdigest() != digest:
+        if found != digest:
             raise ValueError(
                 f"{folder / path} is not the file that came with the package (its checksum "
                 f"differs from that in {INDEX}); {_REMEDY}"

@@ -15,12 +15,13 @@ demonstrations, and a the applied action v_t.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
 from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
 
@@ -114,6 +115,11 @@ class TraitCard:
         return shapes
 
 
+FORMAT = CardFormat("hmi-marl traits 2", "trait model", TraitCard)
+NAME = "traits.json"
+"""File name of the card; the weights are in ``traits.safetensors`` next to it."""
+
+
 class Latent(NamedTuple):
     """q(z | τ) of P pools, a Gaussian with independent components."""
 
@@ -144,7 +150,7 @@ class TraitModel:
     """
 
     def __init__(self, card: TraitCard, weights: Weights) -> None:
-        check_shapes(card.shapes, weights, "trait model")
+        FORMAT.check(card, weights)
         self.card = card
         self.weights = weights
         self._weights = {name: values.astype(np.float64) for name, values in weights.items()}
@@ -250,6 +256,28 @@ class TraitModel:
             self._networks["potential"](_beside(self.standardise(s), z))[:, 0] for s in (x, after)
         )
         return self.base_reward(x, actions, z) + self.card.gamma * later - before
+
+
+def save_traits(folder: Path, card: TraitCard, weights: Weights) -> Path:
+    """Write a trait model into ``folder``; return the path of its card.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+    return FORMAT.save(folder / NAME, card, weights)
+
+
+def load_traits(place: str | Path) -> TraitModel:
+    """Load the trait model of a training run.
+
+    Args:
+        place: folder of the run, the ``.json`` itself, or ``trained:NAME``.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_card` and :meth:`CardFormat.read`.
+    """
+    path = find_card(place, "traits", "trait model", "; learn one with hmi-marl traits train")
+    return TraitModel(*FORMAT.read(path))
 
 
 def standardise(

@@ -10,9 +10,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hmi_marl.agents.learned.policy_files import find_policy
-from hmi_marl.agents.learned.trait_files import load_traits
-from hmi_marl.agents.learned.trait_model import TraitModel
+from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     TRUTH,

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import hmi_marl
-from hmi_marl.agents.learned.trait_files import save_traits
+from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.demonstrations.dataset import Demonstrations
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,

@@ -7,8 +7,7 @@ import pytest
 from evidence_models import HIDDEN, SMALL, evidence_weights, untrained_evidence
 from safetensors.numpy import save as save_tensors
 
-from hmi_marl.agents.adaptive.evidence_files import load_evidence, save_evidence
-from hmi_marl.agents.adaptive.evidence_model import EvidenceCard
+from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, load_evidence, save_evidence
 from hmi_marl.envs.drivers import DRIVERS, Traits
 
 CARD = EvidenceCard.for_team(

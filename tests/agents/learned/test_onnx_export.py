@@ -10,8 +10,7 @@ from onnx.reference import ReferenceEvaluator
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.onnx_export import export_onnx, observed_columns
-from hmi_marl.agents.learned.policy import LearnedPolicy, make_card
-from hmi_marl.agents.learned.policy_files import read_policy, save_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, make_card, read_policy, save_policy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout
 

@@ -5,7 +5,7 @@ import pytest
 from hmi_marl import Scene, merge_v0
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, check_weights, make_card
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout

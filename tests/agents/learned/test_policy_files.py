@@ -12,8 +12,14 @@ from safetensors.numpy import save as save_tensors
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import PolicyCard, make_card
-from hmi_marl.agents.learned.policy_files import find_policy, load_policy, read_policy, save_policy
+from hmi_marl.agents.learned.policy import (
+    PolicyCard,
+    find_policy,
+    load_policy,
+    make_card,
+    read_policy,
+    save_policy,
+)
 from hmi_marl.envs.config import TeamConfig
 
 CONFIG = TeamConfig()

@@ -17,8 +17,8 @@ from hmi_marl.agents.learned.shipped import (
     shipped_agents,
     shipped_names,
 )
-from hmi_marl.agents.learned.trait_files import load_traits
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.learned.trait_model import load_traits
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import TeamConfig, as_fatigue
 

@@ -14,8 +14,13 @@ from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.trait_files import FORMAT, load_traits, save_traits
-from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
+from hmi_marl.agents.learned.trait_model import (
+    FORMAT,
+    TraitCard,
+    TraitModel,
+    load_traits,
+    save_traits,
+)
 
 READS = tuple((part.name, part.size) for part in LAYOUT.parts)
 CARD = TraitCard(

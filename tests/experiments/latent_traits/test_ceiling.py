@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from trait_models import save_driver
 
-from hmi_marl.agents.learned.policy_files import load_policy
+from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.demonstrations.dataset import Observed
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.demonstrations.windows import team_of

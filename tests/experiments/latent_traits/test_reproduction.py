@@ -7,7 +7,7 @@ import pytest
 from demonstrations import made_up
 from trait_models import save_driver, untrained
 
-from hmi_marl.agents.learned.trait_files import save_traits
+from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     TRUTH,

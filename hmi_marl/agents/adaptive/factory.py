@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hmi_marl.agents.adaptive.evidence_files import load_evidence
-from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
+from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
 from hmi_marl.agents.adaptive.hmis import (
     CAUTION,
     AdaptiveHMI,
@@ -15,8 +14,7 @@ from hmi_marl.agents.adaptive.hmis import (
     ExpectedValueHMI,
 )
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE, TraitEstimator
-from hmi_marl.agents.learned.policy import CONTEXT_OF
-from hmi_marl.agents.learned.policy_files import load_policy
+from hmi_marl.agents.learned.policy import CONTEXT_OF, load_policy
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.seats import Policy
@@ -24,7 +22,6 @@ from hmi_marl.exact.evidence import ChainEvidence, Evidence
 from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING
 from hmi_marl.names import unknown
 
-ADAPT = "adapt"
 EXPECTED, CHOOSING, CONDITIONED = KINDS = ("expected", "choosing", "conditioned")
 BAYES = "bayes"
 TYPES = tuple(DRIVERS[name] for name in PAPER_DRIVERS)

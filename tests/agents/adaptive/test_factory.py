@@ -8,12 +8,11 @@ from standing_world import standing_teams
 
 from hmi_marl.agents import make_hmi
 from hmi_marl.agents.adaptive import catalogue as adaptive_catalogue
-from hmi_marl.agents.adaptive.catalogue import KINDS, TYPES, Trained, make_adaptive
-from hmi_marl.agents.adaptive.evidence_files import load_evidence
-from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
+from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
+from hmi_marl.agents.adaptive.factory import KINDS, TYPES, Trained, make_adaptive
 from hmi_marl.agents.adaptive.hmis import ChoosingHMI, ConditionedHMI, ExpectedValueHMI
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE
-from hmi_marl.agents.learned.policy_files import read_policy, save_policy
+from hmi_marl.agents.learned.policy import read_policy, save_policy
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, Traits
 from hmi_marl.exact.evidence import ChainEvidence
 
