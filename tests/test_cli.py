@@ -12,8 +12,9 @@ import pytest
 from PIL import Image
 
 import hmi_marl
-from hmi_marl.agents import HMI_NAMES
+from hmi_marl.agents.catalogue import known_names
 from hmi_marl.cli import main
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 
 SMALL = ["--duration", "2", "--vehicles", "1", "3"]
@@ -357,5 +358,6 @@ def test_help_lists_the_known_names(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     printed = capsys.readouterr().out
-    for name in (*DRIVERS, *HMI_NAMES, "rule", "random", "oracle", "table", "watch"):
+    known = (*known_names(VEHICLE_AI), *known_names(DRIVER))
+    for name in (*DRIVERS, *known, "rule", "random", "oracle", "table", "watch"):
         assert re.search(rf"(?m)^\W*{re.escape(name)} ", printed), name

@@ -91,10 +91,10 @@ def test_weights_that_are_gone_are_told(tmp_path):
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl evidence 2"}', "is not a evidence model .* 'hmi-marl evidence 2'"),
-        (b'{"format": "hmi-marl policy 2"}', "is not a evidence model .* 'hmi-marl policy 1'"),
+        (b'{"format": "hmi-marl evidence 1"}', "is no evidence model .* 'hmi-marl evidence 1'"),
+        (b'{"format": "hmi-marl policy 1"}', "is no evidence model .* 'hmi-marl policy 1'"),
         (b"[]", "format None"),
-        (b'{"format": "hmi-marl evidence 2"}', "is a damaged evidence card: 'reads'"),
+        (b'{"format": "hmi-marl evidence 2"}', "is a damaged evidence model card: 'reads'"),
     ],
     ids=str,
 )
@@ -123,7 +123,7 @@ def test_other_files_are_no_evidence_models(tmp_path, content, told):
 )
 def test_a_damaged_card_is_told(tmp_path, changed):
     with_card(saved(tmp_path), **changed)
-    with pytest.raises(ValueError, match=r"evidence\.json is a damaged evidence card: "):
+    with pytest.raises(ValueError, match=r"evidence\.json is a damaged evidence model card: "):
         load_evidence(tmp_path)
 
 

@@ -7,7 +7,7 @@ from evidence_models import HIDDEN, any_intents, save_trained, seeds, turns
 from standing_world import standing_teams
 
 from hmi_marl.agents import make_hmi
-from hmi_marl.agents.adaptive import catalogue as adaptive_catalogue
+from hmi_marl.agents.adaptive import factory
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
 from hmi_marl.agents.adaptive.factory import KINDS, TYPES, Trained, make_adaptive
 from hmi_marl.agents.adaptive.hmis import ChoosingHMI, ConditionedHMI, ExpectedValueHMI
@@ -25,7 +25,7 @@ def trained(tmp_path):
 @pytest.fixture
 def shipped(trained, monkeypatch):
     """As if these came with the package."""
-    monkeypatch.setattr(adaptive_catalogue, "Trained", lambda: trained)
+    monkeypatch.setattr(factory, "Trained", lambda: trained)
 
 
 @pytest.mark.usefixtures("shipped")

@@ -171,11 +171,11 @@ def test_the_shapes_of_the_weights():
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"hidden": ()}, r"hidden layers of at least one unit .* got hidden = \(\), memory = 0"),
-        ({"hidden": (64, 0)}, r"hidden = \(64, 0\)"),
-        ({"memory": -1}, "memory = -1"),
-        ({"hidden": (64.0,)}, "sizes of layers are whole numbers, not 64.0"),
-        ({"memory": True}, "sizes of layers are whole numbers, not True"),
+        ({"hidden_dims": ()}, r"layers of at least one unit .* got hidden_dims = \(\), rnn_.*= 0"),
+        ({"hidden_dims": (64, 0)}, r"hidden_dims = \(64, 0\)"),
+        ({"rnn_hidden_dim": -1}, "rnn_hidden_dim = -1"),
+        ({"hidden_dims": (64.0,)}, "sizes of layers are whole numbers, not 64.0"),
+        ({"rnn_hidden_dim": True}, "sizes of layers are whole numbers, not True"),
         ({"activation": "gelu"}, "activation is one of relu, elu, tanh, not 'gelu'"),
     ],
     ids=str,

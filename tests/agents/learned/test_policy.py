@@ -4,7 +4,7 @@ import pytest
 
 from hmi_marl import Scene, merge_v0
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, check_weights, make_card
+from hmi_marl.agents.learned.policy import FORMAT, LearnedPolicy, PolicyCard, make_card
 from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
@@ -174,19 +174,19 @@ def test_a_policy_may_read_some_parts_alone():
 def test_weights_are_checked_against_the_card():
     card = PolicyCard("driver", (("speed", 1),), TINY)
     weights = weights_for(card)
-    check_weights(card, weights)
+    FORMAT.check(card, weights)
     lost = {name: values for name, values in weights.items() if name != "layer1.bias"}
     with pytest.raises(ValueError, match=r"do not fit the policy's card: layer1\.bias"):
-        check_weights(card, lost)
+        FORMAT.check(card, lost)
     with pytest.raises(ValueError, match="do not fit the policy's card: odd"):
-        check_weights(card, weights | {"odd": np.zeros(1)})
+        FORMAT.check(card, weights | {"odd": np.zeros(1)})
     with pytest.raises(
         ValueError, match=r"layer1\.bias has shape \(4,\), but the card says \(5,\)"
     ):
-        check_weights(card, weights | {"layer1.bias": np.zeros(4)})
+        FORMAT.check(card, weights | {"layer1.bias": np.zeros(4)})
     for bad in (np.nan, np.inf):
         with pytest.raises(ValueError, match=r"layer1\.bias is not finite everywhere"):
-            check_weights(card, weights | {"layer1.bias": np.full(5, bad)})
+            FORMAT.check(card, weights | {"layer1.bias": np.full(5, bad)})
 
 
 def test_a_context_is_read_after_the_observation():

@@ -170,9 +170,9 @@ def test_weights_that_are_gone_are_told(tmp_path):
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
         (b'{"format": "hmi-marl policy 2"', "is no JSON file"),
-        (b"[1, 2]", "is not a policy that can be read here: format None"),
-        (b'{"format": "hmi-marl policy 2"}', "is not a policy .* format 'hmi-marl policy 2'"),
-        (b'{"layers": 3}', "is not a policy that can be read here: format None"),
+        (b"[1, 2]", "is no policy that can be read here: format None"),
+        (b'{"format": "hmi-marl policy 1"}', "is no policy .* format 'hmi-marl policy 1'"),
+        (b'{"layers": 3}', "is no policy that can be read here: format None"),
         (b'{"format": "hmi-marl policy 2"}', "is a damaged policy card: 'seat'"),
     ],
     ids=str,
@@ -301,12 +301,13 @@ def test_a_kill_between_the_two_files_is_noticed_and_mended_by_the_next_write(
     np.testing.assert_array_equal(weights["layer0.bias"], weights_for(CARD, 1)["layer0.bias"])
 
 
-def test_a_card_from_before_there_were_strengths_is_of_the_papers_bit(tmp_path):
+def test_a_card_without_alert_strengths_is_refused(tmp_path):
     path = saved(tmp_path)
     content = json.loads(path.read_text("utf-8"))
     assert content.pop("alert_strengths") == [1.0]
     path.write_text(json.dumps(content), "utf-8")
-    assert read_policy(path)[0] == CARD
+    with pytest.raises(ValueError, match="is a damaged policy card: 'alert_strengths'"):
+        read_policy(path)
 
 
 def test_a_card_tells_the_strengths_of_its_alerts(tmp_path):

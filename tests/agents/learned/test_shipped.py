@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES, make_driver_policy, make_hmi
+from hmi_marl.agents import make_driver_policy, make_hmi
+from hmi_marl.agents.catalogue import known_names
 from hmi_marl.agents.learned.shipped import (
     FOLDER,
     INDEX,
@@ -117,8 +118,8 @@ def test_each_encoder_encodes(name: str) -> None:
 
 
 def test_names_are_listed_and_case_does_not_matter() -> None:
-    assert "homer" in HMI_NAMES["trained:NAME"]
-    assert "driver" in DRIVER_POLICY_NAMES["trained:NAME"]
+    assert "homer" in known_names("vehicle_ai")["trained:NAME"]
+    assert "attentive-driver" in known_names("driver")["trained:NAME"]
     assert is_shipped("Trained:Homer")
     assert find_shipped("Trained:Homer", "vehicle_ai") == FOLDER / "homer" / "vehicle_ai.json"
     assert not is_shipped("runs/trained")
