@@ -17,10 +17,10 @@ from hmi_marl.exact.evidence import ChainEvidence
 
 
 class Memoryless:
-    """A policy that has nothing to forget between episodes."""
+    """Base class of policies without memory."""
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
 
 class Draws:
@@ -40,7 +40,7 @@ class Draws:
             self._steps = np.where(which, np.uint64(0), self._steps)
 
     def next(self) -> NDArray[np.float64]:
-        """The next draw of every team, shape (N,), in [0, 1).
+        """Return the next draw of every team, shape (N,), in [0, 1).
 
         Raises:
             RuntimeError: before the first :meth:`reset`.
@@ -53,11 +53,11 @@ class Draws:
 
 
 class AttentionWatch:
-    """Follows N teams through their episodes, turn by turn.
+    """Keep p(d) of N teams under several driver models from the vehicle AI's observations.
 
     Args:
-        drivers: the models under which p(d) is kept.
-        config: of the teams.
+        drivers: the driver models.
+        config: configuration of the teams.
     """
 
     def __init__(self, drivers: Sequence[str | Driver], config: TeamConfig) -> None:
@@ -68,11 +68,11 @@ class AttentionWatch:
 
     @property
     def filter(self) -> BayesFilter:
-        """Holds p_k(d_{t-1} = 1), i_{t-1} and c_{t-1}."""
+        """Filter that holds p_k(d_{t-1} = 1), i_{t-1} and c_{t-1}."""
         return self._evidence.filter
 
     def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
-        """Episodes begin in the marked teams out of ``count``; in all by default."""
+        """Begin episodes in the marked teams out of ``count``; in all by default."""
         if which is None:
             self._evidence.reset(count)
             self._seen = np.full(count, -1)
@@ -81,19 +81,19 @@ class AttentionWatch:
             self._seen = np.where(which, -1, self._seen)
 
     def observe(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Take in a turn, shape (N, D); returns its step in the episode, shape (N,)."""
+        """Update with a turn, shape (N, D); return its step in the episode, shape (N,)."""
         step = step_of(self._layout.scalar(observations, "time"), self._horizon)
         self._evidence.observe(observations, step > self._seen)
         self._seen = step
         return step
 
     def reveals(self, observations: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Whether the step will show d: a^H_t, seen taking turns, differs from v_{t-1}; (N,)."""
+        """Return whether the step will reveal d, since a^H_t differs from v_{t-1}; shape (N,)."""
         applied = self._layout.chosen(observations, "applied_action")
         intended = self._layout.chosen(observations, "intended_action")
         return (applied != NO_ACTION) & (intended != applied)
 
 
 def step_of(time: NDArray[np.float32], horizon: int) -> NDArray[np.int64]:
-    """Steps taken, from the share of the episode that is over; the last step's at its end."""
+    """Return the step from the elapsed share of the episode; at its end the last step."""
     return np.minimum(np.rint(time * horizon).astype(np.int64), horizon - 1)

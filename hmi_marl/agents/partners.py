@@ -32,13 +32,13 @@ Partner = str | Policy | Callable[[NDArray[np.float32]], Any]
 
 
 class FunctionPolicy(Memoryless):
-    """A plain function from one observation, shape (D,), to an action, in a seat."""
+    """Policy of a plain function from one observation, shape (D,), to an action."""
 
     def __init__(self, function: Callable[[NDArray[np.float32]], Any]) -> None:
         self._function = function
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """See :meth:`hmi_marl.envs.seats.Policy.act`; the seat checks what the function gave."""
+        """See :meth:`hmi_marl.envs.seats.Policy.act`; the environment checks the action."""
         return np.array([as_scalar(self._function(one)) for one in observations]).reshape(-1)
 
 
@@ -62,7 +62,7 @@ def merge_driver(
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeDriver:
-    """The driver's seat with an HMI given: "hmi_marl/MergeDriver-v0"."""
+    """Make "hmi_marl/MergeDriver-v0", the driver's seat with an HMI as the partner."""
     config = TeamConfig(**settings)
     return MergeDriver(_as_policy(partner, make_hmi, config), config, world, render_mode)
 
@@ -74,12 +74,12 @@ def merge_hmi(
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeHMI:
-    """The vehicle AI's seat with a driver given: "hmi_marl/MergeHMI-v0"."""
+    """Make "hmi_marl/MergeHMI-v0", the vehicle AI's seat with a driver as the partner."""
     config = TeamConfig(**settings)
     return MergeHMI(_as_policy(partner, make_driver_policy, config), config, world, render_mode)
 
 
-# As Gymnasium finds it on a class, so that it can add its own wrappers for other render modes.
+# Gymnasium looks for it on the class to add its wrappers for other render modes.
 merge_driver.metadata = MergeDriver.metadata  # type: ignore[attr-defined]
 merge_hmi.metadata = MergeHMI.metadata  # type: ignore[attr-defined]
 
@@ -94,22 +94,22 @@ def make_vec(
     threads: int | None = None,
     **settings: Any,
 ) -> TeamVecEnv:
-    """N teams as an rsl_rl ``VecEnv``; see :mod:`hmi_marl.envs.vector`.
+    """Make N teams as an rsl_rl ``VecEnv``; see :mod:`hmi_marl.envs.vector`.
 
     Args:
         num_teams: N.
-        seat: who acts: "driver", "vehicle_ai" or "team" (both at once, columns a^H and a^A).
-        partner: in the other seat, a name that :mod:`hmi_marl.agents.catalogue` knows or a Policy.
-            None: "never" beside the driver, "rule" beside the vehicle AI, nobody beside the team.
-        world: which world the teams drive in.
+        seat: the acting seat: "driver", "vehicle_ai" or "team" (both, in columns a^H and a^A).
+        partner: policy of the other seat, by its name in :mod:`hmi_marl.agents.catalogue` or as a
+            Policy; by default "never" for the driver, "rule" for the vehicle AI, none for the team.
+        world: world in which the teams drive.
         seed: team k plays the series of episodes of ``seed + k``.
-        device: where tensors are handed out.
-        threads: that the batched world shares its teams among; all cores by default. A busy
-            neighbour can make one thread faster than two.
-        settings: of the teams, the fields of :class:`hmi_marl.envs.config.TeamConfig`.
+        device: device of the returned tensors.
+        threads: threads of the batched world; all cores by default. On a busy machine one thread
+            can be faster than two.
+        settings: fields of :class:`hmi_marl.envs.config.TeamConfig`.
 
     Raises:
-        ValueError, TypeError: something out of its range, saying what to use instead.
+        ValueError, TypeError: a value out of its range; the message says what to use instead.
         ModuleNotFoundError: torch or rsl_rl is not installed.
 
     >>> env = make_vec(2, seat="driver", world="highway", driver="bart")

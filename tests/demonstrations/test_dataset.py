@@ -6,7 +6,7 @@ import pytest
 from demonstrations import LAYOUT, changed, made_up
 
 from hmi_marl.demonstrations.dataset import (
-    NOBODY,
+    MISSING,
     STATE_PARTS,
     Demonstrations,
     Observed,
@@ -172,7 +172,7 @@ def test_recorded_drives_become_demonstrations_without_truth() -> None:
     assert observed.names == ("ann", "bea")
     assert observed.labels() == ["ann", None, "bea", "ann"]
     assert observed.length.tolist() == [2, 4, 3, 1]
-    assert observed.crash_step.tolist() == [1, NOBODY, NOBODY, NOBODY]
+    assert observed.crash_step.tolist() == [1, MISSING, MISSING, MISSING]
     assert observed.actions.tolist()[2] == [0, 3, 4, -1]
     assert observed.alerts.tolist()[0] == [0, 1, 0, 0]
     assert observed.layout.scalar(observed.states, "speed")[3].tolist() == [0.5, 0, 0, 0]

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hmi_marl
-from hmi_marl.demonstrations.dataset import Demonstrations, column_names
+from hmi_marl.demonstrations.dataset import Demonstrations
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     TRUTH,
@@ -24,7 +24,7 @@ from hmi_marl.demonstrations.parquet import (
     read_observed,
     write_demonstrations,
 )
-from hmi_marl.demonstrations.rows import FORMAT
+from hmi_marl.demonstrations.step_file import FORMAT, column_names
 
 
 @st.composite

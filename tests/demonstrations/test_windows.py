@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from demonstrations import made_up
 
+from hmi_marl.demonstrations.dataset import alert_rate, held_out
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
-from hmi_marl.demonstrations.windows import alert_rate, held_out, team_of
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene

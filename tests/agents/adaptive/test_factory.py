@@ -104,7 +104,9 @@ def test_unknown_names_are_refused(name, message):
 
 
 def test_who_acts_at_once_cannot_adapt():
-    with pytest.raises(ValueError, match=r"adaptive HMI goes by a\^H_t; use an env.* takes turns"):
+    with pytest.raises(
+        ValueError, match=r"adaptive HMI needs a\^H_t; use an env.* sequential moves"
+    ):
         make_hmi("adapt:bayes", HIDDEN, sequential=False)
 
 

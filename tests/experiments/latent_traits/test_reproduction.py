@@ -13,7 +13,6 @@ from hmi_marl.demonstrations.parquet import (
     TRUTH,
     read_demonstrations,
     read_observed,
-    sha256_of,
     write_demonstrations,
 )
 from hmi_marl.demonstrations.recording import CollectSettings, collect
@@ -31,6 +30,7 @@ from hmi_marl.experiments.latent_traits.settings import (
     AssessSettings,
     TraitReproduction,
 )
+from hmi_marl.files import sha256_of
 from hmi_marl.reporting.stopwatch import Stopwatch
 from hmi_marl.training.traits.settings import TraitSettings
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from demonstrations import LAYOUT, made_up
 
-from hmi_marl.demonstrations.minari_export import export_minari, minari_id
+from hmi_marl.demonstrations.minari import export_minari, minari_id
 from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 
@@ -126,7 +126,7 @@ def test_a_single_step_holds_no_transition(tmp_path: Path) -> None:
 
 
 def test_without_minari_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "hmi_marl.demonstrations.minari_export")
+    monkeypatch.delitem(sys.modules, "hmi_marl.demonstrations.minari")
     monkeypatch.setitem(sys.modules, "minari", None)
     with pytest.raises(ModuleNotFoundError, match=r"Minari needs minari: pip install .*\[data\]"):
-        import hmi_marl.demonstrations.minari_export  # noqa: F401
+        import hmi_marl.demonstrations.minari  # noqa: F401
