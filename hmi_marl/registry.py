@@ -1,8 +1,8 @@
-"""Registries of what can be named: HMIs, driver policies, protocols, experiments.
+"""Registries of things that have a name: HMIs, driver policies, protocols, experiments.
 
-One entry holds a name, a line of help and what the name stands for. ``--help``, error messages, the
-documentation and every place that offers a choice read the same registry, so that a new HMI or
-experiment is one new module and one entry.
+An entry holds a name, a line of help and a value such as a factory. ``--help``, error messages, the
+documentation and every choice read the same registry, so that a new HMI or experiment is one new
+module and one entry.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ class Entry(Generic[T]):
 
     name: str
     help: str
-    """What it is, in one line."""
+    """Description in one line."""
     value: T
-    """What the name stands for: a factory, a class, or where to import it from."""
+    """Factory, class, or module to import it from."""
     aliases: tuple[str, ...] = ()
     """Other names for the same."""
     argument: str = ""
-    """What may follow the name, as help shows it: ``[:RATE]``; empty if nothing may."""
+    """Form of an argument after the name for help, such as ``[:RATE]``; empty for none."""
 
 
 class Registry(Mapping[str, Entry[T]]):
     """Entries by name, in the order in which they were registered. Case does not matter.
 
     Args:
-        kind: what the entries are, for error messages: "HMI", "protocol", ...
+        kind: name of the entries' kind for error messages: "HMI", "protocol", ...
         see: the command that lists them.
     """
 
@@ -102,7 +102,7 @@ class Registry(Mapping[str, Entry[T]]):
         return self[name]
 
     def helps(self) -> dict[str, str]:
-        """Names with the arguments that they take, and their lines of help."""
+        """Return names with the form of their arguments, and their lines of help."""
         return {name + entry.argument: entry.help for name, entry in self._entries.items()}
 
     def __getitem__(self, name: str) -> Entry[T]:

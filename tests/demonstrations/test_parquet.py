@@ -187,7 +187,7 @@ def test_foreign_files_and_other_formats_are_refused(folder: Path) -> None:
     refused(folder, "no demonstrations that can be read here: format None")
     for stamp, message in (
         ({"format": "hmi-marl demonstrations 2"}, "format 'hmi-marl demonstrations 2'"),
-        ({"format": FORMAT}, "does not tell how the data were made"),
+        ({"format": FORMAT}, "does not say how the data were made"),
         ({"format": FORMAT, "about": {}}, "its stamp has no layout"),
         ({"format": FORMAT, "about": {}, "layout": [{"name": "lidar"}]}, "damaged layout"),
         ({"format": FORMAT, "about": {}, "layout": 3}, "damaged layout"),
@@ -276,7 +276,7 @@ def test_rows_that_are_missing_or_out_of_order_are_refused(folder: Path) -> None
 def test_a_truth_of_another_dataset_is_refused(folder: Path, tmp_path: Path) -> None:
     write_demonstrations(tmp_path / "other", made_up([4, 2, 3], seed=3))
     shutil.copy(tmp_path / "other" / TRUTH, folder / TRUTH)
-    refused(folder, "is not the truth of observed.parquet beside it")
+    refused(folder, "is not the truth of observed.parquet in the same folder")
     shutil.copy(folder / OBSERVED, folder / TRUTH)
     refused(folder, "truth.parquet has other columns")
     shutil.copy(tmp_path / "other" / TRUTH, tmp_path / "other" / OBSERVED)
@@ -315,7 +315,7 @@ def test_a_truth_of_shorter_episodes_is_refused(folder: Path) -> None:
 
 
 def test_without_pyarrow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [m for m in sys.modules if m.startswith("hmi_marl.training.demonstration_")]:
+    for name in [m for m in sys.modules if m.startswith("hmi_marl.demonstrations.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(ModuleNotFoundError, match=r"needs pyarrow: pip install .*\[data\]"):

@@ -64,7 +64,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("settings", "message"),
     [
         ({"drivers": ("moe",)}, "unknown driver 'moe'"),
-        ({"drivers": ()}, "somebody has to drive"),
+        ({"drivers": ()}, "there is no driver"),
         ({"drivers": ("homer", "Homer")}, "two drivers have the name 'homer'"),
         ({"drivers": ("homer", "homer:0,1,0,1")}, "two drivers have the name 'homer'"),
         ({"drivers": ("population-0:0,1,0,1",), "population": 1}, "the name 'population-0'"),
@@ -84,7 +84,7 @@ def test_errors_are_told_at_the_door(settings: dict[str, Any], message: str) -> 
         tiny(**settings)
 
 
-@pytest.mark.parametrize("settings", [{"drivers": "homer"}, {"steps": 2.5}, {"teams": True}])
+@pytest.mark.parametrize("settings", [{"drivers": "homer"}, {"steps": 2.5}, {"num_teams": True}])
 def test_values_of_another_kind_are_told_at_the_door(settings: dict[str, Any]) -> None:
     with pytest.raises(TypeError, match=r"takes a tuple|is a whole number"):
         tiny(**settings)
@@ -159,7 +159,7 @@ def test_what_is_recorded_is_what_stepping_by_hand_gives(policy: str, trained: P
 def test_the_data_do_not_depend_on_the_chunks(tmp_path: Path, teams: int, trained: Path) -> None:
     settings = tiny(population=2, windows=2, driver_policy=str(trained))
     expected = whole(settings)
-    chunks = list(collect(replace(settings, teams=teams)))
+    chunks = list(collect(replace(settings, num_teams=teams)))
     assert [len(chunk) for chunk in chunks[:-1]] == [teams] * (len(chunks) - 1)
     write_demonstrations(tmp_path, iter(chunks))
     read = read_demonstrations(tmp_path)

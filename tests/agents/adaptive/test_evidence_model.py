@@ -65,7 +65,7 @@ def test_by_default_it_reads_what_everybody_may_see():
         ({"segment": 0}, "segment is at least 1, but got 0"),
         (
             {"place": NetworkConfig((4,), rnn_hidden_dim=2)},
-            "place has no memory: set encoder.rnn_hidden_dim alone",
+            "only the encoder may be recurrent: set place",
         ),
     ],
     ids=str,
@@ -310,7 +310,7 @@ def test_teams_of_another_scene_are_refused():
     with pytest.raises(ValueError, match=r"reads other columns .* use the scene that"):
         LearnedEvidence(model, FOUR, other)
     for hidden in ("traits", "distracted"):
-        with pytest.raises(ValueError, match=f"may not read '{hidden}': it is to be inferred"):
+        with pytest.raises(ValueError, match=f"may not read '{hidden}': driver inference hides it"):
             EvidenceCard.for_team(TeamConfig(), ("speed", hidden), **SMALL)
 
 

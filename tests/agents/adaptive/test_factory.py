@@ -126,12 +126,12 @@ def test_an_hmi_whose_z_means_something_else_is_refused(trained):
         if digest == own:
             assert isinstance(make_adaptive("conditioned", HIDDEN, trained=trained), ConditionedHMI)
         else:
-            with pytest.raises(ValueError, match="what z means from another evidence model"):
+            with pytest.raises(ValueError, match="the latent space of another evidence model"):
                 make_adaptive("conditioned", HIDDEN, trained=trained)
 
 
 def test_hmis_to_choose_among_are_objects_of_their_own(trained):
     watching = make_adaptive("choosing", HIDDEN, True, trained=trained).estimator
     same = [make_hmi("belief:bart", HIDDEN)] * 4
-    with pytest.raises(ValueError, match="an object of its own"):
+    with pytest.raises(ValueError, match="needs a separate HMI object"):
         ChoosingHMI(watching, same)

@@ -73,7 +73,7 @@ def windows(seed=0, length=(6, 2, 4, 1)):
         *(
             (
                 {part: NetworkConfig(rnn_hidden_dim=2)},
-                "only the encoder has a memory: set encoder_units",
+                "only the encoder is recurrent: set encoder_units",
             )
             for part in PARTS
         ),
@@ -208,7 +208,7 @@ def test_what_comes_after_a_windows_end_is_not_read():
 @pytest.mark.parametrize("at_once", [1, 3, 4])
 def test_how_many_are_encoded_at_once_does_not_matter(monkeypatch, at_once):
     expected = MODEL.encode(*windows())
-    monkeypatch.setattr(trait_model, "_AT_ONCE", at_once)
+    monkeypatch.setattr(trait_model, "_CHUNK", at_once)
     np.testing.assert_allclose(MODEL.encode(*windows()), expected, rtol=1e-12)
 
 
