@@ -1,7 +1,7 @@
-"""Registries of things that have a name: HMIs, driver policies, protocols, experiments.
+"""Registries of HMIs, driver policies, protocols and experiments by name.
 
-An entry holds a name, a line of help and a value such as a factory. ``--help``, error messages, the
-documentation and every choice read the same registry, so that a new HMI or experiment is one new
+An entry holds a name, a line of help and a value. ``--help``, error messages, the documentation and
+every place that offers a choice read the same registry, so that a new HMI or experiment is one new
 module and one entry.
 """
 
@@ -18,15 +18,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Entry(Generic[T]):
-    """One thing that can be named."""
+    """One named value."""
 
     name: str
     help: str
     """Description in one line."""
     value: T
-    """Factory, class, or module to import it from."""
+    """The named thing: a factory, a class, or a place to import it from."""
     aliases: tuple[str, ...] = ()
-    """Other names for the same."""
+    """Other names of the same value."""
     argument: str = ""
     """Form of an argument after the name for help, such as ``[:RATE]``; empty for none."""
 
@@ -35,7 +35,7 @@ class Registry(Mapping[str, Entry[T]]):
     """Entries by name, in the order in which they were registered. Case does not matter.
 
     Args:
-        kind: name of the entries' kind for error messages: "HMI", "protocol", ...
+        kind: of the entries, for error messages: "HMI", "protocol", ...
         see: the command that lists them.
     """
 

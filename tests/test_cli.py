@@ -231,7 +231,7 @@ BAD_NAMES_IN_TABLE = [
 
 
 @pytest.mark.parametrize(("arguments", "message", "known"), BAD_NAMES + BAD_NAMES_IN_TABLE)
-def test_an_unknown_name_is_told_with_the_known_ones(
+def test_an_unknown_name_is_reported_with_the_known_ones(
     arguments: list[str],
     message: str,
     known: list[str],
@@ -272,7 +272,7 @@ def test_an_unknown_name_is_told_with_the_known_ones(
     ],
 )
 @pytest.mark.usefixtures("file_in_the_way")
-def test_bad_input_is_told_in_one_line(
+def test_bad_input_is_reported_in_one_line(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 2
@@ -282,7 +282,7 @@ def test_bad_input_is_told_in_one_line(
 @pytest.mark.parametrize(
     "error", [MemoryError(), OSError(28, "No space left"), OverflowError("no")]
 )
-def test_what_fails_on_the_way_is_told_in_one_line(
+def test_what_fails_on_the_way_is_reported_in_one_line(
     error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(*_: object) -> None:
@@ -295,7 +295,7 @@ def test_what_fails_on_the_way_is_told_in_one_line(
     assert printed.out == ""
 
 
-def test_an_interrupt_is_told_in_one_line(
+def test_an_interrupt_is_reported_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupt(*_: object) -> None:

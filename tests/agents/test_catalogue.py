@@ -62,7 +62,7 @@ def test_the_belief_takes_the_share_of_steps_that_show_and_the_kind_of_turns():
         for sequential in (True, False):
             rule = make_hmi(name, HIDDEN, sequential)._rule
             assert (rule.driver.name, rule.revealing) == (model, revealing)
-            # At once nobody knows whether a step will show, so the rule is the same in both.
+            # With simultaneous moves a^H is not known yet, so the rule is the same in both.
             assert np.array_equal(rule.advantage[:, 0], rule.advantage[:, 1]) != sequential
 
 

@@ -87,7 +87,7 @@ def test_partners_by_name_by_policy_and_by_function_are_the_same():
 
 
 class Partner:
-    """A Policy that gives the answers it is told to, one after the other."""
+    """A Policy that gives these answers, one after the other."""
 
     def __init__(self, *answers):
         self.answers = list(answers)
@@ -174,7 +174,7 @@ def test_a_policy_class_is_no_partner():
 
 
 @pytest.mark.parametrize("seat", SEATS)
-def test_a_typo_is_told_the_known_keywords(seat):
+def test_a_typo_names_the_known_keywords(seat):
     message = r"got an unexpected keyword argument 'drvier'; did you mean driver\?"
     with pytest.raises(TypeError, match=message):
         gymnasium.make(seat, drvier="bart")

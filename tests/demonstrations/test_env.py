@@ -62,8 +62,8 @@ def test_the_driver_of_an_episode_can_be_named() -> None:
         _, info = env.reset(seed=1, options=options)
         assert info["beta"] in [DRIVERS[name].beta for name in possible]
     assert env.reset(seed=1)[1]["beta"] != DRIVERS["homer"].beta, "of that episode alone"
-    anybody = make(drivers=[])
-    assert anybody.reset(seed=1)[1]["beta"] != anybody.reset(seed=2)[1]["beta"]
+    any_driver = make(drivers=[])
+    assert any_driver.reset(seed=1)[1]["beta"] != any_driver.reset(seed=2)[1]["beta"]
     with pytest.raises(ValueError, match="unknown driver 'ned'; known drivers: "):
         env.reset(options={"driver": "ned"})
 

@@ -146,7 +146,7 @@ def refused(folder: Path, message: str) -> None:
         read_demonstrations(folder)
 
 
-def test_nothing_there_is_told(tmp_path: Path) -> None:
+def test_nothing_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no demonstrations at .* hmi-marl collect"):
         read_observed(tmp_path)
 

@@ -79,18 +79,18 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ({"alert_window": 0}, "alert_window is at least 1"),
     ],
 )
-def test_errors_are_told_at_the_door(settings: dict[str, Any], message: str) -> None:
+def test_errors_are_reported_at_the_door(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         tiny(**settings)
 
 
 @pytest.mark.parametrize("settings", [{"drivers": "homer"}, {"steps": 2.5}, {"num_teams": True}])
-def test_values_of_another_kind_are_told_at_the_door(settings: dict[str, Any]) -> None:
+def test_values_of_another_kind_are_reported_at_the_door(settings: dict[str, Any]) -> None:
     with pytest.raises(TypeError, match=r"takes a tuple|is a whole number"):
         tiny(**settings)
 
 
-def test_a_policy_that_is_not_there_is_told_before_anything_is_played() -> None:
+def test_a_policy_that_is_not_there_is_reported_before_anything_is_played() -> None:
     with pytest.raises(ValueError, match="unknown driver policy 'autopilot'"):
         collect(tiny(driver_policy="autopilot"))
     with pytest.raises(FileNotFoundError, match="no policy for the seat of driver"):
@@ -253,7 +253,7 @@ def test_by_default_a_trained_driver_draws(trained: Path) -> None:
 def test_a_policy_that_reads_the_traits_is_shown_them(trained: Path) -> None:
     one, other = (
         true(whole(tiny(drivers=(f"mona:0,1,{eta},1",), driver_policy=str(trained), steps=400)))
-        for eta in (0, 1)  # which changes nothing else, as nobody is distracted
+        for eta in (0, 1)  # which changes nothing else, as no driver is distracted
     )
     assert (one.intended != other.intended).any()
 
@@ -314,12 +314,12 @@ def test_the_lidar_is_not_the_inflated_one(monkeypatch: pytest.MonkeyPatch) -> N
     np.testing.assert_array_equal(recorded, true_sizes)
 
 
-def test_the_observed_file_tells_nothing_of_the_drivers_but_their_names(tmp_path: Path) -> None:
+def test_the_observed_file_shows_nothing_of_the_drivers_but_their_names(tmp_path: Path) -> None:
     settings = tiny(drivers=("mona:0.4321,0.3217,0.5678,2.3456",), population=2, windows=1)
     write_demonstrations(tmp_path, collect(settings, command_line=f"collect {settings.drivers[0]}"))
     observed = read_observed(tmp_path)
-    told = json.dumps(observed.about)
-    assert not [word for word in ("4321", "mona", *TRAIT_NAMES) if word in told]
+    text = json.dumps(observed.about)
+    assert not [word for word in ("4321", "mona", *TRAIT_NAMES) if word in text]
     content = (tmp_path / OBSERVED).read_bytes()
     words = (b"4321", b"3217", b"5678", b"3456", b"beta", b"inflation", b"distracted", b"intended")
     assert not [word for word in words if word in content]

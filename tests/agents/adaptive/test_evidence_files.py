@@ -58,7 +58,7 @@ def test_weights_that_do_not_fit_are_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_not_there_is_told(tmp_path):
+def test_what_is_not_there_is_reported(tmp_path):
     for place in (tmp_path, tmp_path / "nowhere", tmp_path / "evidence.json"):
         with pytest.raises(
             FileNotFoundError, match=r"no evidence model at .*hmi-marl reproduce ad"
@@ -80,14 +80,14 @@ def test_a_changed_byte_is_noticed(tmp_path, place):
         load_evidence(tmp_path)
 
 
-def test_weights_that_are_gone_are_told(tmp_path):
+def test_weights_that_are_gone_are_reported(tmp_path):
     saved(tmp_path).with_suffix(".safetensors").unlink()
     with pytest.raises(FileNotFoundError, match=r"has lost its weights, evidence\.safetensors"):
         load_evidence(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
@@ -98,10 +98,10 @@ def test_weights_that_are_gone_are_told(tmp_path):
     ],
     ids=str,
 )
-def test_other_files_are_no_evidence_models(tmp_path, content, told):
+def test_other_files_are_no_evidence_models(tmp_path, content, message):
     path = tmp_path / "evidence.json"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         load_evidence(path)
 
 
@@ -121,7 +121,7 @@ def test_other_files_are_no_evidence_models(tmp_path, content, told):
     ],
     ids=str,
 )
-def test_a_damaged_card_is_told(tmp_path, changed):
+def test_a_damaged_card_is_reported(tmp_path, changed):
     with_card(saved(tmp_path), **changed)
     with pytest.raises(ValueError, match=r"evidence\.json is a damaged evidence model card: "):
         load_evidence(tmp_path)

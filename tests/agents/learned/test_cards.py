@@ -1,4 +1,4 @@
-"""What test_policy_files.py does not show: other formats, and how numbers are kept."""
+"""Cards of any format; test_policy_files.py tests those of policies."""
 
 from dataclasses import dataclass, field
 

@@ -43,7 +43,7 @@ def softmax(logits):
 
 
 def chosen(cumulated, draws):
-    """The action in whose share of [0, 1] each draw falls."""
+    """Return the action with each draw in its share of [0, 1]."""
     return [int((row[:-1] <= draw).sum()) for row, draw in zip(cumulated, draws, strict=True)]
 
 
@@ -92,7 +92,7 @@ def test_it_reads_in_the_order_of_its_card():
 
 
 @pytest.mark.parametrize(
-    ("hidden", "told"),
+    ("hidden", "message"),
     [
         (
             {"ai_sees_attention": False},
@@ -110,20 +110,20 @@ def test_it_reads_in_the_order_of_its_card():
     ],
     ids=str,
 )
-def test_a_seat_that_lacks_what_it_reads_is_refused(hidden, told):
+def test_a_seat_that_lacks_what_it_reads_is_refused(hidden, message):
     card = policy_for("vehicle_ai").card
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         LearnedPolicy(card, weights_for(card), TeamConfig(**hidden))
 
 
-def test_an_unknown_part_is_told_without_a_hint():
+def test_an_unknown_part_is_reported_without_a_hint():
     card = PolicyCard("driver", (("weather", 1),))
     with pytest.raises(ValueError, match=r"reads 'weather', .* does not show here$"):
         card.columns(driver_layout(CONFIG))
 
 
 @pytest.mark.parametrize(
-    ("card", "told"),
+    ("card", "message"),
     [
         ({"seat": "passenger"}, "seat is one of driver, vehicle_ai, not 'passenger'"),
         ({"reads": ()}, "reads parts of at least one column"),
@@ -137,8 +137,8 @@ def test_an_unknown_part_is_told_without_a_hint():
     ],
     ids=str,
 )
-def test_impossible_cards_are_refused(card, told):
-    with pytest.raises(ValueError, match=told):
+def test_impossible_cards_are_refused(card, message):
+    with pytest.raises(ValueError, match=message):
         PolicyCard(**({"seat": "vehicle_ai", "reads": (("speed", 1),)} | card))
 
 

@@ -38,7 +38,7 @@ def saved(folder, card=CARD, seed=0):
 
 
 def with_weights(path, content):
-    """Put other weights beside a card, and into it that they belong there."""
+    """Put other weights next to a card, with their checksum in the card."""
     path.with_suffix(".safetensors").write_bytes(content)
     return with_card(path, sha256=hashlib.sha256(content).hexdigest())
 
@@ -100,7 +100,7 @@ def test_a_policy_is_found_by_folder_card_or_weights(tmp_path):
         assert find_policy(place, "vehicle_ai") == path
 
 
-def test_a_policy_that_is_not_there_is_told_with_what_is(tmp_path):
+def test_a_policy_that_is_not_there_is_reported_with_what_is(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no policy for the seat of driver at .*[^v]$"):
         find_policy(tmp_path, "driver")
     with pytest.raises(FileNotFoundError, match=r"no policy for the seat of driver at .*nowhere"):
@@ -128,7 +128,7 @@ def test_names_of_the_catalogue_lead_here(tmp_path):
         make_hmi("runs/that/never/were", CONFIG)
 
 
-def test_a_policy_that_cannot_sit_there_is_told_with_its_file(tmp_path):
+def test_a_policy_that_cannot_sit_there_is_reported_with_its_file(tmp_path):
     path = saved(tmp_path)
     blind = TeamConfig(ai_sees_attention=False)
     with pytest.raises(ValueError, match=r"vehicle_ai\.json: this vehicle_ai policy reads 'distr"):
@@ -157,7 +157,7 @@ def test_a_file_cut_short_is_noticed(tmp_path, kept):
         read_policy(with_weights(path, content))
 
 
-def test_weights_that_are_gone_are_told(tmp_path):
+def test_weights_that_are_gone_are_reported(tmp_path):
     path = saved(tmp_path)
     path.with_suffix(".safetensors").unlink()
     with pytest.raises(FileNotFoundError, match=r"has lost its weights, vehicle_ai\.safetensors"):
@@ -165,7 +165,7 @@ def test_weights_that_are_gone_are_told(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
@@ -177,10 +177,10 @@ def test_weights_that_are_gone_are_told(tmp_path):
     ],
     ids=str,
 )
-def test_other_files_are_no_policies(tmp_path, content, told):
+def test_other_files_are_no_policies(tmp_path, content, message):
     path = tmp_path / "driver.json"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=rf"driver\.json {told}"):
+    with pytest.raises(ValueError, match=rf"driver\.json {message}"):
         load_policy(path, "driver", CONFIG)
 
 
@@ -203,7 +203,7 @@ def test_other_files_are_no_policies(tmp_path, content, told):
     ],
     ids=str,
 )
-def test_a_damaged_card_is_told(tmp_path, changed):
+def test_a_damaged_card_is_reported(tmp_path, changed):
     path = with_card(saved(tmp_path), **changed)
     with pytest.raises(ValueError, match=r"vehicle_ai\.json is a damaged policy card: "):
         read_policy(path)
@@ -212,12 +212,12 @@ def test_a_damaged_card_is_told(tmp_path, changed):
 def test_the_weights_of_another_policy_are_refused(tmp_path):
     card = PolicyCard("driver", (("speed", 1),), NetworkConfig((3,)))
     path = saved(tmp_path, card)
-    for other, told in (
+    for other, message in (
         (replace(card, reads=(("traits", 4),)), r"layer0\.weight has shape \(3, 4\), but"),
         (replace(card, network=NetworkConfig((3, 3))), r"do not fit the policy's card: layer2\."),
     ):
         with_weights(path, save_tensors(weights_for(other)))
-        with pytest.raises(ValueError, match=rf"driver\.safetensors: .*{told}"):
+        with pytest.raises(ValueError, match=rf"driver\.safetensors: .*{message}"):
             read_policy(path)
 
 
@@ -310,7 +310,7 @@ def test_a_card_without_alert_strengths_is_refused(tmp_path):
         read_policy(path)
 
 
-def test_a_card_tells_the_strengths_of_its_alerts(tmp_path):
+def test_a_card_holds_the_strengths_of_its_alerts(tmp_path):
     config = TeamConfig(alert_strengths=(0.25, 0.5, 1.0))
     card = make_card("vehicle_ai", config, NetworkConfig((4,)), True)
     assert read_policy(saved(tmp_path, card))[0] == card

@@ -36,7 +36,7 @@ SEATED = [
     for name, agent in AGENTS.items()
     if agent.kind in ("driver", "vehicle_ai") and not card_of(name)["context"]
 ]
-"""Those that take a seat by themselves; one with a context is told z."""
+"""Those that take a seat by themselves; one with a context needs z."""
 
 
 def team_of(name: str) -> TeamConfig:
@@ -79,7 +79,7 @@ def test_the_papers_agents_are_there() -> None:
 
 
 @pytest.mark.parametrize("name", AGENTS)
-def test_cards_tell_how_they_were_made_and_name_no_places(name: str) -> None:
+def test_cards_say_how_they_were_made_and_name_no_places(name: str) -> None:
     card = card_of(name)
     training = card["training"]
     assert training["command"].startswith("hmi-marl reproduce")
@@ -126,7 +126,7 @@ def test_names_are_listed_and_case_does_not_matter() -> None:
 
 
 @pytest.mark.parametrize("make", [make_hmi, make_driver_policy])
-def test_an_unknown_name_is_told_what_there_is(make) -> None:
+def test_an_unknown_name_names_what_there_is(make) -> None:
     known = "trained:homer" if make is make_hmi else "trained:driver"
     with pytest.raises(ValueError, match=f"unknown trained agent 'trained:nobody'.*{known}"):
         make("trained:nobody", TeamConfig(driver="homer"))
@@ -168,7 +168,7 @@ def test_a_foreign_agent_is_refused(copied: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("{", "is damaged"),
         ("[]", "is no index of trained agents"),
@@ -176,11 +176,11 @@ def test_a_foreign_agent_is_refused(copied: Path) -> None:
         ('{"format": "hmi-marl trained 1", "agents": {"homer": {}}}', "is damaged"),
     ],
 )
-def test_an_index_that_is_none_is_refused(content: str, told: str, tmp_path: Path) -> None:
+def test_an_index_that_is_none_is_refused(content: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no trained agents came with this package"):
         shipped_agents(tmp_path)
     (tmp_path / INDEX).write_text(content)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         shipped_agents(tmp_path)
 
 

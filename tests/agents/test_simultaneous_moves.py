@@ -1,4 +1,4 @@
-"""HMIs that have learned to act at once with the driver, as partners of one who takes turns."""
+"""HMIs trained with simultaneous moves as partners where moves are sequential."""
 
 import dataclasses
 
