@@ -1,7 +1,7 @@
-"""The turn loop: who moves when, who sees what, and who watches.
+"""Episodes of two policies: every turn in order, with observers.
 
-Every episode that two policies play goes through here, so the order of moves is written once for a
-:class:`Teaming`, and whatever records, counts or draws is an :class:`Observer`.
+Whatever two policies play goes through here, and whatever records, counts or draws is an
+:class:`Observer`. The order of moves within a turn is that of :meth:`Teaming.turn`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.seats import Policy, moves_sequentially
 from hmi_marl.envs.teaming import StepResult, Teaming
@@ -71,28 +71,21 @@ def turn(
 ) -> StepResult:
     """Take one step of every team.
 
-    The driver moves first, so that the HMI sees a^H_t. An HMI that moves at the same time as the
-    driver (see :func:`hmi_marl.envs.seats.moves_sequentially`) is asked first and sees a^H_{t-1}.
+    The HMI moves after the driver and sees a^H_t, or at the same time and sees a^H_{t-1}; see
+    :func:`hmi_marl.envs.seats.moves_sequentially`.
     """
+
+    def alert(observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        for observer in observers:
+            observer.seen(teaming, observations)
+        return hmi.act(observations)
+
     for observer in observers:
         observer.before(teaming)
-    if moves_sequentially(hmi):
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-        alerts = _alerts(teaming, hmi, observers)
-    else:
-        alerts = _alerts(teaming, hmi, observers)
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-    result = teaming.step(alerts)
+    result = teaming.turn(driver.act, alert, moves_sequentially(hmi))
     for observer in observers:
         observer.after(teaming, result)
     return result
-
-
-def _alerts(teaming: Teaming, hmi: Policy, observers: Sequence[Observer]) -> NDArray[np.int64]:
-    observations = teaming.observe(VEHICLE_AI)
-    for observer in observers:
-        observer.seen(teaming, observations)
-    return hmi.act(observations)
 
 
 def turns(

@@ -263,11 +263,11 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
         action = self.team.check(agent, action)  # before anything changes
         self._cumulative_rewards[agent] = 0.0
         if agent == DRIVER:
-            self.team.intend(action)
+            self.team.teaming.intend([action])
             self._clear_rewards()
             self.agent_selection = VEHICLE_AI
             return
-        result = self.team.alert(action)
+        self.team.result = result = self.team.teaming.step([action])
         for name in AGENTS:
             self.rewards[name] = float(result.rewards[name][0])
             self.terminations[name] = bool(result.terminated[0])
@@ -323,9 +323,9 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
             return {}, {}, {}, {}, {}
         if set(actions) != set(AGENTS):
             raise ValueError(f"actions are needed for {AGENTS}, but got {tuple(actions)}")
-        self.team.check(VEHICLE_AI, actions[VEHICLE_AI])  # before the driver's counts as taken
-        self.team.intend(actions[DRIVER])
-        result = self.team.alert(actions[VEHICLE_AI])
+        alert = self.team.check(VEHICLE_AI, actions[VEHICLE_AI])
+        intent = self.team.check(DRIVER, actions[DRIVER])
+        self.team.result = result = self.team.teaming.turn([intent], [alert])
         self.team.show()
         rewards = {agent: float(result.rewards[agent][0]) for agent in AGENTS}
         terminations = dict.fromkeys(AGENTS, bool(result.terminated[0]))

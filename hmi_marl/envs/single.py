@@ -72,15 +72,6 @@ class SingleTeam:
         """Return the agent's action as an int, or raise; see :func:`action_index`."""
         return action_index(action, self.action_spaces[agent], agent)
 
-    def intend(self, action: Any) -> None:
-        """a^H, checked."""
-        self.teaming.intend([self.check(DRIVER, action)])
-
-    def alert(self, action: Any) -> StepResult:
-        """a^A, checked; takes the step."""
-        self.result = self.teaming.step([self.check(VEHICLE_AI, action)])
-        return self.result
-
     def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3) in mode "rgb_array"; None after drawing in the window."""
         if self._render_mode is None:

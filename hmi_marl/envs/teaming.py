@@ -1,14 +1,16 @@
-"""The one place where a step of a team is put together, for N teams over any world.
+"""Steps of N teams over any world: the order of moves, the human model, the rewards.
 
-Taking turns, a step is: :meth:`Teaming.observe` the driver's seat, :meth:`Teaming.intend` a^H,
-observe the vehicle AI's seat (which now holds a^H_t), :meth:`Teaming.step` with a^A. At once,
-both seats are observed before ``intend``, so that the AI's seat still holds a^H_{t-1}.
+:meth:`Teaming.turn` is a whole step. With sequential moves the driver acts first
+(:meth:`Teaming.intend`), so that the vehicle AI's observation holds a^H_t when it acts
+(:meth:`Teaming.step`). With simultaneous moves the vehicle AI is asked first, and its observation
+still holds a^H_{t-1}.
 
-Every team has a turn of its own: resetting some teams in mid-turn leaves the others there.
+Each team has its own turn: resetting some teams in mid-turn leaves the others in theirs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +25,9 @@ from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
 from hmi_marl.envs.rewards import attention_terms, driving_terms, share
 from hmi_marl.envs.streams import Stream, uniform
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
+
+Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
+"""Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
 NO_ACTION = -1
 _LANE_CHANGES = (VEHICLE_ACTIONS.index("move_left"), VEHICLE_ACTIONS.index("move_right"))
@@ -133,6 +138,34 @@ class Teaming:
         self.traits = Traits.from_array(np.where(fresh[:, None], new, self.traits.as_array()))
         self.attention = Attention.initial(self.num_teams).where(fresh, self.attention)
         self.world.perceive(self.traits.inflation, fresh)
+
+    def turn(self, driver: Actor, hmi: Actor, sequential: bool = True) -> StepResult:
+        """Take one step of every team, each seat in its turn.
+
+        Args:
+            driver: a^H_t, or a function from the driver's observations to them.
+            hmi: a^A_t, or a function from the vehicle AI's observations to them.
+            sequential: whether the vehicle AI is asked after the driver and so sees a^H_t. If
+                not, it is asked first and sees a^H_{t-1}.
+
+        Raises:
+            ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
+                function raises leaves every team as it was before the turn.
+        """
+        if not sequential:
+            alerts = self._ask(VEHICLE_AI, hmi)
+            self.intend(self._ask(DRIVER, driver))
+            return self.step(alerts)
+        self.intend(self._ask(DRIVER, driver))
+        try:
+            alerts = self._ask(VEHICLE_AI, hmi)
+        except Exception:
+            self.withdraw()
+            raise
+        return self.step(alerts)
+
+    def _ask(self, agent: str, actor: Actor) -> ArrayLike:
+        return actor(self.observe(agent)) if callable(actor) else actor
 
     def intend(self, driver_actions: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """The drivers' a^H_t, shape (N,), integers 0 to 4.

@@ -37,7 +37,7 @@ from tensordict import TensorDict
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.envs.seats import Policy, check_policy, moves_sequentially
+from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.totals import Totals
@@ -114,6 +114,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             agent: torch.from_numpy(_columns_in_state(teaming, agent)).to(self.device)
             for agent in (DRIVER, VEHICLE_AI)
         }
+        self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
         self._totals = Totals(self.num_envs)
         self._viewer: Viewer | None = None
         self._start_series(seed)
@@ -207,7 +208,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         columns = self._checked(actions)
         self._untouched = False
-        result = self.teaming.step(self._act(columns))
+        if self._turns is None:
+            result = self.teaming.turn(columns[:, 0], columns[:, 1])
+        else:
+            result = self._turns.step(columns[:, 0])
         rewards = self._rewards(result)
         self._totals.add(result, rewards, self.teaming.alerted)
         ended = result.terminated | result.truncated
@@ -262,30 +266,9 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     def _observe(self) -> None:
         """Come to the point at which the seat acts; a partner who drives has acted by then."""
-        if self.seat == VEHICLE_AI:
-            self.teaming.intend(self._partner_actions(DRIVER))
+        if self._turns is not None:
+            self._turns.prepare()
         self._state = self.teaming.state()
-
-    def _act(self, columns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Let the drivers act if they have not; what alerts there are, shape (N,)."""
-        if self.seat == VEHICLE_AI:
-            return columns[:, 0]
-        if self.partner is not None and not moves_sequentially(self.partner):
-            alerts = self._partner_actions(VEHICLE_AI)
-            self.teaming.intend(columns[:, 0])
-            return alerts
-        self.teaming.intend(columns[:, 0])
-        if self.seat == TEAM:
-            return columns[:, 1]
-        try:
-            return self._partner_actions(VEHICLE_AI)
-        except Exception:
-            self.teaming.withdraw()
-            raise
-
-    def _partner_actions(self, agent: str) -> NDArray[np.int64]:
-        assert self.partner is not None
-        return self.partner.act(self.teaming.observe(agent))
 
     def _rewards(self, result: StepResult) -> NDArray[np.float64]:
         if self.seat != TEAM:

@@ -24,8 +24,6 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.agents.memory import Memoryless
-from hmi_marl.agents.rollout import turn
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver, Traits
@@ -235,18 +233,7 @@ def perceived(
             seen[..., layout["traits"]] = traits[:, None]
         yield seen
         for teams in replays:
-            turn(teams, _Recorded(driven[:, t]), _Recorded(alerted[:, t]))
-
-
-class _Recorded(Memoryless):
-    """Repeat the recorded actions of one step, shape (E,)."""
-
-    def __init__(self, actions: NDArray[np.int64]) -> None:
-        self._actions = actions
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
-        """See :meth:`hmi_marl.envs.seats.Policy.act`."""
-        return self._actions
+            teams.turn(driven[:, t], alerted[:, t])
 
 
 def _attentive_teams(config: TeamConfig, inflation: float, seeds: NDArray[np.uint64]) -> Teaming:

@@ -328,8 +328,7 @@ def test_an_environment_goes_on_when_its_window_is_closed() -> None:
     team.reset(seed=1)
     pygame.event.post(pygame.Event(pygame.QUIT))
     for _ in range(3):
-        team.intend(1)
-        team.alert(0)
+        team.result = team.teaming.turn([1], [0])
         team.show()
     assert team._viewer is not None
     assert team._viewer.closed
