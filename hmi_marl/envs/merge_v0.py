@@ -111,9 +111,8 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import wrappers
 
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
-from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.single import RENDER_MODES, SingleTeam
+from hmi_marl.envs.single import RENDER_MODES, SingleTeam, team_info
 
 _OVER = "the episode is over: call reset() before stepping again"
 

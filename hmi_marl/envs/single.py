@@ -9,7 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from hmi_marl.envs.alerts import FULL
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
@@ -105,6 +107,39 @@ class SingleTeam:
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
+
+
+def team_info(teaming: Teaming, result: StepResult | None, team: int = 0) -> dict[str, Any]:
+    """Numbers about one team after a step, for ``info``: the truth, for evaluation and pictures.
+
+    ``distracted`` (d), ``accepted`` (i), ``counter`` (c), ``applied_action`` (v, -1 before the
+    first step), ``crashed``, ``speed`` [m/s], ``time_headway`` [s] to whatever is ahead in the
+    lane (inf if nothing is), ``beta``, ``alpha``, ``eta``, ``inflation``, and one entry per
+    reward term, 0 before the first step. With alerts of other strengths than 1 also ``strength``,
+    that of the alert in effect, 0 if none is; with fatigue also ``fatigue``, its level.
+    """
+    attention, ego, traits = teaming.attention, teaming.ego, teaming.traits
+    alerts = teaming.alerts
+    more: dict[str, float] = {}
+    if alerts.strengths != FULL:
+        more["strength"] = float(alerts.strength(attention.accepted[team]))
+    if alerts.fatigue is not None:
+        more["fatigue"] = int(attention.fatigue[team])
+    return {
+        "distracted": bool(attention.distracted[team]),
+        "accepted": bool(attention.accepted[team]),
+        "counter": int(attention.counter[team]),
+        "applied_action": int(teaming.applied[team]),
+        "crashed": bool(ego.crashed[team]),
+        "speed": float(ego.speed[team]),
+        "time_headway": float(teaming.time_headway()[team]),
+        "beta": float(traits.beta[team]),
+        "alpha": float(traits.alpha[team]),
+        "eta": float(traits.eta[team]),
+        "inflation": float(traits.inflation[team]),
+        **more,
+        **{name: float(result.terms[name][team]) if result else 0.0 for name in TERMS},
+    }
 
 
 def action_index(action: Any, space: spaces.Discrete, agent: str) -> int:

@@ -37,10 +37,10 @@ from tensordict import TensorDict
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
+from hmi_marl.envs.rewards import EpisodeTotals
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
-from hmi_marl.envs.totals import Totals
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
@@ -115,7 +115,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             for agent in (DRIVER, VEHICLE_AI)
         }
         self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
-        self._totals = Totals(self.num_envs)
+        self._totals = EpisodeTotals(self.num_envs)
         self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
@@ -213,7 +213,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         else:
             result = self._turns.step(columns[:, 0])
         rewards = self._rewards(result)
-        self._totals.add(result, rewards, self.teaming.alerted)
+        self._totals.add(rewards, result.terms, self.teaming.alerted)
         ended = result.terminated | result.truncated
         extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
         if self.seat == TEAM:
@@ -279,14 +279,15 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def _farewell(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """What there is to say about the episodes that ended, before the next ones begin."""
         last = self._groups(self.teaming.state()[ended], self.teaming.traits.as_array()[ended])
+        totals = self._totals.of(ended) | {"crash_rate": self.teaming.ego.crashed[ended]}
         return {
             "final_teams": self._tensor(np.flatnonzero(ended)),
             "final_observation": last,
-            "log": self._totals.of(ended) | {"Episode/crash_rate": self._crashes(ended)},
+            "log": {
+                f"Episode/{name}": torch.from_numpy(values.astype(np.float32))
+                for name, values in totals.items()
+            },
         }
-
-    def _crashes(self, ended: NDArray[np.bool_]) -> torch.Tensor:
-        return torch.from_numpy(self.teaming.ego.crashed[ended].astype(np.float32))
 
     def _groups(self, state: NDArray[np.float32], traits: NDArray[np.float64]) -> TensorDict:
         """The groups of M teams, from their states, shape (M, D), and traits, shape (M, 4)."""

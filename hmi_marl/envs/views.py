@@ -21,10 +21,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
-from hmi_marl.envs.single import RENDER_MODES, SingleTeam
+from hmi_marl.envs.single import RENDER_MODES, SingleTeam, team_info
 
 
 class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
