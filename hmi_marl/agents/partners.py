@@ -17,6 +17,7 @@ from hmi_marl.envs.config import TeamConfig, takes_team_settings
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.single import as_scalar
 from hmi_marl.envs.views import MergeDriver, MergeHMI
+from hmi_marl.envs.worlds import World
 
 Partner = str | Policy | Callable[[NDArray[np.float32]], Any]
 
@@ -48,7 +49,7 @@ def _as_policy(
 @takes_team_settings
 def merge_driver(
     partner: Partner = "never",
-    world: str = "highway",
+    world: str | World = "highway",
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeDriver:
@@ -60,7 +61,7 @@ def merge_driver(
 @takes_team_settings
 def merge_hmi(
     partner: Partner = "rule",
-    world: str = "highway",
+    world: str | World = "highway",
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeHMI:

@@ -74,7 +74,7 @@ other strengths than 1 also `strength` (in effect), with `fatigue` also `fatigue
 ```python
 merge_v0.env(
     driver="homer",          # a name, a Driver, a list of them or a Population drawn at each reset
-    world="highway",         # highway-env itself; "batched": the same, compiled
+    world="highway",         # highway-env itself; "batched": the same, compiled; or a World
     observe_traits=True,     # both seats see β, α, η, inflation
     ai_sees_attention=True,  # the AI sees d, i, c of the last step
     reward="team",           # or "individual" (driving and distraction to the driver, alert terms
@@ -113,6 +113,7 @@ from pettingzoo.utils import wrappers
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam, team_info
+from hmi_marl.envs.worlds import World
 
 _OVER = "the episode is over: call reset() before stepping again"
 
@@ -129,7 +130,7 @@ class _InOrder(wrappers.OrderEnforcingWrapper):  # type: ignore[misc]
 
 @takes_team_settings
 def env(
-    *, world: str = "highway", render_mode: str | None = None, **settings: Any
+    *, world: str | World = "highway", render_mode: str | None = None, **settings: Any
 ) -> AECEnv[str, NDArray[np.float32], int]:
     """The AEC environment, with PettingZoo's checks on the order of calls.
 
@@ -143,7 +144,9 @@ class _TwoSeats:
 
     possible_agents: list[str]
 
-    def __init__(self, world: str, render_mode: str | None, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, world: str | World, render_mode: str | None, settings: dict[str, Any]
+    ) -> None:
         self.config = TeamConfig(**settings)
         self.team = SingleTeam(self.config, world, render_mode)
         self.render_mode = render_mode
@@ -226,7 +229,7 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
 
     @takes_team_settings
     def __init__(
-        self, *, world: str = "highway", render_mode: str | None = None, **settings: Any
+        self, *, world: str | World = "highway", render_mode: str | None = None, **settings: Any
     ) -> None:
         AECEnv.__init__(self)
         _TwoSeats.__init__(self, world, render_mode, settings)
@@ -288,7 +291,7 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
 
     @takes_team_settings
     def __init__(
-        self, *, world: str = "highway", render_mode: str | None = None, **settings: Any
+        self, *, world: str | World = "highway", render_mode: str | None = None, **settings: Any
     ) -> None:
         _TwoSeats.__init__(self, world, render_mode, settings)
         self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}

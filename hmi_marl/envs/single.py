@@ -14,7 +14,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
-from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 
 if TYPE_CHECKING:
     from hmi_marl.envs.render import Viewer
@@ -25,7 +25,7 @@ RENDER_MODES = ("human", "rgb_array")
 class SingleTeam:
     """A :class:`Teaming` of one, under PettingZoo's and Gymnasium's habits."""
 
-    def __init__(self, config: TeamConfig, world: str, render_mode: str | None) -> None:
+    def __init__(self, config: TeamConfig, world: str | World, render_mode: str | None) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode is None or one of {RENDER_MODES}, not {render_mode!r}")
         self.teaming = Teaming(config, 1, world)

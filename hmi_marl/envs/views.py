@@ -24,6 +24,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
 from hmi_marl.envs.single import RENDER_MODES, SingleTeam, team_info
+from hmi_marl.envs.worlds import World
 
 
 class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
@@ -37,7 +38,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         self,
         partner: Policy,
         config: TeamConfig,
-        world: str = "highway",
+        world: str | World = "highway",
         render_mode: str | None = None,
     ) -> None:
         self.partner = check_policy(partner)
