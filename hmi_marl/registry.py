@@ -1,8 +1,8 @@
-"""Registries of what can be named: HMIs, driver policies, protocols, experiments.
+"""Registries of HMIs, driver policies, protocols and experiments by name.
 
-One entry holds a name, a line of help and what the name stands for. ``--help``, error messages, the
-documentation and every place that offers a choice read the same registry, so that a new HMI or
-experiment is one new module and one entry.
+An entry holds a name, a line of help and a value. ``--help``, error messages, the documentation and
+every place that offers a choice read the same registry, so that a new HMI or experiment is one new
+module and one entry.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Entry(Generic[T]):
-    """One thing that can be named."""
+    """One named value."""
 
     name: str
     help: str
-    """What it is, in one line."""
+    """Description in one line."""
     value: T
-    """What the name stands for: a factory, a class, or where to import it from."""
+    """The named thing: a factory, a class, or a place to import it from."""
     aliases: tuple[str, ...] = ()
-    """Other names for the same."""
+    """Other names of the same value."""
 
 
 class Registry(Mapping[str, Entry[T]]):
     """Entries by name, in the order in which they were registered. Case does not matter.
 
     Args:
-        kind: what the entries are, for error messages: "HMI", "protocol", ...
+        kind: of the entries, for error messages: "HMI", "protocol", ...
         see: the command that lists them.
     """
 
@@ -69,7 +69,7 @@ class Registry(Mapping[str, Entry[T]]):
         return self[name]
 
     def helps(self) -> dict[str, str]:
-        """Names and their lines of help."""
+        """Return the names and their lines of help."""
         return {name: entry.help for name, entry in self._entries.items()}
 
     def __getitem__(self, name: str) -> Entry[T]:

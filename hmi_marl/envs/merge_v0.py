@@ -9,10 +9,10 @@
 
 HMIway-env of "Learning Latent Traits for Simulated Cooperative Driving Tasks": a human driver
 steers a car past a highway merge among other vehicles, and may be distracted; the vehicle's AI
-may alert them. `env()` is the PettingZoo AEC environment, in which the two take turns and the AI
-sees what the driver is about to do, π(a^A | a^H, s, z). `parallel_env()` lets both act at once;
-the AI then sees the driver's *last* action. It is written natively, since PettingZoo's
-conversion would hide a^H from the AI (and `is_parallelizable` is therefore False).
+may alert them. `env()` is the PettingZoo AEC environment, in which the two move sequentially and
+the AI sees what the driver is about to do, π(a^A | a^H, s, z). `parallel_env()` lets both move at
+the same time; the AI then sees the driver's *last* action. It is written natively, since
+PettingZoo's conversion would hide a^H from the AI (and `is_parallelizable` is therefore False).
 
 ## Actions
 
@@ -27,7 +27,7 @@ LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER). `vehicle_ai`, a^A: 0 no_alert, 1 a
    in effect for `alert_window` steps, in which becoming distracted is less likely by η and
    becoming attentive more likely by η. An alert of strength s helps by η s, and a weaker one
    does not undo a stronger one. With `fatigue`, alerts that pile up help less, and the level of
-   weariness f is updated last (`hmi_marl.envs.alerts`).
+   fatigue f is updated last (`hmi_marl.envs.alerts`).
 3. The applied action is v_t = v_{t-1} if d_t = 1, else a^H_t; v_0 = a^H_0.
 4. The world moves by one policy step (1/5 s in three simulator steps).
 5. Both agents get their rewards.
@@ -44,11 +44,11 @@ Ask for a part by name: `env.unwrapped.layout("vehicle_ai")["distracted"]` is it
 obstacles, `speed`, `target_speed`, `heading`, `lateral`, `lane` (one-hot), `position`,
 `applied_action` (one-hot v_{t-1}), `alerted` (a^A_{t-1}), `time`, `traits` (β, α, η, inflation).
 
-`vehicle_ai` (65): the same with true sizes in `lidar`, and `intended_action` (one-hot; taking
-turns a^H_t, at once a^H_{t-1}), `previous_intended_action` (a^H_{t-1}), and, with
-`ai_sees_attention`, `distracted`, `accepted`, `counter` (d, i, c of the last step). Of graded
-alerts `alerted` and `accepted` are strengths, 0 for none; with `fatigue`, `fatigue` (f over its
-levels) follows `counter`.
+`vehicle_ai` (65): the same with true sizes in `lidar`, and `intended_action` (one-hot; with
+sequential moves a^H_t, with simultaneous moves a^H_{t-1}), `previous_intended_action` (a^H_{t-1}),
+and, with `ai_sees_attention`, `distracted`, `accepted`, `counter` (d, i, c of the last step). With
+graded alerts `alerted` and `accepted` are strengths, 0 for none; with `fatigue`, `fatigue` (f over
+its levels) follows `counter`.
 
 `state()`: both lidars and everything that either seat could see, attention and traits included.
 
@@ -140,7 +140,7 @@ def env(
 
 
 class _TwoSeats:
-    """What the two PettingZoo interfaces share: spaces, layouts, state and pictures."""
+    """Spaces, layouts, state and pictures of both PettingZoo interfaces."""
 
     possible_agents: list[str]
 
@@ -182,12 +182,12 @@ class _TwoSeats:
         return self.action_spaces[agent]
 
     def layout(self, agent: str) -> Layout:
-        """Which columns of this agent's observation mean what."""
+        """Named columns of this agent's observation."""
         return self.team.teaming.layouts[agent]
 
     @property
     def state_layout(self) -> Layout:
-        """Which columns of :meth:`state` mean what."""
+        """Named columns of :meth:`state`."""
         return self.team.teaming.state_layout
 
     def state(self) -> NDArray[np.float32]:
@@ -218,7 +218,7 @@ class _TwoSeats:
 
 
 class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
-    """Taking turns, without PettingZoo's wrapper. For keywords see the module's documentation."""
+    """Sequential moves, without PettingZoo's wrapper. Keywords as for :func:`env`."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
         "name": "merge_v0",
@@ -249,7 +249,7 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
         self.infos = self._infos()
 
     def observe(self, agent: str) -> NDArray[np.float32]:
-        """What this agent sees now."""
+        """Return this agent's observation."""
         self._need_reset()
         return self.team.teaming.observe(agent)[0]
 
@@ -281,7 +281,7 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
 
 
 class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
-    """Both at once: the AI sees a^H of the last step. Keywords as for :func:`env`."""
+    """Simultaneous moves: the AI sees a^H of the last step. Keywords as for :func:`env`."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
         "name": "merge_v0",
@@ -316,7 +316,7 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
     ]:
         """One step of the team, from both agents' actions.
 
-        After the end, when nobody is left to act, no actions give five empty dicts.
+        After the end no agent is left to act, and no actions give five empty dicts.
         """
         self._need_reset()
         if not self.agents:

@@ -1,4 +1,4 @@
-"""The eight reward terms of the paper's reward table, a named term each, over N teams."""
+"""The eight reward terms of the paper's reward table, by name, and their sums over an episode."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ _SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
 def share(
     terms: dict[str, NDArray[np.float64]], sharing: Sharing
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the driver and the vehicle AI each receive, shapes (N,).
+    """Rewards of the driver and of the vehicle AI, shapes (N,).
 
     ``team``: the sum of all eight to both. ``individual``: driving and distraction to the driver,
     alert and accept to the AI. ``driving``: the five driving terms to both. ``attention``:

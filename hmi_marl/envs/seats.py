@@ -14,7 +14,7 @@ from hmi_marl.envs.teaming import StepResult, Teaming
 
 @runtime_checkable
 class Policy(Protocol):
-    """A policy for one seat of N teams at once.
+    """A policy for one seat of N teams.
 
     In a single-team environment pass ``observation[None]`` and take element 0 of the answer.
     A policy may remember what it saw of its teams: give each environment its own object.

@@ -1,4 +1,4 @@
-"""One team as the single-episode interfaces need it: seeds in series, checked actions, pictures."""
+"""One team for the single-episode interfaces: series of seeds, checked actions, pictures, info."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class SingleTeam:
-    """A :class:`Teaming` of one, under PettingZoo's and Gymnasium's habits."""
+    """A :class:`Teaming` of one team, with the conventions of PettingZoo and Gymnasium."""
 
     def __init__(self, config: TeamConfig, world: str | World, render_mode: str | None) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -33,16 +33,16 @@ class SingleTeam:
             DRIVER: spaces.Discrete(len(VEHICLE_ACTIONS)),
             VEHICLE_AI: spaces.Discrete(config.alerts.choices),
         }
-        """By agent; the same objects at each look."""
+        """Action space of each agent; always the same objects."""
         self.result: StepResult | None = None
-        """Of the last step, None before the first."""
+        """Result of the last step, None before the first."""
         self._render_mode = render_mode
         self._viewer: Viewer | None = None
         self._seed: int | None = None
         self._episode = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copies and pickles: all but the viewer, since a window cannot be copied."""
+        """Return all but the viewer, since a window cannot be copied."""
         return self.__dict__ | {"_viewer": None}
 
     @property
@@ -54,8 +54,8 @@ class SingleTeam:
         """Begin the episode of ``seed``, or without one the next episode of the series.
 
         Args:
-            seed: of a series, whose first episode begins.
-            of_episode: the seed is that of an episode itself, as :attr:`seed` says it.
+            seed: of a new series; its first episode begins.
+            of_episode: the seed is an episode's own, as :attr:`seed` gives it.
         """
         if seed is not None:
             self._seed, self._episode = check_seed(seed), 0
@@ -113,7 +113,7 @@ def team_info(teaming: Teaming, result: StepResult | None, team: int = 0) -> dic
     """Numbers about one team after a step, for ``info``: the truth, for evaluation and pictures.
 
     ``distracted`` (d), ``accepted`` (i), ``counter`` (c), ``applied_action`` (v, -1 before the
-    first step), ``crashed``, ``speed`` [m/s], ``time_headway`` [s] to whatever is ahead in the
+    first step), ``crashed``, ``speed`` [m/s], ``time_headway`` [s] to the next object ahead in the
     lane (inf if nothing is), ``beta``, ``alpha``, ``eta``, ``inflation``, and one entry per
     reward term, 0 before the first step. With alerts of other strengths than 1 also ``strength``,
     that of the alert in effect, 0 if none is; with fatigue also ``fatigue``, its level.
@@ -147,9 +147,9 @@ def action_index(action: Any, space: spaces.Discrete, agent: str) -> int:
 
     Args:
         action: what ``space`` contains (an int, ``True``, a NumPy integer, a zero-dimensional
-            array of one), or a zero-dimensional tensor whose ``item()`` it contains.
+            array of one), or a zero-dimensional tensor with such an ``item()``.
         space: of the agent's actions.
-        agent: whose action it is, for the message.
+        agent: for the message.
 
     Raises:
         ValueError: the space does not contain it.
@@ -168,7 +168,7 @@ def action_index(action: Any, space: spaces.Discrete, agent: str) -> int:
 
 
 def as_scalar(action: Any) -> Any:
-    """A bool, a zero-dimensional array or tensor as a number; others as they are."""
+    """Return a bool, a zero-dimensional array or tensor as a number, anything else unchanged."""
     if isinstance(action, np.ndarray) and action.shape == ():
         return action[()]
     if not isinstance(action, np.generic) and getattr(action, "shape", None) == ():

@@ -2,13 +2,13 @@
 
 ``gymnasium.make("hmi_marl/MergeDriver-v0", partner="never")`` is the driver's seat, with an HMI
 as part of the world; ``gymnasium.make("hmi_marl/MergeHMI-v0", partner="rule")`` is the vehicle
-AI's seat, with a driver inside. Both take turns, so that the HMI sees what the driver is about to
-do, and take every keyword of :mod:`hmi_marl.envs.merge_v0`.
+AI's seat, with a driver inside. Moves are sequential, so that the HMI sees what the driver is about
+to do. Both take every keyword of :mod:`hmi_marl.envs.merge_v0`.
 
 The classes here take the partner as a :class:`hmi_marl.envs.seats.Policy`;
 :mod:`hmi_marl.agents.partners`, which ``gymnasium.make`` goes through, also takes a known
-policy's name or a plain function from one observation to an action. A policy remembers what it
-saw, so one object must not be the partner in several environments: make one for each.
+policy's name or a plain function from one observation to an action. A policy may remember
+what it saw: give each environment its own object.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hmi_marl.envs.worlds import World
 
 
 class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
-    """What both seats share."""
+    """The common part of both seats."""
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's)
     seat: str
@@ -52,7 +52,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     @property
     def layout(self) -> Layout:
-        """Which columns of the observation mean what."""
+        """Named columns of the observation."""
         return self.team.teaming.layouts[self.seat]
 
     def reset(
@@ -66,7 +66,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One step of the team from this seat's action; the reward is this seat's."""
+        """Take one step of the team from this seat's action; the reward is this seat's."""
         if self.team.teaming.over.all():
             raise RuntimeError("the episode is over: call reset() before stepping again")
         action = self.team.check(self.seat, action)  # before the partner is asked
@@ -112,12 +112,12 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 
 
 class MergeDriver(_OneSeat):
-    """The driver's seat; the HMI is given."""
+    """The driver's seat; the HMI is part of the environment."""
 
     seat, other_seat = DRIVER, VEHICLE_AI
 
 
 class MergeHMI(_OneSeat):
-    """The vehicle AI's seat; the driver is given, and has always acted before the AI observes."""
+    """The vehicle AI's seat; the driver is part of the environment and acts before the AI sees."""
 
     seat, other_seat = VEHICLE_AI, DRIVER

@@ -15,7 +15,7 @@ SEEDS = np.arange(4, dtype=np.uint64)
 
 
 class Counting(Memoryless):
-    """A driver whose a^H is the number of the step, modulo 5."""
+    """A driver with the number of the step, modulo 5, as a^H."""
 
     def __init__(self):
         self.step = 0
