@@ -15,10 +15,10 @@ import numpy as np
 
 
 def make_folder(folder: Path) -> None:
-    """Make ``folder`` if there is none, and see that files can be written there.
+    """Make ``folder`` if there is none, and check that files can be written there.
 
     Raises:
-        OSError: they cannot; better known before the work than after it.
+        OSError: they cannot.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -75,7 +75,7 @@ def sha256_of(path: Path) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """``value`` as JSON has it: a dataclass becomes a dict, what JSON does not know its repr."""
+    """Return ``value`` as JSON has it: a dataclass as a dict, types unknown to JSON by repr."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: json_value(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):

@@ -12,6 +12,7 @@ SB3 = "sb3_parameter_sharing"
 TINY = {
     "turn_taking": (["--duration", "2"], "vehicle_ai  return"),
     "new_driver": ([], "with the optimal one"),
+    "new_world": (["--episodes", "3", "--duration", "4"], "merge_v0: crashed after keeping"),
     "latent_traits": (["--windows", "10", "--updates", "1", "--steps", "1600"], "homer  z = ["),
     "unknown_driver": (
         ["--drives", "2", "--trips", "2", "--adaptive", "adapt:bayes"],

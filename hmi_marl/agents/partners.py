@@ -58,7 +58,7 @@ def _as_policy(
 @takes_team_settings
 def merge_driver(
     partner: Partner = "never",
-    world: str = "highway",
+    world: str | World = "highway",
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeDriver:
@@ -70,7 +70,7 @@ def merge_driver(
 @takes_team_settings
 def merge_hmi(
     partner: Partner = "rule",
-    world: str = "highway",
+    world: str | World = "highway",
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeHMI:
