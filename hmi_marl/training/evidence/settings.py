@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 from hmi_marl.agents.adaptive.evidence_model import READS, EvidenceCard
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.protocols.settings import check_count
 
 HMIS = (
     "never",

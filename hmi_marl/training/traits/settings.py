@@ -8,9 +8,10 @@ from typing import Literal, get_args
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.trait_model import TraitCard
+from hmi_marl.checks import check_count
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.protocols.settings import PPOSettings, check_count
+from hmi_marl.training.ppo.settings import PPOSettings
 
 Supervision = Literal["none", "id", "preference"]
 

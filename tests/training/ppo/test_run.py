@@ -19,9 +19,9 @@ from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.scene import Scene
 from hmi_marl.training.ppo import run
 from hmi_marl.training.ppo.run import train
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.alternating import Alternating
 from hmi_marl.training.protocols.joint import Joint
-from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.checkpoint import Checkpoint

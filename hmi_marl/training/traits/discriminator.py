@@ -41,7 +41,7 @@ class Labelled(NamedTuple):
     """Shape (P,)."""
 
 
-class Adversary:
+class DiscriminatorLearner:
     """Tells demonstrations from the policy's driving, and encodes whose driving it is.
 
     Args:

@@ -6,8 +6,8 @@ import torch
 from demonstrations import LAYOUT, made_up
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.traits.adversary import Adversary, Labelled
+from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
 from hmi_marl.training.traits.model import log_policy, make_policy
 from hmi_marl.training.traits.pools import Units, Windows, transitions
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
@@ -40,7 +40,7 @@ def labelled():
 def adversary(**weights):
     torch.manual_seed(0)
     settings = replace(SETTINGS, weights=replace(LossWeights(), **weights))
-    one = Adversary(CARD, settings, make_policy(CARD), "cpu")
+    one = DiscriminatorLearner(CARD, settings, make_policy(CARD), "cpu")
     one.prepare(pools(8, seed=3))
     return one
 
@@ -154,6 +154,6 @@ def test_it_goes_on_from_what_it_kept():
 
 
 def test_weights_of_another_model_are_refused():
-    other = Adversary(replace(CARD, encoder_units=6), SETTINGS, make_policy(CARD), "cpu")
+    other = DiscriminatorLearner(replace(CARD, encoder_units=6), SETTINGS, make_policy(CARD), "cpu")
     with pytest.raises(RuntimeError, match="size mismatch"):
         adversary().load(other.tensors())
