@@ -135,7 +135,7 @@ class DiscriminatorLearner:
                 encoder.posterior(known, *units).sample(),
                 labelled.labels,
                 settings.margin,
-                settings.softness,
+                settings.label_bandwidth,
             ) + cohesion_loss(z_experts[::2], z_experts[1::2])
         told = {
             "sigma": (0.5 * posterior.log_variance.detach()).exp().mean(),

@@ -74,7 +74,7 @@ def information_loss(
 
 
 def contrastive_loss(
-    z: torch.Tensor, labels: torch.Tensor, margin: float, softness: float = 0.0
+    z: torch.Tensor, labels: torch.Tensor, margin: float, bandwidth: float = 0.0
 ) -> torch.Tensor:
     r"""L3: latent variables of one label come together, others move ``margin`` apart.
 
@@ -88,7 +88,7 @@ def contrastive_loss(
         z: shape (P, Z).
         labels: y, shape (P,).
         margin: ε.
-        softness: s, in units of the labels; 0 for the plain indicator.
+        bandwidth: s, in units of the labels; 0 for the plain indicator.
 
     Returns:
         The mean over ordered pairs; 0 if there are fewer than two vectors.
@@ -99,7 +99,7 @@ def contrastive_loss(
     first, second = torch.triu_indices(count, count, offset=1, device=z.device)
     squared = ((z[first] - z[second]) ** 2).sum(dim=1)
     apart = (labels[first] - labels[second]).to(z.dtype)
-    same = torch.exp(-0.5 * (apart / softness) ** 2) if softness else (apart == 0).to(z.dtype)
+    same = torch.exp(-0.5 * (apart / bandwidth) ** 2) if bandwidth else (apart == 0).to(z.dtype)
     # The root's slope at 0 is infinite, but a pair that lies in one point has none.
     distance = torch.sqrt(squared.clamp_min(1e-12))
     return (same * squared + (1 - same) * (margin - distance).clamp_min(0.0) ** 2).mean()
