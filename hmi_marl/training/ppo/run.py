@@ -104,6 +104,7 @@ class _Run(Run):
         self._phases = [_in_context(phase, context) for phase in settings.phases()]
         self.phases = len(self._phases)
         self._learners: dict[str, PPOLearner] = {}
+        self._restored: Tensors = {}
 
     def learn(self) -> None:
         """See :meth:`Run.learn`."""
@@ -117,8 +118,12 @@ class _Run(Run):
                 self.finish_phase()
 
     def tensors(self) -> Tensors:
-        """See :meth:`Run.tensors`; learners of later phases are still as they were restored."""
+        """See :meth:`Run.tensors`."""
         return {name: learner.tensors() for name, learner in self._learners.items()}
+
+    def restore(self, tensors: Tensors) -> None:
+        """See :meth:`Run.restore`; a learner is made and restored when its phase begins."""
+        self._restored = tensors
 
     def _iterations(self, phase: Phase) -> int:
         return phase.iterations(self._settings.num_teams, self.processes.count)
@@ -199,8 +204,8 @@ class _Run(Run):
             self._device,
             self.processes,
         )
-        if name in self.state.tensors:
-            learner.load(self.state.tensors[name])
+        if name in self._restored:
+            learner.load(self._restored[name])
         self._learners[name] = learner
         return learner
 

@@ -25,8 +25,8 @@ class Alternating(TrainSettings):
     hmi_steps: int = 2_000_000
     """Environment steps in which the HMI learns, over all rounds."""
     driver_reward: Sharing = "driving"
-    """Reward of the driver. Without an HMI, as in the first round, the team's reward of a distracted
-    step is below 0, so that "team" teaches the driver to crash."""
+    """Reward of the driver. Without an HMI, as in the first round, a distracted step gives the team
+    less than 0, so that "team" teaches the driver to crash."""
     hmi_reward: Sharing = "team"
     """Reward of the HMI."""
 

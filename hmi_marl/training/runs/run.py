@@ -92,6 +92,7 @@ class Run(ABC):
     def tensors(self) -> Tensors:
         """Everything learned so far, by the name of the learner."""
 
+    @abstractmethod
     def restore(self, tensors: Tensors) -> None:
         """Restore what :meth:`tensors` returned when the run was interrupted."""
 

@@ -68,7 +68,7 @@ class TraitSettings:
     """
 
     supervision: Supervision = "none"
-    """Labels of windows: none, the driver (id), or the driver's preference for help (preference)."""
+    """Labels of windows: none, the driver (id), or the driver's wish for help (preference)."""
     labelled: float = 0.2
     """Share of each driver's windows that is labelled."""
     label_bandwidth: float = 0.0
@@ -85,8 +85,8 @@ class TraitSettings:
     encoder_units: int = 128
     """Recurrent units of the context encoder."""
     imitation_updates: int = 600
-    """Updates before the policy drives, in which the policy learns by imitation and the encoder from
-    the losses that need no driving by the policy."""
+    """Updates before the policy drives, in which the policy learns by imitation and the encoder
+    from the losses that need no driving by the policy."""
     steps: int = 1_000_000
     """Environment steps of the policy, rounded up to whole rounds."""
     num_teams: int = 64
@@ -136,8 +136,8 @@ class TraitSettings:
         check_choice("supervision", self.supervision, get_args(Supervision))
         if self.label_bandwidth and self.supervision == "id":
             raise ValueError(
-                f"label_bandwidth = {self.label_bandwidth}, but it is for graded labels and drivers "
-                "are not graded; set it to 0, or supervision to preference"
+                f"label_bandwidth = {self.label_bandwidth} is for graded labels, but drivers are "
+                "not graded; set it to 0, or supervision to preference"
             )
         for name in ("steps", "num_teams", "expert_pools", "updates", "threads", "pool", "latent"):
             check_count(name, getattr(self, name))

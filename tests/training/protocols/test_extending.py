@@ -98,7 +98,7 @@ def test_it_is_compared_with_the_others(command, tmp_path: Path) -> None:
 
 def test_the_terms_of_its_driver_follow_from_its_phases() -> None:
     space: dict = {}
-    exec(NEW_FILE, space)  # noqa: S102
+    exec(NEW_FILE, space)
     settings = space["Reversed"].for_comparison(Budget(100, 20), seed=3)
     assert (settings.driver_steps, settings.hmi_steps, settings.seed) == (100, 20, 3)
     assert settings.driver_terms[-1] == "distraction"

@@ -65,7 +65,7 @@ def test_every_loss_is_there_when_there_is_what_it_needs():
     assert set(alone) == {"imitation", "L1", "L2", "L4"}
     every, told = one.losses(pools(4), labelled(), pools(2, seed=1), z)
     assert set(every) == {"imitation", "L1", "L2", "L3", "L4"}
-    assert set(told) == {"sigma", "width", "experts_told", "policy_told"}
+    assert set(told) == {"sigma", "width", "experts_recognised", "policy_recognised"}
     assert set(every) == set(LossWeights().by_loss())
 
 
@@ -102,8 +102,8 @@ def test_a_discriminator_learns_to_tell_the_policy_from_the_experts():
     for _ in range(150):
         last = one.learn(experts, None, driven, z)
     assert last["L1"] < first["L1"]
-    assert last["experts_told"] > 0.7
-    assert last["policy_told"] > 0.7
+    assert last["experts_recognised"] > 0.7
+    assert last["policy_recognised"] > 0.7
 
 
 def test_labels_pull_drivers_apart():

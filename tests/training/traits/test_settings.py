@@ -56,7 +56,7 @@ def test_rounds_are_whole():
         ({"checkpoint_every": -1.0}, "checkpoint_every is a number of at least 0"),
         ({"seed": -1}, "seed"),
         ({"supervision": "foo"}, "supervision is one of none, id, preference, not 'foo'"),
-        ({"supervision": "id", "label_bandwidth": 0.1}, "drivers are not graded"),
+        ({"supervision": "id", "label_bandwidth": 0.1}, "drivers are not graded; set it to 0"),
     ],
 )
 def test_what_makes_no_training_is_refused(choice, message):
