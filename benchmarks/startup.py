@@ -21,7 +21,7 @@ NUMPY = 'python -c "import numpy"'
 
 
 def contestants(only: list[str]) -> dict[str, list[str]]:
-    """What to start: the program's arguments, by what is typed for them."""
+    """Return the arguments of each program, by the command as typed."""
     command_line = {"version": "--version", "help": "--help"}
     for subcommand in SUBCOMMANDS:
         for path in (subcommand.name, *(path for path, _ in subcommand.leaves())):
@@ -34,7 +34,7 @@ def contestants(only: list[str]) -> dict[str, list[str]]:
 
 
 def seconds(arguments: list[str]) -> float:
-    """How long a Python process with these arguments takes, from its start to its end."""
+    """Return the time of a Python process with these arguments, from start to end."""
     begun = time.perf_counter()
     subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
     return time.perf_counter() - begun
