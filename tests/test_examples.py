@@ -106,10 +106,21 @@ def test_the_benchmark_of_startup_tells_ratios_to_numpy(tmp_path):
     assert all(row["seconds"] > 0 and row["ratio"] > 0 for row in written["rows"])
 
 
+def test_the_walk_from_a_demonstrations_file_to_its_figure_is_counted(tmp_path):
+    lines = run_benchmark("walk", "--list", tmp_path).stdout.splitlines()
+    stops, files, returns = map(int, re.findall(r"\d+", lines[-1]))
+    listed = [line.split() for line in lines if re.match(r" *\d+  \S+\.py  ", line)]
+    assert [int(number) for number, *_ in listed] == list(range(1, stops + 1))
+    assert len({file for _, file, _ in listed}) == files == stops - returns
+    assert listed[0][1:] == ["commands/traits.py", "EvaluateTraits.run"]
+    assert any(function == "read_demonstrations" for *_, function in listed)
+
+
 def run_benchmark(name, arguments, folder):
     command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *arguments.split()]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+    return run
 
 
 def test_the_benchmark_of_worlds_is_the_command():
