@@ -1,17 +1,17 @@
-"""Count the stops on the way of a demonstrations file to its figure, as a reader of the code walks it.
+"""Count the stops on the way of a demonstrations file to its figure, for a reader of the code.
 
 The way begins in ``EvaluateTraits.run``, the command ``hmi-marl traits evaluate``, and ends where
-``embeddings.png`` is written. It is traced on tiny data: windows without seeds, as they
-are recorded from people, so that nothing is simulated, and one trait model.
+``embeddings.png`` is written. It is traced on tiny data: windows without seeds, as they are
+recorded from people, so that nothing is simulated, and one trait model.
 
-The walk goes along the calls, and reads each function of the package once: where it is called for the
-first time. Calls of a function that was read already are passed over, with all that they call; so is
-what a module does when it is imported. Then
+The walk goes along the calls and reads each function of the package once, where it is called for
+the first time. Calls of a function that was read already are passed over, with all that they call;
+so is what a module does when it is imported. Then
 
-- a stop is the file in which the walk begins, and each first call of a function in another file than
-  its caller's, which is where an editor's "go to definition" leads elsewhere;
-- a return is a stop in a file that was visited before, so stops = files + returns. (Coming back to the
-  caller where a function ends is no stop.)
+- a stop is the file in which the walk begins, and each first call of a function in another file
+  than its caller's, which is where an editor's "go to definition" opens another file;
+- a return is a stop in a file that was visited before, so stops = files + returns. Coming back to
+  the caller where a function ends is no stop.
 
 Run: python benchmarks/walk.py
      python benchmarks/walk.py --list     # every stop, and the function that is read there
