@@ -92,7 +92,7 @@ def test_pages_made_from_the_code_say_what_the_code_says():
 
 
 def test_the_page_of_trainers_shows_the_examples_that_their_tests_run():
-    page = TEXTS["own-trainers.md"]
+    page = TEXTS["custom-trainers.md"]
     tests = "".join(test.read_text() for test in (ROOT / "tests" / "trainers").glob("test_*.py"))
     examples = sorted((ROOT / "examples" / "trainers").glob("*.py"))
     assert len(blocks(page, "py")) == len(examples) > 0
@@ -103,7 +103,7 @@ def test_the_page_of_trainers_shows_the_examples_that_their_tests_run():
 
 
 def test_the_page_of_trainers_names_the_versions_that_are_tested():
-    page = TEXTS["own-trainers.md"]
+    page = TEXTS["custom-trainers.md"]
     pinned = [(ROOT / "constraints.txt").read_text()]
     pinned += [pins.read_text() for pins in (ROOT / "tests" / "trainers" / "pins").glob("*.txt")]
     versions = dict(re.findall(r"^([\w-]+)==(\S+)$", "\n".join(reversed(pinned)), re.MULTILINE))

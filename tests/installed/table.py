@@ -163,14 +163,14 @@ SITE_PAGES = tuple(
     Row("page", name, needs, prepared=prepared, dear=True)
     for name, (needs, *prepared) in {
         "adapting.md": (CORE,),
+        "custom-trainers.md": (TRAIN | INTEROP,),
         "demonstrations.md": (DATA, "collect --drivers homer --steps 4802 --duration 0.4"),
         "environment.md": (CORE,),
         "exact.md": (CORE,),
         "extending.md": (CORE,),
         "graded-alerts.md": (CORE,),
         "index.md": (CORE,),
-        "own-trainers.md": (TRAIN | INTEROP,),
-        "training.md": (TRAIN,),
+                "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),
     }.items()
 )
