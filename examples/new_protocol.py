@@ -80,4 +80,6 @@ if __name__ == "__main__":
     command = f"train --out {args.out} hmi-first {settings} --duration {args.duration:g}"
     if main(command.split()) == 0:
         batches = json.loads((args.out / "curve.json").read_text("utf-8"))
-        print(f"learned in {len(batches)} batches; the last one: {batches[-1]}")
+        for phase in ("hmi", "driver"):
+            first, *_, last = [row["return"] for row in batches if row["phase"] == phase]
+            print(f"{phase}: return {first:.1f} in the first batch, {last:.1f} in the last")
