@@ -52,6 +52,12 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch)
         exec(compile(block, f"{page}, block {number}", "exec"), names)
 
 
+@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "```python" in text])
+def test_the_code_of_a_page_imports_from_two_levels_at_most(page):
+    for name in re.findall(r"^(?:from|import) (hmi_marl[\w.]*)", TEXTS[page], re.MULTILINE):
+        assert name.count(".") <= 2, name
+
+
 def test_what_is_prepared_is_for_pages_that_are_there():
     assert set(BEFORE) <= set(TEXTS)
 

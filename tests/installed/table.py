@@ -141,6 +141,10 @@ EXAMPLES = tuple(
     for name, needs in {
         "turn_taking": CORE,
         "new_driver": CORE,
+        "new_experiment": TRAIN,
+        "new_hmi": CORE,
+        "new_protocol": TRAIN,
+        "new_world": CORE,
         "unknown_driver": CORE,
         "policy_gradient_hmi": TRAIN,
         "latent_traits": TRAIN | DATA,
@@ -170,7 +174,7 @@ SITE_PAGES = tuple(
         "extending.md": (CORE,),
         "graded-alerts.md": (CORE,),
         "index.md": (CORE,),
-                "training.md": (TRAIN,),
+        "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),
     }.items()
 )
