@@ -16,7 +16,7 @@ parser.add_argument(
     "--beta",
     type=float,
     default=0.4,
-    help="β, chance per step to become distracted (default: %(default)s)",
+    help="β, to be distracted (default: %(default)s)",
 )
 parser.add_argument("--alpha", type=float, default=0.3, help="α, to recover (default: %(default)s)")
 parser.add_argument("--eta", type=float, default=0.5, help="η of alerts (default: %(default)s)")

@@ -8,6 +8,7 @@ Run: python examples/new_experiment.py --episodes 200 --windows 3 7 11
 
 import argparse
 from dataclasses import dataclass
+from itertools import pairwise
 
 from hmi_marl import TeamConfig, make_driver_policy, make_hmi, oracle
 from hmi_marl.cli import main
@@ -69,7 +70,7 @@ class WindowLength(Experiment):
         verdicts = []
         for driver in self.drivers:
             exact = [best.total_return for name, _, best, _ in results if name == driver]
-            rising = [after >= before for before, after in zip(exact, exact[1:], strict=False)]
+            rising = [after >= before for before, after in pairwise(exact)]
             reason = ", ".join(f"{value:.0f}" for value in exact)
             verdicts.append(Verdict.of_parts(f"{driver} gains by longer windows", rising, reason))
         return verdicts

@@ -23,7 +23,7 @@ parser.add_argument(
 )
 parser.add_argument("--drives", type=int, default=50, help="repetitions (default: %(default)s)")
 parser.add_argument(
-    "--policy", default="trained:driver", help="policy that steers (default: %(default)s)"
+    "--policy", default="trained:driver", help="of the driver (default: %(default)s)"
 )
 parser.add_argument(
     "--adaptive",

@@ -79,7 +79,7 @@ EXTENSIONS = sorted(path.stem for path in (ROOT / "examples").glob("new_*.py"))
 
 def test_there_is_an_example_for_each_extension():
     kinds = ("driver", "experiment", "hmi", "protocol", "world")
-    assert EXTENSIONS == [f"new_{kind}" for kind in kinds]
+    assert [f"new_{kind}" for kind in kinds] == EXTENSIONS
     page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
     for name in EXTENSIONS:
         assert f"`examples/{name}.py`" in page
