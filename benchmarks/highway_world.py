@@ -27,7 +27,7 @@ Step = Callable[[], bool]
 
 
 def highway_env_alone(scene: Scene) -> Callable[[int], Step]:
-    """Return highway-env's own ``step`` with its own lidar; call with a seed to start an episode."""
+    """Return highway-env's own step with its own lidar; call with a seed to start an episode."""
     env = MergeScene(scene)
     env.configure({"observation": {"type": "LidarObservation"}})
     env.define_spaces()
