@@ -1,4 +1,4 @@
-"""A custom experiment: how long should an alert stay in effect? Exact and played returns by N.
+"""A custom experiment: exact and played returns by N, how long an alert stays in effect.
 
 An experiment is a frozen dataclass of settings with run, numbers, judge and blocks. Registered, it
 is a subcommand of hmi-marl reproduce that writes a page, a text and JSON.
@@ -66,13 +66,13 @@ class WindowLength(Experiment):
         return {"rows": rows}
 
     def judge(self, results):
-        """Judge whether longer windows are at least as good, for each driver."""
+        """Judge whether the optimum takes fewer alerts with longer windows, for each driver."""
         verdicts = []
         for driver in self.drivers:
-            exact = [best.total_return for name, _, best, _ in results if name == driver]
-            rising = [after >= before for before, after in pairwise(exact)]
-            reason = ", ".join(f"{value:.0f}" for value in exact)
-            verdicts.append(Verdict.of_parts(f"{driver} gains by longer windows", rising, reason))
+            alerts = [best.alerts for name, _, best, _ in results if name == driver]
+            fewer = [after < before for before, after in pairwise(alerts)]
+            reason = ", ".join(f"{number:.1f}" for number in alerts)
+            verdicts.append(Verdict.of_parts(f"{driver}: fewer alerts", fewer, reason))
         return verdicts
 
     def blocks(self, results):
