@@ -38,7 +38,7 @@ def prepare_traits(folder):
 
 
 BEFORE = {"demonstrations.md": prepare_demonstrations, "traits.md": prepare_traits}
-"""What commands of the page would have left, tiny."""
+"""Prepare tiny versions of what a page reads."""
 
 
 @pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "```python" in text])
