@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hmi_marl.agents.learned.trait_files import load_traits
+from hmi_marl.agents.learned.trait_model import load_traits
+from hmi_marl.demonstrations.dataset import held_out
 from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
-from hmi_marl.demonstrations.windows import held_out
 from hmi_marl.training.traits.run import learn_traits
 from hmi_marl.training.traits.settings import TraitSettings
 

@@ -9,7 +9,7 @@ import yaml
 from pages import DOCS, PAGES, ROOT, blocks, commands, hook
 from trait_models import untrained
 
-from hmi_marl.agents.learned.trait_files import save_traits
+from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.demonstrations.parquet import write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect

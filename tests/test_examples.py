@@ -18,6 +18,7 @@ TINY = {
         ["--steps", "160", "--teams", "16", "--duration", "2", "--out", "runs/first"],
         "learned: runs/first",
     ),
+    "new_world": (["--episodes", "3", "--duration", "4"], "merge_v0: crashed after keeping"),
     "latent_traits": (["--windows", "10", "--updates", "1", "--steps", "1600"], "homer  z = ["),
     "unknown_driver": (
         ["--drives", "2", "--trips", "2", "--adaptive", "adapt:bayes"],

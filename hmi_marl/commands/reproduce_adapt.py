@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hmi_marl.agents.adaptive.catalogue import Trained
+from hmi_marl.agents.adaptive.factory import Trained
 from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.adaptation.settings import AdaptReproduction

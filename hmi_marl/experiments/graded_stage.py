@@ -8,7 +8,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.experiments import graded_alerts as graded
 from hmi_marl.experiments.graded_alerts import CASES, GradedSettings

@@ -11,7 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.experiments import attentive_drivers as attentive
 from hmi_marl.experiments import hidden_attention as hidden

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hmi_marl.agents.adaptive.catalogue import EXPECTED, Trained, make_adaptive
+from hmi_marl.agents.adaptive.factory import EXPECTED, Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.rollout import begin
 from hmi_marl.envs.drivers import Traits, get_driver

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.catalogue import TYPES, Trained
+from hmi_marl.agents.adaptive.factory import TYPES, Trained
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions, Traits, get_driver

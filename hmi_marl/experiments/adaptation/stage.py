@@ -8,9 +8,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hmi_marl.agents.adaptive.catalogue import Trained
-from hmi_marl.agents.adaptive.evidence_files import NAME
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.adaptive.evidence_model import NAME
+from hmi_marl.agents.adaptive.factory import Trained
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.experiments.adaptation import evaluation as adapt
 from hmi_marl.experiments.adaptation import report as adapt_report

@@ -8,7 +8,7 @@ from typing import Any
 
 from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.demonstrations.dataset import Demonstrations
-from hmi_marl.demonstrations.windows import team_of
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver
 from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence

@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hmi_marl.agents.learned.policy import LearnedPolicy
-from hmi_marl.agents.learned.policy_files import find_policy, load_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
 from hmi_marl.demonstrations.dataset import Observed
-from hmi_marl.demonstrations.windows import team_of
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.exact.identify import Identification, marginal

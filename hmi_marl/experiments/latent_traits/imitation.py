@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.learned.situations import situations
 from hmi_marl.agents.learned.trait_model import Latent, TraitModel
-from hmi_marl.demonstrations.dataset import NOBODY, Observed
+from hmi_marl.demonstrations.dataset import MISSING, Observed
 from hmi_marl.exact.identify import Identification
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate
@@ -72,7 +72,7 @@ def driver_latents(model: TraitModel, observed: Observed) -> dict[str, NDArray[n
     """The posterior mean of z, shape (Z,), given all windows of each known driver."""
     windows = {
         observed.names[who]: np.flatnonzero(observed.driver == who)
-        for who in np.unique(observed.driver[observed.driver != NOBODY])
+        for who in np.unique(observed.driver[observed.driver != MISSING])
     }
     return {
         name: pool_latents(model, observed, theirs[None]).mean[0]
@@ -97,7 +97,7 @@ def checked_pools(
     if places.min() < 0 or places.max() >= len(observed):
         raise ValueError(f"places of windows lie in 0 to {len(observed) - 1}")
     whose = observed.driver[places]
-    if (whose != whose[:, :1]).any() or (whose == NOBODY).any():
+    if (whose != whose[:, :1]).any() or (whose == MISSING).any():
         raise ValueError("all windows of a pool are of one driver who is known")
     return places.astype(np.int64), whose[:, 0]
 

@@ -10,15 +10,13 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hmi_marl.agents.learned.policy_files import find_policy
-from hmi_marl.agents.learned.trait_files import load_traits
-from hmi_marl.agents.learned.trait_model import TraitModel
+from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     TRUTH,
     read_about,
     read_demonstrations,
-    sha256_of,
     write_demonstrations,
 )
 from hmi_marl.demonstrations.recording import collect
@@ -47,7 +45,7 @@ from hmi_marl.experiments.latent_traits.settings import (
     TraitReproduction,
 )
 from hmi_marl.experiments.stages import Outcome
-from hmi_marl.files import json_value, make_folder, write_bytes, write_json, write_text
+from hmi_marl.files import json_value, make_folder, sha256_of, write_bytes, write_json, write_text
 from hmi_marl.reporting.blocks import page_of, pictures
 from hmi_marl.training.runs.claim import FREE as MACHINE
 from hmi_marl.training.runs.claim import check_same

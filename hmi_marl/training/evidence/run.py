@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 import hmi_marl
-from hmi_marl.agents.adaptive.evidence_files import save_evidence
+from hmi_marl.agents.adaptive.evidence_model import save_evidence
 from hmi_marl.envs.observations import traits_part
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.demonstrations.dataset import NOBODY, Demonstrations
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.training.traits.settings import Supervision
 
@@ -30,7 +30,7 @@ def choose_labelled(
         rng: to draw by.
     """
     marked = np.zeros(len(driver), np.bool_)
-    for who in np.unique(driver[driver != NOBODY]):
+    for who in np.unique(driver[driver != MISSING]):
         theirs = np.flatnonzero(driver == who)
         marked[rng.permutation(theirs)[: max(1, round(share * len(theirs)))]] = True
     return marked

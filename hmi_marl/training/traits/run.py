@@ -20,18 +20,13 @@ from typing import Any
 import numpy as np
 
 import hmi_marl
-from hmi_marl.agents.learned.trait_files import save_traits
-from hmi_marl.demonstrations.dataset import Demonstrations
-from hmi_marl.demonstrations.parquet import (
-    OBSERVED,
-    read_demonstrations,
-    read_observed,
-    sha256_of,
-)
-from hmi_marl.demonstrations.windows import alert_rate, held_out, team_of
+from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.demonstrations.dataset import Demonstrations, alert_rate, held_out
+from hmi_marl.demonstrations.env import team_of
+from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_observed
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
-from hmi_marl.files import json_value, make_folder, write_json
+from hmi_marl.files import json_value, make_folder, sha256_of, write_json
 from hmi_marl.training.runs.claim import SETTINGS, check_same, read_settings
 from hmi_marl.training.runs.jobs import CURVE
 from hmi_marl.training.runs.progress import Telling

@@ -5,7 +5,7 @@ from standing_world import standing_teams
 from tensordict import TensorDict
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import LearnedPolicy, check_weights, make_card
+from hmi_marl.agents.learned.policy import FORMAT, LearnedPolicy, make_card
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
@@ -47,7 +47,7 @@ def test_an_actors_weights_fit_its_card(seat, memory):
     actor = make_actor(card)
     assert actor.is_recurrent == bool(memory)
     assert isinstance(actor.distribution, OneAction)
-    check_weights(card, weights_of(actor))
+    FORMAT.check(card, weights_of(actor))
 
 
 def test_weights_are_copies():
@@ -134,7 +134,7 @@ def test_each_half_reads_its_own_seat_alone():
 def test_the_weights_of_both_halves_fit_their_cards():
     both = cards()
     for card, weights in zip(both, weights_of_both(make_joint_actor(*both)), strict=True):
-        check_weights(card, weights)
+        FORMAT.check(card, weights)
 
 
 def test_a_composite_policy_that_cannot_be_is_refused():
