@@ -94,7 +94,7 @@ def walk(folder: Path) -> Walk:
     from trait_models import untrained
 
     import hmi_marl
-    from hmi_marl.agents.learned.trait_files import save_traits
+    from hmi_marl.agents.learned.trait_model import save_traits
     from hmi_marl.cli import parse
     from hmi_marl.demonstrations.parquet import write_demonstrations
 
