@@ -18,6 +18,7 @@ from hmi_marl.agents.catalogue import (
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, load_policy, save_policy
+from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.envs.seats import Policy
 from hmi_marl.exact.evidence import ChainEvidence
 from hmi_marl.exact.trait_posterior import TraitBelief
@@ -44,6 +45,7 @@ __all__ = [
     "TraitEstimator",
     "load_evidence",
     "load_policy",
+    "load_traits",
     "make_adaptive",
     "make_driver_policy",
     "make_hmi",
