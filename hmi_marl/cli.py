@@ -29,9 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
     except BrokenPipeError:  # as in `hmi-marl oracle | head`
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # or exit reports it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or exit reports it
         return BROKEN_PIPE
     except ERRORS as error:
         print(f"hmi-marl: {_one_line(str(error)) or type(error).__name__}", file=sys.stderr)

@@ -35,18 +35,25 @@ class Subcommand:
     name: str
     help: str
     """The first line of its class's docstring."""
-    where: str
-    """Its class, as MODULE:CLASS below ``hmi_marl``."""
+    where: str | type[Any]
+    """Its class, or MODULE:CLASS below ``hmi_marl``."""
     needs: tuple[str, ...] = ()
     """Modules of extras, without which it does not begin."""
     options: tuple[Option, ...] = ()
-    parts: tuple[Subcommand, ...] = ()
-    """What it chooses among."""
+    choices: tuple[Subcommand, ...] | Callable[[], tuple[Subcommand, ...]] = ()
+    """Subcommands to choose among, or a function that imports and lists them."""
     choice: str = ""
     """The attribute of its class that holds the part chosen."""
 
+    @property
+    def parts(self) -> tuple[Subcommand, ...]:
+        """Subcommands to choose among."""
+        return self.choices() if callable(self.choices) else self.choices
+
     def load(self) -> type[Any]:
         """Import its class."""
+        if not isinstance(self.where, str):
+            return self.where
         module, _, name = self.where.partition(":")
         kind: type[Any] = getattr(importlib.import_module(f"hmi_marl.{module}"), name)
         return kind
@@ -75,8 +82,12 @@ class Subcommand:
             yield from part.leaves(path)
 
 
-def _protocol(name: str, summary: str, module: str) -> Subcommand:
-    return Subcommand(name, summary, f"training.{module}", TRAINING)
+def _protocols() -> tuple[Subcommand, ...]:
+    from hmi_marl.training.protocols.registry import PROTOCOLS  # not needed by other subcommands
+
+    return tuple(
+        Subcommand(name, entry.help, entry.value, TRAINING) for name, entry in PROTOCOLS.items()
+    )
 
 
 SUBCOMMANDS = (
@@ -118,7 +129,7 @@ SUBCOMMANDS = (
         "reproduce",
         "Reproduce the paper's results, each number with its exact value and a verdict.",
         "commands.reproduce:Reproduce",
-        parts=(
+        choices=(
             Subcommand(
                 "all",
                 "Reproduce every table and figure of the paper, with a verdict on each claim.",
@@ -176,37 +187,16 @@ SUBCOMMANDS = (
     ),
     Subcommand(
         "train",
-        "Learn the driver's and the HMI's policies, by one of four protocols.",
+        "Learn the driver's and the HMI's policies, by one of several protocols.",
         "commands.train:Train",
-        parts=(
-            _protocol(
-                "two-stage",
-                "Two-stage, the paper's: a driver policy over the driver types, then an HMI.",
-                "two_stage:TwoStage",
-            ),
-            _protocol(
-                "joint",
-                "Joint: one composite policy acts for both seats and learns from one reward.",
-                "joint:Joint",
-            ),
-            _protocol(
-                "simultaneous",
-                "Simultaneous: two agents learn at once, with a common critic's view or their own.",
-                "simultaneous:Simultaneous",
-            ),
-            _protocol(
-                "alternating",
-                "Alternating: in every round each policy learns while the other stays as it is.",
-                "alternating:Alternating",
-            ),
-        ),
+        choices=_protocols,
         choice="protocol",
     ),
     Subcommand(
         "traits",
         "Learn latent driver traits from driving alone, and judge them.",
         "commands.traits:Traits",
-        parts=(
+        choices=(
             Subcommand(
                 "train",
                 "Learn latent driver traits from demonstrations, by adversarial IRL.",

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.experiments.episodes import play_episodes
@@ -20,7 +21,6 @@ from hmi_marl.experiments.metrics_table.reproduction import spec
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.page import text_table
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 

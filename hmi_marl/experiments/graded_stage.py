@@ -16,7 +16,8 @@ from hmi_marl.experiments.stages import Agent, Outcome, Place, learned_in
 from hmi_marl.files import json_value, make_folder, write_json, write_text
 from hmi_marl.reporting.blocks import Table, Told
 from hmi_marl.reporting.stopwatch import Stopwatch
-from hmi_marl.training.runs.jobs import seconds_of, train_all
+from hmi_marl.training.runs.folder import seconds_of
+from hmi_marl.training.runs.jobs import train_all
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.envs.teaming import StepResult, Teaming
@@ -26,7 +27,6 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.page import text_table
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 

@@ -33,7 +33,8 @@ from hmi_marl.experiments.stages import Agent, Outcome, Place, learned_in
 from hmi_marl.files import json_value, make_folder, write_bytes, write_json, write_text
 from hmi_marl.reporting.blocks import Table, held, page_of, pictures
 from hmi_marl.reporting.stopwatch import Stopwatch
-from hmi_marl.training.runs.jobs import Job, need_training, seconds_of, train_all
+from hmi_marl.training.runs.folder import seconds_of
+from hmi_marl.training.runs.jobs import Job, need_training, train_all
 
 
 def learn_driver(job: Job, command_line: str) -> Path:

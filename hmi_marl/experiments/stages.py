@@ -24,8 +24,7 @@ from typing import Any, Protocol
 import hmi_marl
 from hmi_marl.files import make_folder, write_json
 from hmi_marl.reporting.blocks import Exhibit, exhibit_from
-from hmi_marl.training.runs.claim import check_same
-from hmi_marl.training.runs.jobs import CHECKPOINT
+from hmi_marl.training.runs.folder import CHECKPOINT, check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
 _DEPENDED_ON = (".safetensors", ".parquet")

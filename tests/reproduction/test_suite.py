@@ -19,7 +19,7 @@ from hmi_marl.experiments.graded_alerts import GradedSettings
 from hmi_marl.experiments.hidden_attention import HiddenSettings
 from hmi_marl.experiments.metrics_table.reproduction import ReproductionSettings
 from hmi_marl.experiments.latent_traits.settings import AssessSettings, TraitReproduction
-from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 if __name__ == "__main__":

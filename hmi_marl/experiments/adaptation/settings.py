@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hmi_marl.agents.adaptive.hmis import CAUTION
+from hmi_marl.checks import check_count
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.training.evidence.conditioned import conditioned_hmi
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 TRIPS = 4

@@ -22,7 +22,8 @@ from hmi_marl.files import json_value, make_folder
 from hmi_marl.reporting.stopwatch import Stopwatch
 from hmi_marl.training.evidence.conditioned import learn_conditioned
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.runs.jobs import need_training, own_line, seconds_of, side_by_side
+from hmi_marl.training.runs.folder import seconds_of
+from hmi_marl.training.runs.jobs import need_training, own_line, side_by_side
 
 EVIDENCE, CONDITIONED = "evidence", "conditioned"
 """Runs in the stage's folder."""

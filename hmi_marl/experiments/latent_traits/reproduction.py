@@ -47,8 +47,8 @@ from hmi_marl.experiments.latent_traits.settings import (
 from hmi_marl.experiments.stages import Outcome
 from hmi_marl.files import json_value, make_folder, sha256_of, write_bytes, write_json, write_text
 from hmi_marl.reporting.blocks import page_of, pictures
-from hmi_marl.training.runs.claim import FREE as MACHINE
-from hmi_marl.training.runs.claim import check_same
+from hmi_marl.training.runs.folder import FREE as MACHINE
+from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.runs.jobs import own_line, side_by_side
 from hmi_marl.training.traits.settings import TraitSettings
 

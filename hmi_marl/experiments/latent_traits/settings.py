@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.experiments.metrics_table.reproduction import driver_job
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.runs.jobs import Job
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 

@@ -15,9 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hmi_marl.checks import check_count
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig, make_table
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 

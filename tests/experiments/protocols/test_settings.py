@@ -51,7 +51,7 @@ def content(folder: Path) -> dict:
 
 
 def batches(settings: CompareSettings, training) -> int:
-    return sum(phase.iterations(settings.teams, 1) for phase in training.phases())
+    return sum(phase.iterations(settings.num_teams, 1) for phase in training.phases())
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_every_run_takes_the_same_number_of_steps(settings: CompareSettings) -> 
     jobs = settings.jobs(Path("out"))
     assert len(jobs) == len(PROTOCOLS) * (settings.seeds + 1)
     taken = {batches(settings, job.settings) for job in jobs}
-    assert {count * settings.teams * settings.team().horizon for count in taken} == {
+    assert {count * settings.num_teams * settings.team().horizon for count in taken} == {
         settings.steps_each
     }
 
@@ -143,7 +143,7 @@ def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
         ({"seeds": 0}, "seeds is at least 1"),
         ({"episodes": 0}, "episodes is at least 1"),
         ({"num_teams": 0}, "teams is at least 1"),
-        ({"num_teams": 8}, "8 teams make no 16 mini-batches"),
+        ({"num_teams": 8}, "cannot split 8 teams into 16 mini-batches"),
         ({"driver_share": 0.0}, "driver_share lies between 0 and 1"),
         ({"driver_share": float("nan")}, "driver_share lies between 0 and 1"),
         ({"reward": "driving"}, "reward is 'default', 'team' or 'individual'"),

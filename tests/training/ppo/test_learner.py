@@ -15,8 +15,8 @@ from hmi_marl.exact import oracle
 from hmi_marl.training.ppo.batch import play_batch
 from hmi_marl.training.ppo.learner import PPOLearner, ShuffledOnce, TwoLearners
 from hmi_marl.training.ppo.models import make_actor, make_critic, make_joint_actor, weights_of
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.ppo.views import IntentShown, SeatView
-from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.processes import Processes
 
 TINY = NetworkConfig((8,))
@@ -123,7 +123,7 @@ def test_what_it_learns_from_falls_along_lines():
 @pytest.mark.parametrize("memory", [0, 3])
 def test_what_was_saved_goes_on_as_if_nothing_had_happened(memory):
     env = env_for("vehicle_ai")
-    cards = (card_for(env, "vehicle_ai", NetworkConfig((8,), memory=memory)),)
+    cards = (card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=memory)),)
     first, second = learner_for(env, cards), learner_for(env, cards, seed=1)
     for seed in range(2):
         learn_from(env, first, seed)
