@@ -9,18 +9,22 @@ done yet (:meth:`Experiment.run`), gives its numbers as JSON content, judges the
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
+from tqdm import tqdm
+
 from hmi_marl.agents.learned.policy_files import find_policy
 from hmi_marl.envs.config import DRIVER
+from hmi_marl.envs.streams import check_seed
 from hmi_marl.files import json_value, make_folder
 from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.runs.jobs import CHECKPOINT, Job
+from hmi_marl.training.runs.jobs import CHECKPOINT, Job, seconds_of, train_all
 
 R = TypeVar("R")
 """Results of an experiment."""
@@ -42,6 +46,33 @@ class Place:
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Durations of its parts."""
 
+    def train(self, jobs: Sequence[Job]) -> None:
+        """Train what is not trained yet, ``workers`` runs at a time, and note the durations.
+
+        Jobs must not need each other's results.
+        """
+        train_all(jobs, self.workers, self.command_line)
+        self.note_training(job.folder for job in jobs)
+
+    def note_training(self, runs: Iterable[Path]) -> None:
+        """Note how long each training took in all, however often it was cut off."""
+        trained = seconds_of(runs)
+        self.watch.seconds |= {f"training {name}": spent for name, spent in trained.items()}
+
+    @contextmanager
+    def playing(self, total: int, unit: str) -> Iterator[Callable[[int], object]]:
+        """Time the playing within and show its progress; yields what counts it on.
+
+        Args:
+            total: how much there is to play.
+            unit: what is counted: "episodes", "drivers", ...
+        """
+        with (
+            self.watch.timing("playing"),
+            tqdm(total=total, unit=f" {unit}", desc="playing") as bar,
+        ):
+            yield bar.update
+
 
 @dataclass(frozen=True)
 class Agent:
@@ -57,7 +88,9 @@ class Experiment(ABC, Generic[R]):
     """One experiment; see the module."""
 
     name: ClassVar[str]
-    """Name in the registry, and of its files."""
+    """Name in the registry, and of its folder in a reproduction."""
+    files: ClassVar[str] = ""
+    """Name of its text and its JSON, where it is not the experiment's."""
     title: ClassVar[str]
     """Heading of its report."""
     paper: ClassVar[str] = ""
@@ -80,7 +113,7 @@ class Experiment(ABC, Generic[R]):
 
     @abstractmethod
     def numbers(self, results: R) -> Mapping[str, Any]:
-        """JSON content of the results, without durations and paths."""
+        """JSON content of the results, without durations and paths; verdicts are added to it."""
 
     def judge(self, results: R) -> Sequence[Verdict]:
         """Judge the results by the criteria; nothing by default."""
@@ -111,7 +144,7 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
     judged = [Verdicts(verdicts)] if verdicts else []
     listed = {"verdicts": [verdict.as_json() for verdict in verdicts]} if verdicts else {}
     report = Report(
-        experiment.name,
+        experiment.files or experiment.name,
         experiment.title,
         (*experiment.blocks(results), *judged),
         {**experiment.numbers(results), **listed},
@@ -124,8 +157,12 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
 
 
 def with_seed(experiment: Experiment[Any], seed: int) -> Experiment[Any]:
-    """Return the same experiment from another seed."""
-    return replace(experiment, seed=seed)  # type: ignore[type-var]
+    """Return the same experiment from another seed.
+
+    Raises:
+        ValueError: the seed is out of range.
+    """
+    return replace(experiment, seed=check_seed(seed))  # type: ignore[type-var]
 
 
 def learned_in(folder: Path) -> list[Path]:

@@ -21,6 +21,8 @@ from hmi_marl.reporting.verdicts import Outcome, Verdict
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
+COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
+"""Colours of figures, in their order."""
 _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPORTED: "bad"}
 """Style classes of the page by outcome; grey for the others."""
 
@@ -30,6 +32,8 @@ class Heading:
     """Title of a section."""
 
     text: str
+    anchor: str = ""
+    """Name for links; titles that have one are listed at the top of the page."""
     kind: ClassVar = "heading"
 
     def as_text(self) -> str:
@@ -38,11 +42,12 @@ class Heading:
 
     def as_html(self) -> str:
         """Render for a page."""
-        return f"<h2>{escape(self.text)}</h2>"
+        anchor = f' id="{escape(self.anchor)}"' if self.anchor else ""
+        return f"<h2{anchor}>{escape(self.text)}</h2>"
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
-        return {"kind": self.kind, "text": self.text}
+        return {"kind": self.kind} | vars(self)
 
 
 @dataclass(frozen=True)
@@ -208,7 +213,7 @@ class Verdicts:
         )
         note = f" {escape(self.note)}" if self.note else ""
         return (
-            f"<h3>{escape(self.title)}</h3>\n<p>{escape(summary)}.{note}</p>"
+            f"<h3>{escape(self.title)}</h3>\n<p>{escape(summary)}.{note}</p>\n"
             "<div class='wide'><table><tr><th>claim</th><th>by the numbers of this run</th>"
             f"<th>verdict</th></tr>{rows}</table></div>"
         )

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.files import write_bytes, write_json, write_text
-from hmi_marl.reporting.blocks import Block, Clip, Figure, Table, as_html, as_text
+from hmi_marl.files import json_value, write_bytes, write_json, write_text
+from hmi_marl.reporting.blocks import Block, Clip, Figure, Heading, Table, as_html, as_text
 
 PAGE = "index.html"
 
@@ -69,9 +69,19 @@ class Report:
     @property
     def page(self) -> str:
         """HTML page that needs no other file."""
-        return page(
-            self.title, as_html([*self.blocks, *self._times()]), self.command_line, self.settings
-        )
+        body = as_html([*self.blocks, *self._times()])
+        listed = ", ".join(f"{name} = {value}" for name, value in _flat(self.settings))
+        return f"""<!doctype html>
+<html lang="en"><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>hmi-marl: {escape(self.title)}</title>
+<style>{_STYLE}</style>
+<h1>{escape(self.title)}</h1>
+{self._contents()}{body}
+<p class="small">Made by hmi-marl {hmi_marl.__version__}: <code>{escape(self.command_line)}</code><br>
+{escape(listed)}</p>
+</html>
+"""
 
     def write(self, folder: Path) -> Path:
         """Write NAME.txt, NAME.json, every figure and clip, and index.html into ``folder``.
@@ -80,8 +90,13 @@ class Report:
             Path of the page.
         """
         write_text(folder / f"{self.name}.txt", self.text + "\n")
-        about = {"command": self.command_line, "settings": self.settings, "seconds": self.seconds}
-        write_json(folder / f"{self.name}.json", {**self.numbers, **about})
+        about = {
+            "hmi_marl_version": hmi_marl.__version__,
+            "command": self.command_line,
+            "settings": json_value(self.settings),
+        }
+        times = {"seconds": dict(self.seconds)} if self.seconds else {}
+        write_json(folder / f"{self.name}.json", {**about, **self.numbers, **times})
         for block in self.blocks:
             if isinstance(block, (Figure, Clip)):
                 write_bytes(folder / f"{block.name}.{block.suffix}", block.content)
@@ -92,28 +107,22 @@ class Report:
         rows = [[part, f"{spent:.0f} s"] for part, spent in self.seconds.items()]
         return [Table("Time of each part", ["part", "time"], rows)] if rows else []
 
+    def _contents(self) -> str:
+        links = "".join(
+            f'<li><a href="#{escape(block.anchor)}">{escape(block.text)}</a></li>'
+            for block in self.blocks
+            if isinstance(block, Heading) and block.anchor
+        )
+        return f"<ul>{links}</ul>\n" if links else ""
 
-def page(title: str, body: str, command_line: str, settings: Mapping[str, Any]) -> str:
-    """Make a page that needs no other file.
 
-    Args:
-        title: heading.
-        body: HTML.
-        command_line: command that makes the page again.
-        settings: all settings, for the small print.
-    """
-    listed = ", ".join(f"{name} = {value}" for name, value in settings.items())
-    return f"""<!doctype html>
-<html lang="en"><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>hmi-marl: {escape(title)}</title>
-<style>{_STYLE}</style>
-<h1>{escape(title)}</h1>
-{body}
-<p class="small">Made by hmi-marl {hmi_marl.__version__}: <code>{escape(command_line)}</code><br>
-{escape(listed)}</p>
-</html>
-"""
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Settings by name, those of a group as GROUP.NAME."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
 
 
 class Stopwatch:
