@@ -229,7 +229,7 @@ def caution_keeps_distance(results: Results) -> Finding:
 
 
 def _embedding(results: Results, setting: str) -> tuple[NDArray[np.float64], list[str]]:
-    found = results["traits"]["settings"][setting]["seeds"][0]["embedding"]
+    found = results["traits"]["supervisions"][setting]["seeds"][0]["embedding"]
     return np.asarray(found["means"], np.float64), list(found["drivers"])
 
 
@@ -270,7 +270,7 @@ def kinds_apart(setting: str, one: Sequence[str], other: Sequence[str], title: s
 
 def supervision_counts(results: Results) -> Finding:
     """KL of each supervised setting at least twice the unsupervised one, as in the paper."""
-    settings = results["traits"]["settings"]
+    settings = results["traits"]["supervisions"]
     kl = {name: settings[name]["average_kl"]["mean"] for name in ("none", "id", "preference")}
     numbers = ", ".join(f"{value:.4g}" for value in kl.values())
     ratios = [kl[name] / max(kl["none"], 1e-9) for name in ("id", "preference")]
@@ -282,7 +282,7 @@ def supervision_counts(results: Results) -> Finding:
 
 def supervision_suffices(results: Results) -> Finding:
     """Drivers named right in nine of ten pools, with either kind of labels."""
-    settings = results["traits"]["settings"]
+    settings = results["traits"]["supervisions"]
     found = {name: settings[name]["accuracy"]["mean"] for name in ("id", "preference")}
     told = f"drivers named right: {100 * found['id']:.0f} % with labels of drivers, "
     told += f"{100 * found['preference']:.0f} % with labels of preference"
@@ -291,7 +291,7 @@ def supervision_suffices(results: Results) -> Finding:
 
 def distraction_separates(results: Results) -> Finding:
     """With preference labels: Bart from Homer better than Lisa from Marge, by KL."""
-    from hmi_marl.experiments.latent_traits.separability import kl_matrix  # needs the data extra
+    from hmi_marl.experiments.latent_traits.probes import kl_matrix  # needs the data extra
 
     means, drivers = _embedding(results, "preference")
     names = list(dict.fromkeys(drivers))
@@ -311,7 +311,7 @@ def distraction_separates(results: Results) -> Finding:
 
 def _pool(results: Results, setting: str) -> dict[str, Any]:
     size = results["traits"]["pool"]
-    rows = results["traits"]["settings"][setting]["seeds"][0]["identified"]
+    rows = results["traits"]["supervisions"][setting]["seeds"][0]["identified"]
     return dict(next(row for row in rows if row["windows"] == size))
 
 
@@ -333,7 +333,7 @@ def scenario_hides(results: Results) -> Finding:
 
 def structure_uncovered(results: Results) -> Finding:
     """Without labels: 20 points above chance, and nine of ten."""
-    found = results["traits"]["settings"]["none"]["accuracy"]["mean"]
+    found = results["traits"]["supervisions"]["none"]["accuracy"]["mean"]
     chance = _pool(results, "none")["types"]["chance"]
     told = f"without labels {100 * found:.0f} % of drivers are named right, by chance "
     return of_parts([found >= chance + 0.2, found >= APART], f"{told}{100 * chance:.0f} %")
@@ -342,7 +342,7 @@ def structure_uncovered(results: Results) -> Finding:
 def more_is_clearer(results: Results) -> Finding:
     """Accuracy from the most windows above that from one, in every setting."""
     held, told = [], []
-    for name, setting in results["traits"]["settings"].items():
+    for name, setting in results["traits"]["supervisions"].items():
         rows = setting["seeds"][0]["identified"]
         few, many = rows[0], rows[-1]
         one, several = (row["types"]["linear_probe"] for row in (few, many))

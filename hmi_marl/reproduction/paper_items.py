@@ -7,7 +7,7 @@ from typing import Any
 
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.rewards import RewardWeights
-from hmi_marl.experiments.latent_traits.report import PAPER_KL
+from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.paper.printed import DRIVER_TRAITS, REWARDS
 from hmi_marl.reporting.blocks import Exhibit, Table
 
@@ -16,7 +16,7 @@ HEAD = ("in the paper", "what it shows", "here")
 
 def paper_items(results: Mapping[str, Mapping[str, Any]]) -> list[Exhibit]:
     """A row each, from the numbers of the stages that there are."""
-    printed = ", ".join(f"{value:.0f}" for value in PAPER_KL.values())
+    printed = ", ".join(f"{value:.0f}" for value in AVERAGE_KL.values())
     rows = [
         (
             "Figure 1, schematic of the approach",
@@ -67,6 +67,6 @@ def _drivers() -> str:
 def _kl(results: Mapping[str, Mapping[str, Any]]) -> str:
     if "traits" not in results:
         return "not run"
-    settings = results["traits"]["settings"]
-    found = ", ".join(f"{settings[name]['average_kl']['mean']:.4g}" for name in PAPER_KL)
+    settings = results["traits"]["supervisions"]
+    found = ", ".join(f"{settings[name]['average_kl']['mean']:.4g}" for name in AVERAGE_KL)
     return f"section on latent traits; average KL {found} nats"

@@ -172,7 +172,7 @@ def exact_exhibits(results: Mapping[str, Mapping[str, Any]]) -> list[Exhibit]:
         head = ["driver", "exact, whole episodes", "Bayes filter, played", "learned, played"]
         shown.append(Table("The Bayes filter, attention hidden: attention returns", head, hidden))
     if "traits" in results:
-        seeds = next(iter(results["traits"]["settings"].values()))["seeds"]
+        seeds = next(iter(results["traits"]["supervisions"].values()))["seeds"]
         bayes = [
             [str(row["windows"])]
             + [f"{100 * row['ceilings'][kind]['mean']:.1f}" for kind in ("identity", "preference")]

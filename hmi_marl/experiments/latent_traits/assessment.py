@@ -45,7 +45,6 @@ WINDOWS = (1, 2, 4, 8, 16)
 """Numbers of windows of a driver from which the driver is identified."""
 
 
-
 @dataclass(frozen=True)
 class Identified:
     """Accuracy of identifying drivers from a number of windows."""
@@ -99,7 +98,7 @@ class Assessment:
             "means": self.embedding.means.tolist(),
             "drivers": [self.embedding.names[who] for who in self.embedding.types],
         }
-        return json_value(self) | {"embedding": embedding}  # type: ignore[no-any-return]
+        return json_value(self) | {"embedding": embedding}
 
 
 @dataclass(frozen=True)

@@ -80,9 +80,7 @@ def driver_latents(model: TraitModel, observed: Observed) -> dict[str, NDArray[n
         observed.names[who]: np.flatnonzero(observed.driver == who)
         for who in np.unique(observed.driver[observed.driver != NOBODY])
     }
-    return {
-        name: pool_latents(model, observed, own[None]).mean[0] for name, own in windows.items()
-    }
+    return {name: pool_latents(model, observed, own[None]).mean[0] for name, own in windows.items()}
 
 
 def checked_pools(

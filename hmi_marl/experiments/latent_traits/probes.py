@@ -33,7 +33,8 @@ Labels = NDArray[np.int64]
 
 SMALLEST_SPREAD = 1e-6
 """Least spread of a type's cluster in any direction, in standard deviations of all vectors. A
-thinner cluster (hardly different from a plane in float32) is singular and thickened by this much."""
+thinner cluster (in float32 hardly different from a plane) is singular; it is thickened by this.
+"""
 _BOOTSTRAPS = 2000
 _FOLDS = 5
 _LANDMARKS = 100
@@ -100,9 +101,9 @@ def _cholesky(cov: ArrayLike, size: int) -> Array:
 def kl_matrix(means: ArrayLike, types: ArrayLike) -> Array:
     """Return KL(row || column) between the types' Gaussians [nats], types in rising order.
 
-    Axes of z on which all vectors agree hold no information and are left out. Where a cluster is singular
-    (:data:`SMALLEST_SPREAD`), SMALLEST_SPREAD² of each axis' variance over all vectors is added to
-    the diagonal of its covariance; the KL is then large, and depends on that number.
+    Axes of z on which all vectors agree hold no information and are left out. Where a cluster is
+    singular (:data:`SMALLEST_SPREAD`), SMALLEST_SPREAD² of each axis' variance over all vectors is
+    added to the diagonal of its covariance; the KL is then large, and depends on that number.
 
     Args:
         means: shape (P, Z).
@@ -230,7 +231,8 @@ def trait_r2(
     """Measure how well each trait of held-out drivers can be read from z.
 
     R² = 1 - SSE / SST, where SST is about the held-out mean: 1 is perfect, 0 no better than a
-    constant, less than 0 worse than a constant. NaN where held-out drivers do not differ. Intervals are percentiles over resampled held-out drivers.
+    constant, less than 0 worse than a constant. NaN where held-out drivers do not differ. Intervals
+    are percentiles over resampled held-out drivers.
 
     Both regressions are on standardised z, their strengths chosen by cross-validation over training
     drivers. The smooth one is kernel ridge with a Gaussian kernel on at most 100 landmarks. With
