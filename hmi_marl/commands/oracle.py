@@ -10,8 +10,9 @@ from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.config import as_fatigue
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.exact import oracle
-from hmi_marl.experiments.alert_problem import alert_report
+from hmi_marl.experiments.alert_problem import alert_problem
 from hmi_marl.files import make_folder, write_json
+from hmi_marl.reporting.blocks import as_text
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Oracle:
         horizon = oracle.check_horizon(self.horizon)
         alerts = Alerts(self.alert_strengths, as_fatigue(self.fatigue))
         make_folder(self.out)
-        found = alert_report(driver, window, horizon, alerts)
+        found = alert_problem(driver, window, horizon, alerts)
         name = f"{driver.name}-window{window}-horizon{horizon}"
         if alerts.strengths != FULL:
             name += "-strengths" + "-".join(f"{strength:g}" for strength in alerts.strengths)
@@ -49,5 +50,5 @@ class Oracle:
             name += "-fatigue" + "-".join(f"{number:g}" for number in self.fatigue)
         path = self.out / f"{name}.json"
         write_json(path, found.as_json())
-        print(found.as_text())
+        print(as_text(found.blocks()))
         print(f"\nwritten: {path}")

@@ -7,10 +7,11 @@ which is imported only when the subcommand is asked for.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.extras import EXTRAS, TRAINING, need
 
 _PARQUET, _PROBES, _MINARI = ("pyarrow",), ("sklearn",), ("minari", "h5py")
@@ -36,11 +37,11 @@ class Subcommand:
     help: str
     """The first line of its class's docstring."""
     where: str
-    """Its class, as MODULE:CLASS below ``hmi_marl``."""
+    """Its class, as MODULE:CLASS below ``hmi_marl``, or a function that makes it of its name."""
     needs: tuple[str, ...] = ()
     """Modules of extras, without which it does not begin."""
     options: tuple[Option, ...] = ()
-    parts: tuple[Subcommand, ...] = ()
+    parts: Collection[Subcommand] = ()
     """What it chooses among."""
     choice: str = ""
     """The attribute of its class that holds the part chosen."""
@@ -48,7 +49,8 @@ class Subcommand:
     def load(self) -> type[Any]:
         """Import its class."""
         module, _, name = self.where.partition(":")
-        kind: type[Any] = getattr(importlib.import_module(f"hmi_marl.{module}"), name)
+        found = getattr(importlib.import_module(f"hmi_marl.{module}"), name)
+        kind: type[Any] = found if isinstance(found, type) else found(self.name)
         return kind
 
     def check(self, command: Any, path: str = "") -> None:
@@ -77,6 +79,32 @@ class Subcommand:
 
 def _protocol(name: str, summary: str, module: str) -> Subcommand:
     return Subcommand(name, summary, f"training.{module}", TRAINING)
+
+
+class _Experiments(Collection[Subcommand]):
+    """Parts of ``hmi-marl reproduce``: all registered experiments, all at once, and shipping."""
+
+    def __iter__(self) -> Iterator[Subcommand]:
+        yield Subcommand(
+            "all",
+            "Reproduce every table and figure of the paper, with a verdict on each claim.",
+            "commands.reproduce:ReproduceAll",
+            TRAINING + _PARQUET + _PROBES,
+        )
+        for name, entry in EXPERIMENTS.items():
+            where = "commands.reproduce:experiment_command"
+            yield Subcommand(name, entry.help, where, entry.value.needs)
+        yield Subcommand(
+            "ship",
+            "Copy the agents of a finished reproduction to where the package ships them from.",
+            "commands.reproduce:ReproduceShip",
+        )
+
+    def __len__(self) -> int:
+        return len(EXPERIMENTS) + 2
+
+    def __contains__(self, part: object) -> bool:
+        return part in list(self)
 
 
 SUBCOMMANDS = (
@@ -117,56 +145,8 @@ SUBCOMMANDS = (
     Subcommand(
         "reproduce",
         "Reproduce the paper's results, each number with its exact value and a verdict.",
-        "commands.reproduce:Reproduce",
-        parts=(
-            Subcommand(
-                "all",
-                "Reproduce every table and figure of the paper, with a verdict on each claim.",
-                "commands.reproduce:ReproduceAll",
-                TRAINING + _PARQUET + _PROBES,
-            ),
-            Subcommand(
-                "table",
-                "Learn every policy of the paper's table of HMIs and drivers, and make the table.",
-                "commands.reproduce:ReproduceTable",
-                TRAINING,
-            ),
-            Subcommand(
-                "driver",
-                "Learn to drive without distraction: speed, crashes and headway by steps.",
-                "commands.reproduce:ReproduceDriver",
-                TRAINING,
-            ),
-            Subcommand(
-                "hidden",
-                "Compare learned HMIs that do not see attention with Bayes filters, by driver.",
-                "commands.reproduce:ReproduceHidden",
-                TRAINING,
-            ),
-            Subcommand(
-                "adapt",
-                "Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.",
-                "commands.reproduce_adapt:ReproduceAdapt",
-                TRAINING,
-            ),
-            Subcommand(
-                "traits",
-                "Learn latent traits in the paper's three settings and judge what was learned.",
-                "commands.reproduce:ReproduceTraits",
-                TRAINING + _PARQUET + _PROBES,
-            ),
-            Subcommand(
-                "graded",
-                "Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.",
-                "commands.reproduce_graded:ReproduceGraded",
-                TRAINING,
-            ),
-            Subcommand(
-                "ship",
-                "Copy the agents of a finished reproduction to where the package ships them from.",
-                "commands.reproduce:ReproduceShip",
-            ),
-        ),
+        "commands.reproduce:reproduce_command",
+        parts=_Experiments(),
         choice="what",
     ),
     Subcommand(

@@ -29,6 +29,8 @@ ETA_1_TOLERANCE = 0.1
 OPTIMAL_SHARE = 0.99
 """Share of the gain of the best alerts from which an HMI counts as optimal, and share of steps from
 which it counts as following a rule."""
+SAME_GAIN = 0.01
+"""Difference in share of gain below which two HMIs count as alike."""
 AVERAGE_HMI_GAIN = 0.9
 """Least share of what the own HMI gains that AvgHMI gains if it does a good job."""
 MOST_SPARED_BY_IGNORING, LEAST_SPARED_BY_HEEDING = 0.1, 0.5
@@ -76,6 +78,8 @@ SHOWN_BY_SCENARIO = 0.95
 
 # Unknown drivers.
 
+GAP_DRIVERS = ("lisa", "bart")
+"""Drivers for whom knowing them is worth much."""
 GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.90, "3 trips": 0.97})
 """Least share of the gap between AvgHMI and an HMI that knows the driver that is closed."""
 POPULATION_GAP_CLOSED = 0.80

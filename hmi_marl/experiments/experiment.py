@@ -26,6 +26,7 @@ from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.runs.jobs import CHECKPOINT, Job, seconds_of, train_all
 
+T = TypeVar("T")
 R = TypeVar("R")
 """Results of an experiment."""
 _DEPENDED_ON = (".safetensors", ".parquet")
@@ -72,6 +73,13 @@ class Place:
             tqdm(total=total, unit=f" {unit}", desc="playing") as bar,
         ):
             yield bar.update
+
+    def each(self, items: Sequence[T], unit: str) -> Iterator[T]:
+        """Iterate over what is played one after the other; see :meth:`playing`."""
+        with self.playing(len(items), unit) as progress:
+            for item in items:
+                yield item
+                progress(1)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """Blocks of a report: paragraphs, tables, figures, clips and verdicts.
 
-One description of a block renders as text for a terminal, as HTML for a page and as JSON, from which
-it can be read again: a report assembled later, from files, shows the same blocks as the one written
-where they were made.
+One description of a block renders as text for a terminal, as HTML for a page and as JSON, from
+which it can be read again: a report assembled later, from files, shows the same blocks.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Table:
-    """Table with a title. The first entry of a row is its heading; entries may have several lines."""
+    """Table whose rows begin with their heading; entries may have several lines."""
 
     title: str
     head: Sequence[str]

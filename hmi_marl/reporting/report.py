@@ -71,6 +71,7 @@ class Report:
         """HTML page that needs no other file."""
         body = as_html([*self.blocks, *self._times()])
         listed = ", ".join(f"{name} = {value}" for name, value in _flat(self.settings))
+        command = f"<code>{escape(self.command_line)}</code>"
         return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -78,7 +79,7 @@ class Report:
 <style>{_STYLE}</style>
 <h1>{escape(self.title)}</h1>
 {self._contents()}{body}
-<p class="small">Made by hmi-marl {hmi_marl.__version__}: <code>{escape(self.command_line)}</code><br>
+<p class="small">Made by hmi-marl {hmi_marl.__version__}: {command}<br>
 {escape(listed)}</p>
 </html>
 """
