@@ -11,7 +11,8 @@ from hmi_marl.training.traits.settings import TraitSettings
 
 COLLECT = ["--steps", "100", "--duration", "1", "--vehicles", "1", "4", "--num-teams", "64"]
 TINY = ["--steps", "1", "--imitation-updates", "1", "--pool", "2", "--num-teams", "2"]
-TINY += ["--ppo.num-mini-batches", "1", "--encoder-units", "4", "--held-out", "0.4", "--device", "cpu"]
+TINY += ["--ppo.num-mini-batches", "1", "--encoder-units", "4", "--held-out", "0.4"]
+TINY += ["--device", "cpu"]
 JUDGE = ["--windows", "10", "--episodes", "2", "--ranked", "2"]
 
 

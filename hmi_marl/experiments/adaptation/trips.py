@@ -106,13 +106,13 @@ def play_trips(
     drivers: Traits,
     seeds: NDArray[np.uint64],
     hand_over: HandOver | None = None,
-    on_drivers: Callable[[Traits], object] = lambda traits: None,
+    on_drivers: Callable[[Traits], object] | None = None,
     keep_beliefs: bool = False,
 ) -> Trips:
     """Let E drivers take J trips each, side by side, in the batched world.
 
-    An adaptive HMI does not know them at the start of their first trip and keeps what it has learned
-    from then on; another one begins every trip anew.
+    An adaptive HMI does not know them at the start of their first trip and keeps its belief from
+    then on; another HMI begins every trip anew.
 
     Args:
         config: settings of the teams; its driver is not read.
@@ -125,6 +125,7 @@ def play_trips(
         keep_beliefs: keep an adaptive HMI's beliefs, step by step.
     """
     count, trips = seeds.shape
+    note_drivers = on_drivers or (lambda traits: None)
     adaptive = hmi if isinstance(hmi, AdaptiveHMI) else None
     recorder = _Recorder((count, trips, config.horizon), adaptive if keep_beliefs else None)
     current = drivers
@@ -132,13 +133,13 @@ def play_trips(
         recorder.next_trip(trip)
         observers: list[Observer] = [recorder]
         if hand_over is not None and trip == hand_over.trip:
-            observers.insert(0, HandsOver(hand_over.step, hand_over.traits, on_drivers))
+            observers.insert(0, HandsOver(hand_over.step, hand_over.traits, note_drivers))
         teaming = Teaming(replace(config, driver=FixedDrivers(current)), count, "batched")
         begin_trip = adaptive.next_trip if adaptive and trip > 0 else hmi.reset
         teaming.reset(seeds[:, trip])
         driver.reset(seeds[:, trip])
         begin_trip(seeds[:, trip])
-        on_drivers(current)
+        note_drivers(current)
         play(teaming, driver, hmi, observers, steps=config.horizon)
         current = teaming.traits
     return Trips(recorder.rewards, recorder.driving, recorder.probabilities)
@@ -165,9 +166,7 @@ def by_turn(trips: Trips, values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def earned_between(trips: Trips, first: int, last: int) -> NDArray[np.float64]:
     """Sum the attention reward over turns ``first`` to ``last`` - 1 driven, shape (E,)."""
-    rewards: NDArray[np.float64] = np.nansum(
-        by_turn(trips, trips.rewards)[:, first:last], axis=1
-    )
+    rewards: NDArray[np.float64] = np.nansum(by_turn(trips, trips.rewards)[:, first:last], axis=1)
     return rewards
 
 
