@@ -2,9 +2,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hmi_marl.experiments.stages import Agent
 
 from hmi_marl.cli import main
-from hmi_marl.experiments.stages import Agent
 from hmi_marl.reproduction.report import NUMBERS, PAGE
 from hmi_marl.reproduction.suite import QUICK, FullSettings
 

@@ -1,9 +1,9 @@
 import json
 
 import pytest
+from hmi_marl.experiments.speed_config import BenchConfig
 
 from hmi_marl.experiments.speed import as_json, as_text, bench, measurements
-from hmi_marl.experiments.speed_config import BenchConfig
 
 TINY = BenchConfig(teams=(3,), threads=(1,), vehicles=2, scaling=(2,), seconds=0.05, rounds=1)
 

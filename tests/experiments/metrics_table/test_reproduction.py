@@ -3,11 +3,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from trait_models import save_driver
-
-from hmi_marl.cli import main
-from hmi_marl.envs.drivers import DRIVERS, get_driver
-from hmi_marl.experiments.metrics_table import reproduction_report
 from hmi_marl.experiments.metrics_table.reproduction import (
     ETA_1,
     PRINTED,
@@ -17,6 +12,11 @@ from hmi_marl.experiments.metrics_table.reproduction import (
     shortfall,
     spec,
 )
+from trait_models import save_driver
+
+from hmi_marl.cli import main
+from hmi_marl.envs.drivers import DRIVERS, get_driver
+from hmi_marl.experiments.metrics_table import reproduction_report
 from hmi_marl.experiments.metrics_table.table import TableConfig, make_cell, play_cell
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.reporting.statistics import Estimate
