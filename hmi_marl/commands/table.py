@@ -10,14 +10,12 @@ import tyro
 
 from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
 from hmi_marl.experiments.metrics_table.table import TableConfig, TableSettings, make_table
-from hmi_marl.files import make_folder, write_text
+from hmi_marl.files import make_folder
 from hmi_marl.reporting.blocks import Clip, Text, as_text
 from hmi_marl.workers import check_workers
 
 if TYPE_CHECKING:
     from hmi_marl.reporting.clip import Pictures
-
-CLIP = "clip"
 
 
 @dataclass(frozen=True)
@@ -44,35 +42,30 @@ class Table:
         from tqdm import tqdm
 
         from hmi_marl.experiments.metrics_table.in_short import in_short
-        from hmi_marl.experiments.metrics_table.report import (
-            NOTE,
-            as_csv,
-            make_report,
-            metric_tables,
-        )
+        from hmi_marl.experiments.metrics_table.report import NOTE, metric_tables, write_report
 
         config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
         make_folder(self.out)
         total = config.episodes * len(config.drivers) * len(config.hmis)
         with tqdm(total=total, unit=" episodes", desc="table") as bar:
             cells = make_table(config, workers, bar.update)
-        path = self.out / f"{CLIP}.gif"
-        path.unlink(missing_ok=True)  # of an earlier table
-        clip = _record(config, path) if self.clip else None
-        write_text(self.out / "table.csv", as_csv(cells))
-        page = make_report(config, cells, command_line, clip).write(self.out)
+        clip = _record(config, self.out) if self.clip else None
+        page = write_report(self.out, config, cells, command_line, clip)
         remarks = in_short(config, cells)
         print(as_text([*metric_tables(config, cells), Text(NOTE), *remarks]))
         print(f"\nthe page: {page.resolve().as_uri()}")
         if clip:
-            print(f"the clip: {path}\n  {clip.caption}")
+            print(f"the clip: {self.out / 'clip.gif'}\n  {clip.caption}")
 
 
-def _record(config: TableConfig, path: Path) -> Clip:
+def _record(config: TableConfig, folder: Path) -> Clip:
     """Record the best part of the last driver's episodes with the last HMI."""
     from tqdm import tqdm
 
+    from hmi_marl.experiments.metrics_table.report import CLIP
     from hmi_marl.reporting import highlight
+
+    path = folder / f"{CLIP}.gif"
 
     def progress(pictures: Pictures, count: int) -> Pictures:
         return iter(tqdm(pictures, total=count, unit=" frames", desc=path.name))

@@ -6,15 +6,19 @@ import csv
 from collections.abc import Sequence
 from dataclasses import asdict
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 from hmi_marl.experiments.metrics_table.figures import table_figure
 from hmi_marl.experiments.metrics_table.in_short import in_short
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig
+from hmi_marl.files import write_text
 from hmi_marl.reporting.blocks import Block, Clip, Figure, Heading, Table, Text
 from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.statistics import Estimate, number
 
+CLIP = "clip"
+"""Name of the clip's file."""
 METRICS: tuple[tuple[str, str, str], ...] = (
     ("speed_return", "Speed return", ".0f"),
     ("distraction_return", "Distraction return (in brackets: exact, same number of steps)", ".0f"),
@@ -65,6 +69,24 @@ def make_report(
         "cells": [cell.as_json() for cell in cells],
     }
     return Report("table", "HMIs and drivers", blocks, numbers, command_line, asdict(config))
+
+
+def write_report(
+    folder: Path,
+    config: TableConfig,
+    cells: Sequence[Cell],
+    command_line: str,
+    clip: Clip | None = None,
+) -> Path:
+    """Write the report and table.csv; without a clip, remove that of an earlier table.
+
+    Returns:
+        Path of the page.
+    """
+    if clip is None:
+        (folder / f"{CLIP}.gif").unlink(missing_ok=True)
+    write_text(folder / "table.csv", as_csv(cells))
+    return make_report(config, cells, command_line, clip).write(folder)
 
 
 def metric_tables(config: TableConfig, cells: Sequence[Cell]) -> list[Table]:

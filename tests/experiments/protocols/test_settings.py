@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy_files import read_policy
 from hmi_marl.cli import main
 from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.experiments.episodes import Episodes, play_episodes
-from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED
 from hmi_marl.experiments.protocols.play import Sums, play_all, play_pair, read_curves
 from hmi_marl.experiments.protocols.settings import (
     EVERYBODY,
