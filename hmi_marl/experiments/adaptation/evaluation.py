@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.adaptive.catalogue import TYPES, Trained
 from hmi_marl.agents.adaptive.hmis import CAUTION
 from hmi_marl.agents.catalogue import make_driver_policy
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions, Traits, get_driver
 from hmi_marl.envs.streams import Stream, check_seed, mix
@@ -45,7 +46,6 @@ from hmi_marl.experiments.adaptation.trips import (
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.training.evidence.conditioned import strangers
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.workers import results
 
 TEAM = TeamConfig(ai_sees_attention=False, observe_traits=True)

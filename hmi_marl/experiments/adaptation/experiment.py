@@ -14,6 +14,7 @@ from hmi_marl.agents.adaptive.evidence_files import NAME
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.policy_files import find_policy
 from hmi_marl.agents.rollout import begin
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.drivers import Traits, get_driver
 from hmi_marl.experiments.adaptation import evaluation
@@ -25,7 +26,6 @@ from hmi_marl.reporting.blocks import Block
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.evidence.conditioned import conditioned_hmi, learn_conditioned
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import need_training, own_line, side_by_side
 

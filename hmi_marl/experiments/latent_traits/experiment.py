@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
+from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import check_seed
@@ -18,9 +19,8 @@ from hmi_marl.experiments.policies import driver_job
 from hmi_marl.files import json_value, make_folder
 from hmi_marl.reporting.blocks import Block
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.protocols.settings import check_count
-from hmi_marl.training.runs.claim import FREE as MACHINE
-from hmi_marl.training.runs.claim import check_same
+from hmi_marl.training.runs.folder import FREE as MACHINE
+from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.runs.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
