@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED
+from hmi_marl.experiments.policies import EVALUATION_SEED
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy_files import read_policy
