@@ -11,11 +11,11 @@ help:
 	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
 	@echo "make wheel      install the wheel with each extra alone, and run everything it promises"
 	@echo "make trainers   test RLlib, TorchRL, Tianshou and AgileRL, each in an environment of its own"
-	@echo "make parity     hold the batched world against highway-env, for hundreds of seeds"
+	@echo "make parity     compare the batched world with highway-env, for hundreds of seeds"
 	@echo "make soak       ten million random team steps over random configurations"
 	@echo "make docs       the documentation site, in site/"
-	@echo "make lint       ruff and mypy"
-	@echo "make format     let ruff format the code"
+	@echo "make lint       ruff, mypy and the contracts for imports"
+	@echo "make format     format the code with ruff"
 	@echo "make clean      remove $(VENV) and what was made"
 
 run: $(VENV)/.for-run
@@ -49,13 +49,14 @@ lint: $(VENV)/.for-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 format: $(VENV)/.for-test
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) runs site build dist .coverage .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) runs site build dist .coverage .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -1,8 +1,8 @@
-"""What does a team's step cost on the highway world, beside highway-env's own step?
+"""Cost of a team's step on the highway world, compared with highway-env's own step.
 
 Both drive the same scenes with the same actions, turn by turn, in one process. highway-env's step
 computes its own lidar and reward; a team's step the attention chain, the eight reward terms and
-both seats' observations, with a lidar each. Writes JSON beside what it prints.
+both seats' observations, with a lidar each. Also writes what it prints as JSON.
 
 Run: python benchmarks/highway_world.py --steps 100 --vehicles 5 10 20
 """
@@ -23,11 +23,11 @@ ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=3.0)
 KEEP_SPEED = 1
 
 Step = Callable[[], bool]
-"""Takes one step and tells whether the car crashed."""
+"""Takes one step and returns whether the car crashed."""
 
 
 def highway_env_alone(scene: Scene) -> Callable[[int], Step]:
-    """highway-env's own ``step`` with its own lidar; call with a seed to start an episode."""
+    """Return highway-env's own step with its own lidar; call with a seed to start an episode."""
     env = MergeScene(scene)
     env.configure({"observation": {"type": "LidarObservation"}})
     env.define_spaces()
@@ -41,7 +41,7 @@ def highway_env_alone(scene: Scene) -> Callable[[int], Step]:
 
 
 def team(scene: Scene) -> Callable[[int], Step]:
-    """The parallel environment; call with a seed to start an episode."""
+    """Return the parallel environment's step; call with a seed to start an episode."""
     env = merge_v0.parallel_env(driver=ATTENTIVE, scene=scene)
     actions = {"driver": KEEP_SPEED, "vehicle_ai": 0}
 
@@ -53,7 +53,7 @@ def team(scene: Scene) -> Callable[[int], Step]:
 
 
 def seconds_per_step(begin: Callable[[int], Step], seed: int, steps: int) -> float:
-    """Mean over one episode of at most ``steps`` steps, resets left out."""
+    """Mean time of a step over one episode of at most ``steps`` steps, resets left out."""
     step, taken, crashed = begin(seed), 0, False
     start = time.perf_counter()
     while taken < steps and not crashed:

@@ -1,15 +1,15 @@
-"""Policies in NumPy and torch on the batched world: does one library's threads slow another's?
+"""Measure whether threads of NumPy and torch slow the batched world's, and the other way round.
 
 OpenMP's and BLAS's threads wait actively for a while after a parallel loop, and may take the cores
 that the world's threads need. Each policy (a network of two hidden layers) drives N teams in a
 process of its own with one thread and with all: once as a user would start it, and once with
-OMP_WAIT_POLICY=PASSIVE, which lets OpenMP's threads sleep. They take turns for several rounds, and
+OMP_WAIT_POLICY=PASSIVE, which lets OpenMP's threads sleep. All of them run in every round, and
 the median over rounds of the ratios within a round counts: "to passive" is the speed relative to
 the same run under OMP_WAIT_POLICY=PASSIVE, "to one thread" relative to one thread.
 
 ``small product`` is a loop of one matrix product in NumPy and one step of a world.
 
-Writes JSON next to what it prints. Needs an extra: pip install 'hmi-marl[train]'
+Also writes what it prints as JSON. Needs an extra: pip install 'hmi-marl[train]'
 
 Run: python benchmarks/policies.py --teams 512 --rounds 5
 """
@@ -58,7 +58,7 @@ def numpy_driver(teams: int, threads: int | None) -> Callable[[], int]:
 
 
 def torch_driver(teams: int, threads: int | None) -> Callable[[], int]:
-    """The same in torch, with as many threads as torch takes by itself."""
+    """The same network in torch, with torch's default number of threads."""
     import torch
 
     import hmi_marl
@@ -124,7 +124,7 @@ def measure(policy: str, teams: int, threads: int | None, seconds: float) -> flo
 def in_a_process(
     policy: str, threads: int | None, passive: bool, args: argparse.Namespace
 ) -> float:
-    """The same in a fresh process; one thread is for BLAS and OpenMP too."""
+    """Steps per second in a fresh process; one thread means one for BLAS and OpenMP too."""
     env = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
     if passive:
         env["OMP_WAIT_POLICY"] = "PASSIVE"
@@ -137,7 +137,7 @@ def in_a_process(
 
 
 def compare(args: argparse.Namespace) -> list[dict[str, Any]]:
-    """Measure everything in turns; the rows of the table."""
+    """Measure everything round by round and return the rows of the table."""
     runs = [(policy, n, passive) for policy in POLICIES for n in (1, None) for passive in (0, 1)]
     speeds: dict[tuple[str, int | None, int], list[float]] = {run: [] for run in runs}
     for _ in tqdm(range(args.rounds), desc="rounds"):
@@ -165,7 +165,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--teams", type=int, default=512, help="N, cars that drive at once")
+    parser.add_argument("--teams", type=int, default=512, help="N, cars in one batch")
     parser.add_argument("--rounds", type=int, default=5, help="times that each is measured")
     parser.add_argument("--seconds", type=float, default=3.0, help="that each measurement takes")
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/policies.json"))

@@ -1,9 +1,9 @@
-"""Measure how long commands take to start, as ratios to importing NumPy, side by side in one run.
+"""Measure how long commands take to start, as ratios to importing NumPy, all in one run.
 
     python benchmarks/startup.py
 
 Every round starts each command once, in a process of its own; the least time of all rounds counts,
-as other programs can only add to it. Writes JSON beside what it prints.
+as other programs can only add to it. Also writes what it prints as JSON.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NUMPY = 'python -c "import numpy"'
 
 
 def contestants(only: list[str]) -> dict[str, list[str]]:
-    """What to start: the program's arguments, by what is typed for them."""
+    """Arguments of the programs to start, by the command line shown."""
     command_line = {"version": "--version", "help": "--help"}
     for subcommand in SUBCOMMANDS:
         for path in (subcommand.name, *(path for path, _ in subcommand.leaves())):
@@ -34,7 +34,7 @@ def contestants(only: list[str]) -> dict[str, list[str]]:
 
 
 def seconds(arguments: list[str]) -> float:
-    """How long a Python process with these arguments takes, from its start to its end."""
+    """Seconds that a Python process with these arguments takes, from start to end."""
     begun = time.perf_counter()
     subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
     return time.perf_counter() - begun

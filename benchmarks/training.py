@@ -1,13 +1,13 @@
-"""What does it cost to collect and to learn from the same number of steps: ours beside SB3?
+"""Measure the speed of training, from collecting to learning, against stable-baselines3 (SB3).
 
 Ours is the training loop of ``hmi-marl train two-stage`` with its default settings on the batched
-world: the driver's stage, then the HMI's beside the driver that was learned. Beside it stands what
-one would otherwise do: stable-baselines3's PPO on highway-env's own ``merge-generic-v1`` with its
-own lidar, in a process for each core. Both drive the same road with as many other vehicles, both
-learn with two networks of the same layers, as many epochs and as many mini-batches. (SB3's read
-the lidar alone, since plain highway-env has no human.) A step is one policy step of one car; resets
-are counted in. They take turns, round by round, after a warm-up that is not counted. Ours runs in
-one process, and once more in a process for each core that learn as one.
+world: the driver's stage, then the HMI's stage with the learned driver. The alternative is
+stable-baselines3's PPO on highway-env's own ``merge-generic-v1`` with its own lidar, in a process
+for each core. Both drive the same road with as many other vehicles, and both learn with two
+networks of the same layers, as many epochs and as many mini-batches. (SB3's networks read only the
+lidar, since plain highway-env has no human.) A step is one policy step of one car, resets included.
+The two alternate, round by round, after a warm-up that is not counted. Ours runs in one process,
+and once more in a process for each core that train together.
 
 Writes JSON beside what it prints. Needs two extras: pip install 'hmi-marl[train,interop]'
 
@@ -19,7 +19,6 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads slow each other down
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
@@ -46,20 +45,20 @@ from hmi_marl.files import write_json
 from hmi_marl.training.ppo.learner import PPOLearner
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.folder import CURVE
+from hmi_marl.training.runs.folder import read_curve
 
 STAGES = {"driver": "driver", "vehicle_ai": "hmi"}
-"""By the seat that learns: the stage's name in a run's curve."""
+"""Name of the stage in a run's curve, by the seat that learns."""
 PARTS = ("world", "partner", "policy", "record", "learn")
-"""What a stage's time goes to: the world's step with the human model, rewards and observations;
-the learned driver inside it; acting; storing; learning."""
+"""Parts of a stage's time: the world's step with the human model, rewards and observations; the
+learned driver in it; acting; storing; learning."""
 
 Seconds = dict[str, dict[str, float]]
-"""Spent in each part of each stage."""
+"""Seconds spent in each part of each stage."""
 
 
 class Stopwatch:
-    """Adds up where our loop's time goes, by timing a few methods while the context lasts."""
+    """Add up the time of each part of our loop, by timing a few methods within a context."""
 
     def __init__(self) -> None:
         self.seconds: Seconds = {stage: dict.fromkeys(PARTS, 0.0) for stage in STAGES.values()}
@@ -68,7 +67,7 @@ class Stopwatch:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Time what happens within."""
+        """Time the block."""
         with ExitStack() as stack:
             for owner, method, part in (
                 (TeamVecEnv, "reset", "world"),
@@ -102,20 +101,20 @@ class Stopwatch:
 
 
 def run_ours(settings: TwoStage) -> dict[str, dict[str, float]]:
-    """Train once in a folder that is thrown away; what each stage took, and both with all else."""
+    """Train once in a temporary folder; return the time of each stage, and of the whole."""
     watch = Stopwatch()
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
         with watch.running():
             train(settings, Path(folder), quiet=True)
         whole = time.perf_counter() - start
-        curve = json.loads((Path(folder) / CURVE).read_text(encoding="utf-8"))
+        curve = read_curve(Path(folder))
     rows, before = {}, 0
     for name, parts in watch.seconds.items():
         batches = [batch for batch in curve if batch["phase"] == name]
         steps = batches[-1]["steps"] - before
         before = batches[-1]["steps"]
-        # All batches of a stage have as many steps, so their times are told by their speeds.
+        # All batches of a stage have the same number of steps, so speeds give their times.
         seconds = sum(steps / len(batches) / batch["steps_per_second"] for batch in batches)
         rows[f"ours, {name} stage"] = _row(steps, seconds, parts)
     both = {part: sum(parts[part] for parts in watch.seconds.values()) for part in PARTS}
@@ -124,7 +123,7 @@ def run_ours(settings: TwoStage) -> dict[str, dict[str, float]]:
 
 
 def run_processes(settings: TwoStage, processes: int) -> dict[str, dict[str, float]]:
-    """Train once in several processes that learn as one; what each stage took.
+    """Train once in several processes together; return the time of each stage.
 
     The first batch of a stage, in which a fresh process loads the compiled world, is left out.
     """
@@ -139,7 +138,7 @@ def run_processes(settings: TwoStage, processes: int) -> dict[str, dict[str, flo
         command += [text for name, value in numbers.items() for text in (name, str(value))]
         command += ["--vehicles", *map(str, settings.vehicles), "--out", folder]
         subprocess.run(command, check=True, capture_output=True)
-        curve = json.loads((Path(folder) / CURVE).read_text(encoding="utf-8"))
+        curve = read_curve(Path(folder))
     rows = {}
     for name in STAGES.values():
         batches = [batch for batch in curve if batch["phase"] == name]
@@ -198,7 +197,7 @@ class StableBaselines:
         )
 
     def run(self, steps: int) -> dict[str, float]:
-        """Learn for so many steps, rounded up to whole batches; what it took."""
+        """Learn for ``steps``, rounded up to whole batches, and return the time."""
         parts = dict.fromkeys(("world", "learn"), 0.0)
 
         def timed(function: Callable[..., Any], part: str) -> Callable[..., Any]:
@@ -226,7 +225,7 @@ class StableBaselines:
 
 
 def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
-    """Everybody in turns; medians over the rounds, and ratios to SB3 in the same round."""
+    """Measure in alternation; return medians over the rounds, and ratios to SB3 by round."""
     fixed = {"vehicles": (args.vehicles, args.vehicles), "num_teams": args.teams, "device": "cpu"}
     settings = TwoStage(driver_steps=args.steps // 2, hmi_steps=args.steps // 2, **fixed)
     sb3 = StableBaselines(settings, args.processes, args.sb3_batch)
@@ -254,7 +253,7 @@ def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def as_text(rows: list[dict[str, Any]]) -> str:
-    """A table for people."""
+    """Return a table as text."""
     names = (*PARTS, "rest")
     head = "".join(f"{name:>9}" for name in names)
     lines = [f"{'':<27}{'steps':>10}{'steps/s':>10}{'ratio':>9}{'s per 1e6':>11}{head}"]
@@ -272,22 +271,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     whole = {"type": int, "metavar": "N"}
-    parser.add_argument("--rounds", **whole, default=2, help="turns that all take")
+    parser.add_argument("--rounds", **whole, default=2, help="rounds")
     parser.add_argument(
-        "--steps", **whole, default=1_200_000, help="of ours in a round, half a stage"
+        "--steps", **whole, default=1_200_000, help="our steps in a round, half in each stage"
     )
     parser.add_argument(
-        "--teams", **whole, default=TwoStage().num_teams, help="of ours side by side"
+        "--teams", **whole, default=TwoStage().num_teams, help="our teams side by side"
     )
-    parser.add_argument("--sb3-steps", **whole, default=2048, help="of SB3's in a round")
+    parser.add_argument("--sb3-steps", **whole, default=2048, help="SB3's steps in a round")
     parser.add_argument(
         "--sb3-batch", **whole, default=256, help="steps of each process in a batch"
     )
     parser.add_argument(
-        "--processes", **whole, default=cores, help="of SB3 and, once more, of ours"
+        "--processes", **whole, default=cores, help="processes of SB3 and of our second run"
     )
     parser.add_argument(
-        "--vehicles", **whole, default=10, help="other vehicles: about the mean of our 1 to 20"
+        "--vehicles",
+        **whole,
+        default=10,
+        help="other vehicles; by default about the mean of 1 to 20",
     )
     parser.add_argument("--out", type=Path, default=Path("runs/bench/training.json"))
     args = parser.parse_args()

@@ -1,6 +1,6 @@
-"""Speeds of the worlds side by side in one run, as ratios to highway-env's own step.
+"""Speeds of the worlds in one run, as ratios to highway-env's own step.
 
-The same as ``hmi-marl bench``, whose --help tells the options. Run: python benchmarks/worlds.py
+The same as ``hmi-marl bench``; see its --help for the options. Run: python benchmarks/worlds.py
 """
 
 import sys

@@ -1,7 +1,7 @@
-"""What mkdocs puts into pages that are made from the code: one source for each text.
+"""Fill the parts of pages that are made from the code: one source for each text.
 
 A page names such a part by a comment in a line of its own, ``<!-- made: environment -->``, up to
-``<!-- end -->``; what stands between is for who reads the page in the repository.
+``<!-- end -->``; the text in between is for readers of the page in the repository.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _PART = re.compile(
     r"^<!-- made: ([\w .-]+) -->\n(?:.*?\n)??<!-- end -->$", re.MULTILINE | re.DOTALL
 )
 _WIDTH = "96"
-"""Of the texts of help, in columns."""
+"""Columns of the help texts."""
 
 
 def fill(page: str) -> str:
-    """The page with its made parts in place.
+    """Return the page with its made parts filled in.
 
     Raises:
         ValueError: a comment that names no part, or a part that has no end.
@@ -64,12 +64,12 @@ def _make(name: str) -> str:
 
 
 def environment() -> str:
-    """The environment's own page, its module's docstring."""
+    """Return the environment's page: the docstring of its module."""
     return _without_title(inspect.getdoc(merge_v0) or "")
 
 
 def layouts() -> str:
-    """A table of each seat's observation and of the state, with the defaults."""
+    """Return a table of each seat's observation and of the state, with the defaults."""
     config = TeamConfig()
     made = {
         "driver": driver_layout(config),
@@ -91,10 +91,10 @@ def _table(layout: Layout) -> str:
 
 
 def example(name: str) -> str:
-    """The code of an example for another trainer, without its title.
+    """Return the code of an example for another trainer, without its title.
 
-    Its fence is ``py``: code in ``python`` fences is run where the site is made, and a trainer of
-    its own environment is not installed there. The tests of trainers run these.
+    Its fence is ``py``: code in ``python`` fences is run where the site is made, and trainers that
+    need an environment of their own are not installed there. The tests of trainers run these.
     """
     code = (ROOT / "examples" / "trainers" / f"{name}.py").read_text(encoding="utf-8")
     _, _, body = code.removeprefix('"""').partition('"""\n\n')
@@ -102,7 +102,7 @@ def example(name: str) -> str:
 
 
 def commands() -> str:
-    """What every command says to ``--help``."""
+    """Return the ``--help`` of every command."""
     return "\n\n".join(
         f"## {' '.join(['hmi-marl', *command])}\n\n```text\n{text}\n```"
         for command, text in _helps()
@@ -118,7 +118,7 @@ def _helps(command: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str
 
 
 def _help(command: tuple[str, ...]) -> str:
-    printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # an encoding that has lines
+    printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # an encoding with box-drawing lines
     with (
         mock.patch.dict(os.environ, {"COLUMNS": _WIDTH, "NO_COLOR": "1"}),
         contextlib.redirect_stdout(printed),
@@ -134,12 +134,12 @@ def _without_title(text: str) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Called by mkdocs for each page."""
+    """Fill a page; called by mkdocs for each."""
     return fill(markdown)
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Called by mkdocs once the files are known: colours for code are one more."""
+    """Add the colours for code as a file; called by mkdocs once the files are known."""
     from mkdocs.structure.files import File
 
     colours = HtmlFormatter(style="default").get_style_defs(".highlight")

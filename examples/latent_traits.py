@@ -1,4 +1,4 @@
-"""Latent traits from driving alone: collect, learn, and see where drivers lie in latent space.
+"""Latent traits from driving alone: collect, learn, and print where drivers lie in latent space.
 
 Run: python examples/latent_traits.py   (or with a trained driver: --driver runs/homer)
 """
@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hmi_marl.agents.learned.trait_files import load_traits
+from hmi_marl.agents.learned.trait_model import load_traits
+from hmi_marl.demonstrations.dataset import held_out
 from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
-from hmi_marl.demonstrations.windows import held_out
 from hmi_marl.training.traits.run import learn_traits
 from hmi_marl.training.traits.settings import TraitSettings
 
@@ -34,13 +34,13 @@ parser.add_argument(
 parser.add_argument("--out", type=Path, default=Path("runs/latent-traits"), help="folder")
 choices = parser.parse_args()
 
-# What could be observed of four drivers, the hidden truth apart from it.
+# What could be observed of four drivers, in a file separate from the hidden truth.
 data = choices.out / "demonstrations"
 record = CollectSettings(driver_policy=choices.driver, steps=100 * choices.windows)
 with tqdm(total=record.total_steps, unit=" steps", desc="driving") as bar:
     write_demonstrations(data, collect(record, bar.update))
 
-# A fifth of the windows tells who drives; the rest is driving alone.
+# A fifth of the windows is labelled by driver; the rest is driving alone.
 settings = TraitSettings(
     supervision="id", imitation_updates=choices.updates, steps=choices.steps, num_teams=16
 )

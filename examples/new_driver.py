@@ -1,4 +1,4 @@
-"""A driver of one's own, and a population: what is the best HMI worth to each?
+"""A custom driver and a population: how much the best HMI gains.
 
 Run: python examples/new_driver.py --beta 0.4 --alpha 0.3 --eta 0.5
 """
@@ -7,17 +7,19 @@ import argparse
 
 import numpy as np
 
-from hmi_marl import Driver, TraitDistributions, Uniform, merge_v0
-from hmi_marl.exact import oracle
+from hmi_marl import Driver, TraitDistributions, Uniform, merge_v0, oracle
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
 )
 parser.add_argument(
-    "--beta", type=float, default=0.4, help="to be distracted (default: %(default)s)"
+    "--beta",
+    type=float,
+    default=0.4,
+    help="β, to be distracted (default: %(default)s)",
 )
-parser.add_argument("--alpha", type=float, default=0.3, help="to recover (default: %(default)s)")
-parser.add_argument("--eta", type=float, default=0.5, help="alerts help by (default: %(default)s)")
+parser.add_argument("--alpha", type=float, default=0.3, help="α, to recover (default: %(default)s)")
+parser.add_argument("--eta", type=float, default=0.5, help="η of alerts (default: %(default)s)")
 args = parser.parse_args()
 
 mona = Driver("mona", args.beta, args.alpha, args.eta, inflation=2.0)
@@ -28,7 +30,7 @@ print(f"  distraction return without an HMI {without:8.2f}")
 print(f"  with the optimal one              {best.distraction_return:8.2f}")
 print(f"  alerts in an episode              {best.alerts:8.2f}")
 
-# Receptive drivers of every other kind; a new one at each reset.
+# Drivers who react to alerts, with any other traits; a new one is drawn at each reset.
 receptive = TraitDistributions(eta=Uniform(0.5, 1.0))
 env = merge_v0.parallel_env(driver=receptive, duration=2.0)
 etas = []

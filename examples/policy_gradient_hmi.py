@@ -1,7 +1,7 @@
 """Learn when to alert, in one file: REINFORCE with a baseline on the vehicle AI's Gymnasium seat.
 
-The policy sees whether the driver was distracted and how far an accepted alert has worn off. The
-exact optimum stands beside what is learned. Needs the train extra: pip install 'hmi-marl[train]'
+The policy sees whether the driver was distracted and how far an accepted alert has worn off. Its
+return is printed next to the exact optimum. Needs the train extra: pip install 'hmi-marl[train]'
 
 Run: python examples/policy_gradient_hmi.py --driver homer --episodes 60
 """
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 import hmi_marl
-from hmi_marl.exact import oracle
+from hmi_marl import oracle
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

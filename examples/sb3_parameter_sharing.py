@@ -1,8 +1,8 @@
 """Both agents learn with one policy, by stable-baselines3's PPO: parameter sharing via SuperSuit.
 
-SuperSuit pads both agents' spaces to one size, marks whose turn a row is, and makes a batch of
-several cars' agents, which stable-baselines3 takes for so many cars with one agent each. Both
-agents act at once, so the AI sees what the driver wanted in the last step.
+SuperSuit pads both agents' spaces to one size, marks each row with its agent, and makes a batch of
+several cars' agents, which stable-baselines3 takes for as many cars with one agent each. Moves are
+simultaneous, so the AI sees what the driver intended in the last step.
 Needs the interop extra: pip install 'hmi-marl[interop]'
 
 Run: python examples/sb3_parameter_sharing.py --driver homer --steps 80000
@@ -20,8 +20,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecMonitor
 from tqdm import tqdm
 
-from hmi_marl import merge_v0
-from hmi_marl.agents import make_driver_policy, make_hmi
+from hmi_marl import make_driver_policy, make_hmi, merge_v0
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -30,7 +29,7 @@ parser.add_argument("--driver", default="homer", help="lisa, bart, ... (default:
 parser.add_argument(
     "--steps", type=int, default=80_000, help="of all cars together (default: %(default)s)"
 )
-parser.add_argument("--cars", type=int, default=8, help="side by side (default: %(default)s)")
+parser.add_argument("--cars", type=int, default=8, help="in one batch (default: %(default)s)")
 parser.add_argument(
     "--batch", type=int, default=256, help="steps of each car to learn from (default: %(default)s)"
 )
@@ -45,41 +44,41 @@ args = parser.parse_args()
 torch.set_num_threads(1)  # with networks as small as these, more threads only wait for each other
 
 
-class TellsTruncation(BaseParallelWrapper):
-    """Says which episodes ended by their time alone, where stable-baselines3 looks for it.
+class MarksTruncation(BaseParallelWrapper):
+    """Marks episodes that ended by their time alone, where stable-baselines3 looks for it.
 
     SuperSuit's vector environment gives terminated *or* truncated as done. The value of what
     follows would then be learned as 0 at the end of every episode that no crash ended.
     """
 
     def step(self, actions):
-        """One step of the team."""
+        """Step the team."""
         observations, rewards, terminated, truncated, infos = super().step(actions)
         for agent, info in infos.items():
             info["TimeLimit.truncated"] = truncated[agent] and not terminated[agent]
         return observations, rewards, terminated, truncated, infos
 
 
-# Each agent is paid for its own: the driver for driving and attention, the AI for its alerts.
+# Each agent gets its own reward: the driver for driving and attention, the AI for its alerts.
 env = merge_v0.parallel_env(
     driver=args.driver, world="batched", duration=args.duration, reward="individual"
 )
 own_actions = {agent: env.action_space(agent).n for agent in env.possible_agents}  # 5 and 2
 
 # The driver's 52 numbers are followed by zeros up to the AI's 65. One policy acts for both, so
-# it has to know for whom: two more numbers, one of them above 0. (In this order: the indicator
+# two more numbers, one of them above 0, say for which agent. (In this order: the indicator
 # wants observations of one size. It is as large as the largest bound of the spaces, 5, and lies
 # outside its own bound, which stable-baselines3 does not check.)
 padded = supersuit.agent_indicator_v0(supersuit.pad_observations_v0(env))
 
-# Both choose from 5 actions. What an agent does not have counts as its action 0, it is not
-# clipped to the last one: 2, 3 and 4 of the AI mean no alert. So a policy that knows nothing yet
-# alerts in one step of five, and nothing tells the four ways of keeping quiet apart.
-learning = supersuit.pad_action_space_v0(TellsTruncation(padded))
+# Both choose from 5 actions. An action that an agent does not have counts as its action 0, it is
+# not clipped to the last one: 2, 3 and 4 of the AI mean no alert. So an untrained policy alerts in
+# one step of five.
+learning = supersuit.pad_action_space_v0(MarksTruncation(padded))
 
 
 def unpadded(agent: str, action: int) -> int:
-    """The agent's own action for one from the padded space, as SuperSuit reads it."""
+    """Return the agent's action for one from the padded space, as SuperSuit reads it."""
     return action if action < own_actions[agent] else 0
 
 
@@ -108,7 +107,7 @@ model = PPO(
 
 
 def mean_returns(team, act) -> dict[str, float]:
-    """Mean return of each agent over episodes that nothing is learned from, always the same ones.
+    """Mean return of each agent over evaluation episodes, always the same ones.
 
     ``act(agent, observation)`` chooses an action for an agent of ``team``, a parallel environment.
     """
@@ -124,12 +123,12 @@ def mean_returns(team, act) -> dict[str, float]:
 
 
 def learned(agent: str, observation: np.ndarray) -> int:
-    """An action of the shared policy, drawn as in learning."""
+    """Draw an action of the shared policy, as in learning."""
     return unpadded(agent, int(model.predict(observation)[0]))
 
 
 def by_rule(hmi_name: str) -> dict[str, float]:
-    """Mean returns of the rule-based driver beside one of the HMIs that need no learning."""
+    """Mean returns of the rule-based driver with one of the HMIs that need no learning."""
     config = env.unwrapped.config
     seats = {
         "driver": make_driver_policy("rule", config),
@@ -141,7 +140,7 @@ def by_rule(hmi_name: str) -> dict[str, float]:
 
 
 class Progress(BaseCallback):
-    """A bar with the mean return of the latest episodes of an agent, in the unit learned from."""
+    """Progress bar with the mean return of an agent's latest episodes, as scaled for learning."""
 
     def _on_training_start(self) -> None:
         batch = args.cars * args.batch  # whole batches are played

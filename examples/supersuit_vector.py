@@ -16,7 +16,7 @@ from hmi_marl import merge_v0
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
 )
-parser.add_argument("--cars", type=int, default=2, help="side by side (default: %(default)s)")
+parser.add_argument("--cars", type=int, default=2, help="in one batch (default: %(default)s)")
 parser.add_argument("--steps", type=int, default=50, help="of each car (default: %(default)s)")
 args = parser.parse_args()
 

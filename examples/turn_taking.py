@@ -1,12 +1,11 @@
-"""Two agents taking turns: a driver and the HMI that may alert them (PettingZoo AEC).
+"""Sequential moves: a driver and the HMI that may alert them (PettingZoo AEC).
 
 Run: python examples/turn_taking.py --driver bart --hmi optimal
 """
 
 import argparse
 
-from hmi_marl import merge_v0
-from hmi_marl.agents import make_driver_policy, make_hmi
+from hmi_marl import make_driver_policy, make_hmi, merge_v0
 
 parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

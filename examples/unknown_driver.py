@@ -1,7 +1,7 @@
-"""An unknown driver gets in: who is it, and what does the right help gain?
+"""An unknown driver with an HMI that infers the driver, and how much that gains.
 
-Trip after trip of one driver with three HMIs: one made for the average driver, one that gets to
-know the driver, and one that knew them all along. Attention is hidden.
+Several trips of one driver with each of three HMIs: one made for the average driver, one that
+infers the driver, and one that knows the driver. Attention is hidden.
 
 Run: python examples/unknown_driver.py --driver bart --trips 3
 """
@@ -10,8 +10,7 @@ import argparse
 
 import numpy as np
 
-from hmi_marl.agents import make_driver_policy, make_hmi
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl import TeamConfig, make_driver_policy, make_hmi
 from hmi_marl.envs.drivers import Traits, get_driver
 from hmi_marl.experiments.adaptation.trips import play_trips
 
@@ -22,10 +21,10 @@ parser.add_argument("--driver", default="bart", help="lisa, homer, ... (default:
 parser.add_argument(
     "--trips", type=int, default=3, help="one after the other (default: %(default)s)"
 )
+parser.add_argument("--drives", type=int, default=50, help="repetitions (default: %(default)s)")
 parser.add_argument(
-    "--drives", type=int, default=50, help="how often it is all repeated (default: %(default)s)"
+    "--policy", default="trained:driver", help="of the driver (default: %(default)s)"
 )
-parser.add_argument("--policy", default="trained:driver", help="who steers (default: %(default)s)")
 parser.add_argument(
     "--adaptive",
     default="adapt",
@@ -35,20 +34,20 @@ options = parser.parse_args()
 
 driver = get_driver(options.driver)
 config = TeamConfig(driver=driver, ai_sees_attention=False)
-at_the_wheel = Traits.of([driver] * options.drives)
+traits = Traits.of([driver] * options.drives)
 seeds = np.arange(options.drives * options.trips, dtype=np.uint64).reshape(options.drives, -1)
 earned: list[float] = []
 for name in ("belief:average", options.adaptive, f"belief:{options.driver}"):
     hmi, policy = make_hmi(name, config), make_driver_policy(options.policy, config)
-    trips = play_trips(config, policy, hmi, at_the_wheel, seeds, keep_beliefs=True)
+    trips = play_trips(config, policy, hmi, traits, seeds, keep_beliefs=True)
     earned.append(trips.returns[:, -1].mean())
     print(f"{name:<16} attention return of each trip: {trips.returns.mean(axis=0).round(1)}")
     if trips.probabilities is not None:
         named = hmi.estimator.belief.named()
-        told = ", ".join(f"{who} {p.mean():.2f}" for who, p in named.items())
-        print(f"{'':<16} believed in the end: {told}")
+        shown = ", ".join(f"{name} {p.mean():.2f}" for name, p in named.items())
+        print(f"{'':<16} belief at the end: {shown}")
 
 average, adaptive, knowing = earned
-worth = knowing - average
-print(f"in the last trip, knowing {options.driver} is worth {worth:.0f}", end="")
-print(f"; {options.adaptive} earns {(adaptive - average) / worth:.0%} of it" if worth > 1 else "")
+gain = knowing - average
+print(f"in the last trip, knowing {options.driver} gains {gain:.0f}", end="")
+print(f"; {options.adaptive} reaches {(adaptive - average) / gain:.0%} of it" if gain > 1 else "")

@@ -1,4 +1,4 @@
-"""hmi-marl: a distractible driver and the HMI that may alert them, as two agents in one car.
+"""A distractible driver and the HMI that may alert them, as two agents in one car.
 
 >>> from hmi_marl import merge_v0
 >>> env = merge_v0.env(driver="homer")
@@ -17,9 +17,14 @@ import pettingzoo
 from gymnasium.envs import registration
 
 if TYPE_CHECKING:
-    from hmi_marl.agents.vectors import make_vec
+    from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+    from hmi_marl.agents.learned.policy import load_policy
+    from hmi_marl.agents.partners import make_vec
+    from hmi_marl.agents.rollout import play
+    from hmi_marl.demonstrations.recording import collect
     from hmi_marl.envs import merge_v0
     from hmi_marl.envs.alerts import Fatigue
+    from hmi_marl.envs.config import TeamConfig
     from hmi_marl.envs.drivers import (
         DRIVERS,
         Choice,
@@ -30,42 +35,75 @@ if TYPE_CHECKING:
     )
     from hmi_marl.envs.rewards import RewardWeights
     from hmi_marl.envs.scene import Scene
+    from hmi_marl.envs.seats import Policy
+    from hmi_marl.exact import oracle
+    from hmi_marl.training.ppo.run import train
+    from hmi_marl.training.protocols.alternating import Alternating
+    from hmi_marl.training.protocols.joint import Joint
+    from hmi_marl.training.protocols.simultaneous import Simultaneous
+    from hmi_marl.training.protocols.two_stage import TwoStage
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "DRIVERS",
+    "Alternating",
     "Choice",
     "Driver",
     "DriverList",
     "Fatigue",
+    "Joint",
+    "Policy",
     "RewardWeights",
     "Scene",
+    "Simultaneous",
+    "TeamConfig",
     "TraitDistributions",
+    "TwoStage",
     "Uniform",
     "__version__",
+    "collect",
+    "load_policy",
+    "make_driver_policy",
+    "make_hmi",
     "make_vec",
     "merge_v0",
+    "oracle",
+    "play",
+    "train",
 ]
 
 _HOMES = {
     "DRIVERS": "envs.drivers",
+    "Alternating": "training.protocols.alternating",
     "Choice": "envs.drivers",
     "Driver": "envs.drivers",
     "DriverList": "envs.drivers",
     "Fatigue": "envs.alerts",
+    "Joint": "training.protocols.joint",
+    "Policy": "envs.seats",
     "RewardWeights": "envs.rewards",
     "Scene": "envs.scene",
+    "Simultaneous": "training.protocols.simultaneous",
+    "TeamConfig": "envs.config",
     "TraitDistributions": "envs.drivers",
+    "TwoStage": "training.protocols.two_stage",
     "Uniform": "envs.drivers",
-    "make_vec": "agents.vectors",
+    "collect": "demonstrations.recording",
+    "load_policy": "agents.learned.policy",
+    "make_driver_policy": "agents.catalogue",
+    "make_hmi": "agents.catalogue",
+    "make_vec": "agents.partners",
     "merge_v0": "envs.merge_v0",
+    "oracle": "exact.oracle",
+    "play": "agents.rollout",
+    "train": "training.ppo.run",
 }
-"""Where each public name is defined, a module below this package."""
+"""Module below this package that defines each public name, or that the name is."""
 
 
 def register_envs() -> None:
-    """Register the environments with Gymnasium and PettingZoo; again does nothing.
+    """Register the environments with Gymnasium and PettingZoo, if they are not registered yet.
 
     Also the entry point of the group ``gymnasium.envs``, for programs that load such plugins.
     """
@@ -83,7 +121,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = importlib.import_module(f"{__name__}.{_HOMES[name]}")
-    value = module if name == "merge_v0" else getattr(module, name)
+    value = module if _HOMES[name].endswith(f".{name}") else getattr(module, name)
     globals()[name] = value  # found without this function from now on
     return value
 

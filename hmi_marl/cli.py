@@ -16,21 +16,21 @@ import hmi_marl
 from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
 from hmi_marl.names import unknown
 
-BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
-"""Exit statuses; the last two are what the shell reports after SIGINT and SIGPIPE."""
+BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
+"""Exit statuses; the last two are those of a shell after SIGINT and SIGPIPE."""
 ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
-"""Printed in one line. Whatever else is raised is a fault of ours, and shows its trace."""
+"""Errors that are printed in one line. Any other is a bug and shows its traceback."""
 _WIDE = "10000"
-"""Columns in which tyro breaks no line of an error."""
+"""Columns of a terminal so wide that tyro breaks no line of an error."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit status. Errors are one line, without a trace."""
+    """Run the command and return its exit status. Errors take one line, without a traceback."""
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
     except BrokenPipeError:  # as in `hmi-marl oracle | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python's exit tells it
-        return NOBODY_READS
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or exit reports it
+        return BROKEN_PIPE
     except ERRORS as error:
         print(f"hmi-marl: {_one_line(str(error)) or type(error).__name__}", file=sys.stderr)
         return BAD_INPUT
@@ -41,23 +41,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(arguments: Sequence[str]) -> Any:
-    """Parse a command line into its subcommand's dataclass, which is not yet checked.
+    """Parse a command line into its subcommand's dataclass, without checking it.
 
-    Imports the module of that subcommand alone.
+    Imports only the module of that subcommand.
 
     Raises:
         SystemExit: after printing help (status 0) or an error of one line (status 2).
     """
     name, *rest = arguments or ["--help"]
     if name.startswith("-"):
-        return _understand(_overview(), "hmi-marl", [name, *rest], _description())
+        return _parse(_overview(), "hmi-marl", [name, *rest], _description())
     if name not in BY_NAME:
         _refuse(unknown("subcommand", name, BY_NAME))
     subcommand, prog = BY_NAME[name], f"hmi-marl {name}"
     parts = [part.name for part in subcommand.parts]
     if parts and rest and not rest[0].startswith("-") and rest[0] not in parts:
         _refuse(unknown(f"subcommand of {name}", rest[0], parts, f"{prog} --help"))
-    return _understand(subcommand.load(), prog, rest, parts=parts)
+    return _parse(subcommand.load(), prog, rest, parts=parts)
 
 
 def _run(arguments: list[str]) -> None:
@@ -69,11 +69,11 @@ def _run(arguments: list[str]) -> None:
         BY_NAME[arguments[0]].check(command)
         command.run(shlex.join(["hmi-marl", *arguments]))
     finally:
-        sys.stdout.flush()  # here, where a broken pipe can still be dealt with
+        sys.stdout.flush()  # here, where a broken pipe can still be handled
 
 
 def _overview() -> Any:
-    """The subcommands without their options, so that none of their modules is imported."""
+    """Return the subcommands without their options, so that none of their modules is imported."""
     import tyro
 
     kinds = tuple(
@@ -86,16 +86,18 @@ def _overview() -> Any:
 
 
 def _description() -> str:
-    from hmi_marl.agents.catalogue import DRIVER_POLICY_NAMES, HMI_NAMES
+    """Return the help text with all drivers, HMIs and driver policies."""
+    from hmi_marl.agents.catalogue import known_names
+    from hmi_marl.envs.config import DRIVER, VEHICLE_AI
     from hmi_marl.envs.drivers import DRIVERS
 
     kinds = (
         ("drivers", {name: str(driver) for name, driver in DRIVERS.items()}),
-        ("HMIs", HMI_NAMES),
-        ("driver policies", DRIVER_POLICY_NAMES),
+        ("HMIs", known_names(VEHICLE_AI)),
+        ("driver policies", known_names(DRIVER)),
     )
     known = "\n\n".join(
-        f"{title}:\n" + "\n".join(f"  {name:<16} {meaning}" for name, meaning in kind.items())
+        f"{title}:\n" + "\n".join(f"  {name:<24} {meaning}" for name, meaning in kind.items())
         for title, kind in kinds
     )
     return (
@@ -106,25 +108,25 @@ def _description() -> str:
     )
 
 
-def _understand(
+def _parse(
     kind: Any,
     prog: str,
     arguments: list[str],
     description: str | None = None,
     parts: Sequence[str] = (),
 ) -> Any:
-    """What tyro makes of the arguments, its errors in one line.
+    """Parse arguments with tyro, and print an error in one line.
 
     Args:
-        kind: dataclass to make of them.
-        prog: what is typed before them.
-        arguments: to parse.
-        description: in place of the dataclass's docstring.
-        parts: names of the subcommands that ``kind`` chooses among.
+        kind: dataclass to make.
+        prog: name of the program for help.
+        arguments: arguments to parse.
+        description: description for help in place of the dataclass's docstring.
+        parts: names of the subcommands of ``kind``.
     """
     import tyro
 
-    def understood(arguments: list[str]) -> Any:
+    def parsed(arguments: list[str]) -> Any:
         return tyro.cli(
             kind,
             prog=prog,
@@ -136,50 +138,50 @@ def _understand(
     errors = io.StringIO()
     try:
         with redirect_stderr(errors):
-            return understood(arguments)
+            return parsed(arguments)
     except SystemExit as stop:
         if not stop.code:  # the help was printed
             sys.stderr.write(errors.getvalue())
             raise
-    return _refuse(_why(understood, prog, arguments, parts))
+    return _refuse(_reason(parsed, prog, arguments, parts))
 
 
-def _why(
-    understood: Callable[[list[str]], object],
+def _reason(
+    parsed: Callable[[list[str]], object],
     prog: str,
     arguments: list[str],
     parts: Sequence[str],
 ) -> str:
-    """What is wrong with arguments that tyro refuses, in one line."""
+    """Return in one line what is wrong with arguments that tyro refuses."""
     part = [argument for argument in arguments if argument in parts][-1:]
     lists = " ".join([prog, *part, "--help"])
-    rows = re.findall(r"│ +((?:--?[\w.-]+(?:, )?)+)", _said(understood, [*part, "--help"]))
+    rows = re.findall(r"│ +((?:--?[\w.-]+(?:, )?)+)", _output(parsed, [*part, "--help"]))
     options = [option for row in rows for option in row.split(", ")]
     for argument in arguments:
         option = argument.partition("=")[0].replace("_", "-")
         if option.startswith("--") and option not in (*options, "--"):
             return unknown("option", option, options, lists)
-    return _explained(_first_part(_said(understood, arguments)), lists)
+    return _explained(_first_part(_output(parsed, arguments)), lists)
 
 
-def _said(understood: Callable[[list[str]], object], arguments: list[str]) -> str:
-    """What tyro prints, with boxes of its own lines and no line broken."""
+def _output(parsed: Callable[[list[str]], object], arguments: list[str]) -> str:
+    """Return what tyro prints, with no line broken."""
     text = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # tyro looks for an encoding
     with _columns(_WIDE), redirect_stdout(text), redirect_stderr(text), suppress(SystemExit):
-        understood(arguments)
+        parsed(arguments)
     text.seek(0)
     return text.read()
 
 
 def _first_part(box: str) -> str:
-    """The text of tyro's boxed error up to its first rule, in one line."""
+    """Return the text of tyro's boxed error up to its first rule, in one line."""
     lines = [line.strip(" │") for line in box.splitlines() if line[:1] == "│"]
     end = next((place for place, line in enumerate(lines) if line.startswith("──")), len(lines))
     return _one_line(" ".join(lines[:end])).rstrip(".") or "cannot parse the arguments"
 
 
 def _explained(error: str, lists: str) -> str:
-    """What tyro says in our words, where it is about a name or about our own settings."""
+    """Rephrase tyro's error if it is about a name or a group of options."""
     if found := re.match(
         r"invalid choice '(.*)' for argument '(.*)'\. Expected one of (.*)", error
     ):
@@ -194,8 +196,8 @@ def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _refuse(why: str) -> NoReturn:
-    print(f"hmi-marl: {why}", file=sys.stderr)
+def _refuse(reason: str) -> NoReturn:
+    print(f"hmi-marl: {reason}", file=sys.stderr)
     raise SystemExit(BAD_INPUT)
 
 

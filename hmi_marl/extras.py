@@ -15,17 +15,17 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "data": ("pyarrow", "sklearn", "minari", "h5py"),
     }
 )
-"""The modules that each extra of ``pyproject.toml`` installs, by the names they are imported by."""
+"""Modules that each extra of ``pyproject.toml`` installs, by their import names."""
 TRAINING = EXTRAS["train"]
-"""What it takes to train; rsl_rl imports onnx."""
+"""Modules needed for training; rsl_rl imports onnx."""
 _EXTRA_OF = {module: extra for extra, modules in EXTRAS.items() for module in modules}
 
 
-def need(who: str, *modules: str) -> None:
+def need(feature: str, *modules: str) -> None:
     """Check that modules of extras are installed, without importing them.
 
     Args:
-        who: needs them, the subject of the error.
+        feature: needs them, the subject of the error.
         modules: names in :data:`EXTRAS`.
 
     Raises:
@@ -33,12 +33,12 @@ def need(who: str, *modules: str) -> None:
     """
     missing = [module for module in modules if not _is_installed(module)]
     if missing:
-        raise _missing(who, *missing)
+        raise _missing(feature, *missing)
 
 
 @contextmanager
-def needing(who: str) -> Iterator[None]:
-    """Name the extra to install where an import in the block fails for want of it.
+def needing(feature: str) -> Iterator[None]:
+    """Name the extra to install where an import in the block fails without it.
 
     Raises:
         ModuleNotFoundError: as :func:`need`; or as it was, where no extra installs the module.
@@ -49,7 +49,7 @@ def needing(who: str) -> Iterator[None]:
         module = (error.name or "").partition(".")[0]
         if module not in _EXTRA_OF or "pip install" in str(error):
             raise
-        raise _missing(who, module) from error
+        raise _missing(feature, module) from error
 
 
 def _is_installed(module: str) -> bool:
@@ -61,9 +61,9 @@ def _is_installed(module: str) -> bool:
         return True
 
 
-def _missing(who: str, *modules: str) -> ModuleNotFoundError:
+def _missing(feature: str, *modules: str) -> ModuleNotFoundError:
     firsts = {_EXTRA_OF[module]: module for module in reversed(modules)}  # one for each extra
     extras = [extra for extra in EXTRAS if extra in firsts]
     named = " and ".join(firsts[extra] for extra in extras)
     advice = f"pip install 'hmi-marl[{','.join(extras)}]'"
-    return ModuleNotFoundError(f"{who} needs {named}: {advice}", name=modules[0])
+    return ModuleNotFoundError(f"{feature} needs {named}: {advice}", name=modules[0])

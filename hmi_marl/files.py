@@ -1,7 +1,8 @@
-"""Write files so that a kill never leaves half of one, and values as JSON has them."""
+"""Atomic writing of files, SHA-256 checksums, and values as JSON has them."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -15,10 +16,10 @@ import numpy as np
 
 
 def make_folder(folder: Path) -> None:
-    """Make ``folder`` if there is none, and see that files can be written there.
+    """Make ``folder`` if there is none, and check that files can be written there.
 
     Raises:
-        OSError: they cannot; better known before the work than after it.
+        OSError: they cannot.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -28,7 +29,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let ``write`` make a temporary file beside ``path``, then move it there.
+    """Let ``write`` make a temporary file in the folder of ``path``, then move it there.
 
     The temporary name keeps the suffix, by which image libraries choose their format.
     """
@@ -61,6 +62,17 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, content: Any) -> None:
     """Write ``content`` as indented JSON, atomically."""
     write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def sha256(content: bytes) -> str:
+    """SHA-256 checksum of ``content`` in hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 checksum of a file in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def json_value(value: Any) -> Any:

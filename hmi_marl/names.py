@@ -1,4 +1,4 @@
-"""Errors for names that are not known: what was wrong, what is near, and where the list is."""
+"""Error messages for unknown names: the name, the nearest known ones, and where the list is."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from difflib import get_close_matches
 HELP = "hmi-marl --help"
 """Lists drivers, HMIs, driver policies and subcommands."""
 _LISTED = 80
-"""Characters up to which the known names are listed where none is near."""
+"""Longest list of known names in a message, in characters."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str], where: str = HELP) -> str:
-    """A one-line message for a name that is not known.
+    """Return a one-line message for an unknown name.
 
     Args:
-        kind: of name, such as "driver".
-        name: that was given.
-        known: names, in the order to list them.
-        where: all of them are listed.
+        kind: the kind of name, such as "driver".
+        name: the unknown name.
+        known: all names, in the order to list them.
+        where: the command or page that lists them.
 
     >>> unknown("driver", "homr", ["lisa", "marge", "bart", "homer"])
     "unknown driver 'homr'; did you mean homer? hmi-marl --help lists all"
@@ -27,7 +27,7 @@ def unknown(kind: str, name: str, known: Iterable[str], where: str = HELP) -> st
 
 
 def suggest(name: str, known: Iterable[str], where: str = HELP) -> str:
-    """The end of such a message: the nearest known names, up to three, or a short list of all."""
+    """Return the message's end: the nearest known names, up to three, or a short list of all."""
     spelt = {each.lower(): each for each in known}
     near = get_close_matches(name.lower(), spelt, n=3, cutoff=0.6)
     if near:

@@ -1,8 +1,8 @@
-"""Registries of what can be named: HMIs, driver policies, protocols, experiments.
+"""Registries of HMIs, driver policies, protocols and experiments by name.
 
-One entry holds a name, a line of help and what the name stands for. ``--help``, error messages, the
-documentation and every place that offers a choice read the same registry, so that a new HMI or
-experiment is one new module and one entry.
+An entry holds a name, a line of help and a value. ``--help``, error messages, the documentation and
+every place that offers a choice read the same registry, so that a new HMI or experiment is one new
+module and one entry.
 """
 
 from __future__ import annotations
@@ -18,22 +18,24 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Entry(Generic[T]):
-    """One thing that can be named."""
+    """One named value."""
 
     name: str
     help: str
-    """What it is, in one line."""
+    """Description in one line."""
     value: T
-    """What the name stands for: a factory, a class, or where to import it from."""
+    """The named thing: a factory, a class, or a place to import it from."""
     aliases: tuple[str, ...] = ()
-    """Other names for the same."""
+    """Other names of the same value."""
+    argument: str = ""
+    """Form of an argument after the name for help, such as ``[:RATE]``; empty for none."""
 
 
 class Registry(Mapping[str, Entry[T]]):
     """Entries by name, in the order in which they were registered. Case does not matter.
 
     Args:
-        kind: what the entries are, for error messages: "HMI", "protocol", ...
+        kind: of the entries, for error messages: "HMI", "protocol", ...
         see: the command that lists them.
     """
 
@@ -42,8 +44,15 @@ class Registry(Mapping[str, Entry[T]]):
         self._entries: dict[str, Entry[T]] = {}
         self._by_alias: dict[str, str] = {}
 
-    def register(self, name: str, help: str, value: T, aliases: tuple[str, ...] = ()) -> Entry[T]:  # noqa: A002
-        """Add an entry and return it.
+    def register(
+        self,
+        name: str,
+        help: str,  # noqa: A002
+        value: T,
+        aliases: tuple[str, ...] = (),
+        argument: str = "",
+    ) -> Entry[T]:
+        """Add an entry and return it; see :class:`Entry` for the arguments.
 
         Raises:
             ValueError: the name or an alias is taken, or contains a colon or a slash.
@@ -53,7 +62,7 @@ class Registry(Mapping[str, Entry[T]]):
                 raise ValueError(f"a {self.kind} needs a name without ':' and '/', not {each!r}")
             if each.lower() in self._by_alias:
                 raise ValueError(f"there is already a {self.kind} called {each!r}")
-        entry = Entry(name, help, value, aliases)
+        entry = Entry(name, help, value, aliases, argument)
         self._entries[name] = entry
         self._by_alias |= {each.lower(): name for each in (name, *aliases)}
         return entry
@@ -64,13 +73,37 @@ class Registry(Mapping[str, Entry[T]]):
         Raises:
             ValueError: there is none; the message suggests the nearest name.
         """
+        return self._entry(name, name)
+
+    def unregister(self, name: str) -> None:
+        """Remove the entry of a name or alias.
+
+        Raises:
+            KeyError: there is none.
+        """
+        entry = self._entries.pop(self[name].name)
+        self._by_alias = {k: v for k, v in self._by_alias.items() if v != entry.name}
+
+    def split(self, text: str) -> tuple[Entry[T], str]:
+        """Return the entry that NAME or NAME:ARGUMENT stands for, and the argument.
+
+        Raises:
+            ValueError: there is none, or it takes no argument.
+        """
+        name, _, argument = text.partition(":")
+        entry = self._entry(name, text)
+        if argument and not entry.argument:
+            raise ValueError(f"{self.kind} {name!r} takes no argument, but got {text!r}")
+        return entry, argument
+
+    def _entry(self, name: str, text: str) -> Entry[T]:
         if name not in self:
-            raise ValueError(unknown(self.kind, name, self._by_alias, self.see))
+            raise ValueError(unknown(self.kind, text, self._by_alias, self.see))
         return self[name]
 
     def helps(self) -> dict[str, str]:
-        """Names and their lines of help."""
-        return {name: entry.help for name, entry in self._entries.items()}
+        """Return names with the form of their arguments, and their lines of help."""
+        return {name + entry.argument: entry.help for name, entry in self._entries.items()}
 
     def __getitem__(self, name: str) -> Entry[T]:
         return self._entries[self._by_alias[name.lower()]]

@@ -1,6 +1,6 @@
-"""Processes to share work among, a thread each.
+"""Worker processes of one thread each.
 
-Several threads in each of several processes would only get into each other's way.
+Several threads in each of several processes would only slow each other down.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def check_workers(workers: int | None) -> int:
 def pool(
     workers: int, begin: Callable[..., object] | None = None, *arguments: Any
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes; what was submitted and has not begun is dropped at the end.
+    """A pool of fresh processes; at the end, submitted tasks that have not begun are dropped.
 
     Args:
-        workers: how many at most.
-        begin: called first in each of them, with the ``arguments``.
+        workers: number of processes at most.
+        begin: called first in each process, with the ``arguments``.
     """
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)  # a worker reads them when it starts
@@ -50,7 +50,7 @@ def pool(
         yield executor
     except KeyboardInterrupt:
         for process in active_children():
-            process.terminate()  # what they do may take hours
+            process.terminate()  # their tasks may take hours
         raise
     finally:
         executor.shutdown(cancel_futures=True)
@@ -64,7 +64,7 @@ def pool(
 def results(
     function: Callable[[Task], Result], tasks: Sequence[Task], workers: int
 ) -> Iterator[Result]:
-    """``function`` of every task, in their order: in this process if there is one worker."""
+    """Yield ``function`` of every task, in their order; with one worker, in this process."""
     if workers == 1:
         yield from map(function, tasks)
         return
@@ -74,14 +74,14 @@ def results(
 
 
 def _begin(then: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # an interrupt ends it at once, without a trace
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # an interrupt ends it without a traceback
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if then is not None:
         then(*arguments)
 
 
 def _end_with_parent() -> None:
-    """A worker whose parent was killed would go on with nobody to take its result."""
+    """End this worker when its parent has ended: there is no process left to take its result."""
     parent = parent_process()
     if parent is not None:
         parent.join()

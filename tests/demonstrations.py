@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.demonstrations.dataset import (
-    NOBODY,
+    MISSING,
     Demonstrations,
     Observed,
     Truth,
@@ -38,10 +38,10 @@ def made_up(
     observed = Observed(
         LAYOUT,
         states * real[..., None],
-        np.where(real, rng.integers(0, 5, real.shape), NOBODY),
+        np.where(real, rng.integers(0, 5, real.shape), MISSING),
         rng.integers(0, 2, real.shape) * real,
         np.array(length),
-        np.full(count, NOBODY) if crash_step is None else np.array(crash_step),
+        np.full(count, MISSING) if crash_step is None else np.array(crash_step),
         np.zeros(count, np.int64) if driver is None else np.array(driver),
         names,
         rng.integers(0, 2**64, count, dtype=np.uint64) if with_seeds else None,
@@ -53,7 +53,7 @@ def made_up(
         rng.integers(0, 2, real.shape) * real,
         rng.integers(0, 2, real.shape) * real,
         rng.integers(0, 7, real.shape) * real,
-        np.where(real, rng.integers(0, 5, real.shape), NOBODY),
+        np.where(real, rng.integers(0, 5, real.shape), MISSING),
         rng.uniform((0, 0, 0, 1), (1, 1, 1, 9), (count, 4)),
         {"drivers": [{"name": "lisa", "beta": 0.2}]},
     )

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.catalogue import Trained
-from hmi_marl.agents.adaptive.evidence_files import save_evidence
-from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, EvidenceModel
+from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, EvidenceModel, save_evidence
+from hmi_marl.agents.adaptive.factory import Trained
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import PolicyCard, make_card
-from hmi_marl.agents.learned.policy_files import save_policy
+from hmi_marl.agents.learned.policy import PolicyCard, make_card, save_policy
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import Teaming
@@ -45,18 +43,18 @@ def evidence_weights(card: EvidenceCard, seed: int = 0) -> dict[str, NDArray[np.
 
 
 def untrained_evidence(config: TeamConfig = HIDDEN, seed: int = 0, **sizes: Any) -> EvidenceModel:
-    """A small evidence model."""
+    """Make a small evidence model."""
     card = EvidenceCard.for_team(config, **(SMALL | sizes))
     return EvidenceModel(card, evidence_weights(card, seed))
 
 
 def hidden_card(config: TeamConfig = HIDDEN, context: int = 0) -> PolicyCard:
-    """Of a small HMI that sees no attention and no traits."""
+    """Return the card of a small HMI that sees no attention and no traits."""
     return make_card(VEHICLE_AI, config, NetworkConfig((6,), rnn_hidden_dim=3), False, context)
 
 
 def save_trained(folder: Path, config: TeamConfig = HIDDEN) -> Trained:
-    """Everything that adaptive HMIs are made of, in ``folder``."""
+    """Save all learned models that adaptive HMIs need in ``folder``."""
     model = untrained_evidence(config)
     save_evidence(folder / "evidence", model.card, model.weights)
     conditioned = hidden_card(config, model.card.latent)
@@ -69,7 +67,7 @@ def save_trained(folder: Path, config: TeamConfig = HIDDEN) -> Trained:
 
 
 def seeds(count: int, first: int = 0) -> NDArray[np.uint64]:
-    """Of ``count`` episodes."""
+    """Seeds of ``count`` episodes."""
     return np.arange(first, first + count, dtype=np.uint64)
 
 
@@ -78,12 +76,12 @@ def turns(
     intents: NDArray[np.int64],
     alerts: NDArray[np.int64] | Callable[[NDArray[np.float32]], NDArray[np.int64]],
 ) -> Iterator[NDArray[np.float32]]:
-    """What the vehicle AI sees in each turn of a trip.
+    """Yield the vehicle AI's observations in each turn of a trip.
 
     Args:
-        teams: that have begun.
+        teams: teams at the start of their episodes.
         intents: shape (T, N).
-        alerts: shape (T, N), or what tells them of what is seen.
+        alerts: shape (T, N), or a function of the observation.
     """
     for t, intended in enumerate(intents):
         teams.intend(intended)
@@ -93,7 +91,7 @@ def turns(
 
 
 def any_intents(steps: int, count: int, seed: int = 0) -> NDArray[np.int64]:
-    """Drivers who often want the same again, shape (T, N)."""
+    """Draw intended actions that often repeat, shape (T, N)."""
     return np.random.default_rng(seed).choice([1, 1, 1, 3, 4], (steps, count))
 
 

@@ -1,4 +1,4 @@
-"""What the tests of README and site have in common: the code and the commands on a page."""
+"""Code and commands on a page, for the tests of README and site."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PAGES = sorted(DOCS.rglob("*.md"))
 
 
 def hook() -> ModuleType:
-    """What makes parts of the site's pages."""
+    """Import the module that fills parts of the site's pages."""
     spec = importlib.util.spec_from_file_location("hook", DOCS / "hook.py")
     assert spec is not None
     assert spec.loader is not None
@@ -29,7 +29,7 @@ def blocks(text: str, language: str) -> list[str]:
 
 
 def commands(text: str) -> list[list[str]]:
-    """The arguments of every line that calls hmi-marl, what commands print aside."""
+    """The arguments of every line that calls hmi-marl, except in what commands print."""
     whole = re.sub(r"^```text\n.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
     whole = whole.replace("\\\n", " ")
     lines = re.findall(r"^hmi-marl (.*)", whole, re.MULTILINE)

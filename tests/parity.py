@@ -1,6 +1,6 @@
 """Compare the batched world with highway-env, vehicle by vehicle and ray by ray.
 
-highway-env computes with NumPy and BLAS, whose last bit depends on the processor, and a car that
+highway-env computes with NumPy and BLAS; their last bit depends on the processor, and a car that
 has nearly stopped turns one bit into centimetres. So the batched world may be as far from
 highway-env as highway-env is from itself when its state is moved by one bit, or 1e-9, whichever is
 more; and it may show no discrete difference that highway-env does not show towards itself.

@@ -10,7 +10,7 @@ from hmi_marl.envs.worlds.base import Ego, Snapshot
 
 
 class StandingWorld:
-    """N cars that never move, and crash when told to. Behind the World interface."""
+    """N cars that never move, and crash where ``crash_next`` is set. Implements World."""
 
     def __init__(self, scene: Scene, num_worlds: int) -> None:
         self.scene, self.num_worlds = scene, num_worlds

@@ -86,8 +86,8 @@ def test_the_first_part_that_fails_is_named_and_ends_it(repository: Path) -> Non
     tried = Tried(repository, FAILING="test")
     assert tried.run.returncode == 1
     assert tried.parts == ["run", "test"]
-    told = r"ci: part test FAILED with status 3 after \d s \(before it: run \d s\)\n"
-    assert re.search(told, tried.run.stderr)
+    expected = r"ci: part test FAILED with status 3 after \d s \(before it: run \d s\)\n"
+    assert re.search(expected, tried.run.stderr)
     assert "all is well" not in tried.run.stdout
 
 

@@ -12,8 +12,9 @@ import pytest
 from PIL import Image
 
 import hmi_marl
-from hmi_marl.agents import HMI_NAMES
+from hmi_marl.agents.catalogue import known_names
 from hmi_marl.cli import main
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 
 SMALL = ["--duration", "2", "--vehicles", "1", "3"]
@@ -230,7 +231,7 @@ BAD_NAMES_IN_TABLE = [
 
 
 @pytest.mark.parametrize(("arguments", "message", "known"), BAD_NAMES + BAD_NAMES_IN_TABLE)
-def test_an_unknown_name_is_told_with_the_known_ones(
+def test_an_unknown_name_is_reported_with_the_known_ones(
     arguments: list[str],
     message: str,
     known: list[str],
@@ -271,7 +272,7 @@ def test_an_unknown_name_is_told_with_the_known_ones(
     ],
 )
 @pytest.mark.usefixtures("file_in_the_way")
-def test_bad_input_is_told_in_one_line(
+def test_bad_input_is_reported_in_one_line(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 2
@@ -281,7 +282,7 @@ def test_bad_input_is_told_in_one_line(
 @pytest.mark.parametrize(
     "error", [MemoryError(), OSError(28, "No space left"), OverflowError("no")]
 )
-def test_what_fails_on_the_way_is_told_in_one_line(
+def test_what_fails_on_the_way_is_reported_in_one_line(
     error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(*_: object) -> None:
@@ -294,7 +295,7 @@ def test_what_fails_on_the_way_is_told_in_one_line(
     assert printed.out == ""
 
 
-def test_an_interrupt_is_told_in_one_line(
+def test_an_interrupt_is_reported_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupt(*_: object) -> None:
@@ -357,5 +358,6 @@ def test_help_lists_the_known_names(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     printed = capsys.readouterr().out
-    for name in (*DRIVERS, *HMI_NAMES, "rule", "random", "oracle", "table", "watch"):
+    known = (*known_names(VEHICLE_AI), *known_names(DRIVER))
+    for name in (*DRIVERS, *known, "rule", "random", "oracle", "table", "watch"):
         assert re.search(rf"(?m)^\W*{re.escape(name)} ", printed), name

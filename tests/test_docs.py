@@ -9,7 +9,7 @@ import yaml
 from pages import DOCS, PAGES, ROOT, blocks, commands, hook
 from trait_models import untrained
 
-from hmi_marl.agents.learned.trait_files import save_traits
+from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.demonstrations.parquet import write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
@@ -38,7 +38,7 @@ def prepare_traits(folder):
 
 
 BEFORE = {"demonstrations.md": prepare_demonstrations, "traits.md": prepare_traits}
-"""What commands of the page would have left, tiny."""
+"""Prepare tiny versions of what a page reads."""
 
 
 @pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "```python" in text])
@@ -50,6 +50,12 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch)
     names = {"__name__": "page"}
     for number, block in enumerate(code):
         exec(compile(block, f"{page}, block {number}", "exec"), names)
+
+
+@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "```python" in text])
+def test_the_code_of_a_page_imports_from_two_levels_at_most(page):
+    for name in re.findall(r"^(?:from|import) (hmi_marl[\w.]*)", TEXTS[page], re.MULTILINE):
+        assert name.count(".") <= 2, name
 
 
 def test_what_is_prepared_is_for_pages_that_are_there():
@@ -92,7 +98,7 @@ def test_pages_made_from_the_code_say_what_the_code_says():
 
 
 def test_the_page_of_trainers_shows_the_examples_that_their_tests_run():
-    page = TEXTS["own-trainers.md"]
+    page = TEXTS["custom-trainers.md"]
     tests = "".join(test.read_text() for test in (ROOT / "tests" / "trainers").glob("test_*.py"))
     examples = sorted((ROOT / "examples" / "trainers").glob("*.py"))
     assert len(blocks(page, "py")) == len(examples) > 0
@@ -103,7 +109,7 @@ def test_the_page_of_trainers_shows_the_examples_that_their_tests_run():
 
 
 def test_the_page_of_trainers_names_the_versions_that_are_tested():
-    page = TEXTS["own-trainers.md"]
+    page = TEXTS["custom-trainers.md"]
     pinned = [(ROOT / "constraints.txt").read_text()]
     pinned += [pins.read_text() for pins in (ROOT / "tests" / "trainers" / "pins").glob("*.txt")]
     versions = dict(re.findall(r"^([\w-]+)==(\S+)$", "\n".join(reversed(pinned)), re.MULTILINE))

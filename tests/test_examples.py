@@ -12,10 +12,17 @@ SB3 = "sb3_parameter_sharing"
 TINY = {
     "turn_taking": (["--duration", "2"], "vehicle_ai  return"),
     "new_driver": ([], "with the optimal one"),
+    "new_experiment": (["--episodes", "2", "--windows", "1", "7"], "supported  homer: fewer alerts"),
+    "new_hmi": (["--episodes", "2", "--duration", "2"], "optimum"),
+    "new_protocol": (
+        ["--steps", "160", "--teams", "16", "--duration", "2", "--out", "runs/first"],
+        "learned: runs/first",
+    ),
+    "new_world": (["--episodes", "3", "--duration", "4"], "merge_v0: crashed after keeping"),
     "latent_traits": (["--windows", "10", "--updates", "1", "--steps", "1600"], "homer  z = ["),
     "unknown_driver": (
         ["--drives", "2", "--trips", "2", "--adaptive", "adapt:bayes"],
-        "in the last trip, knowing bart is worth",
+        "in the last trip, knowing bart gains",
     ),
     "supersuit_vector": (["--cars", "2", "--steps", "5"], "car 1  vehicle_ai "),
     "policy_gradient_hmi": (["--episodes", "2", "--duration", "1"], "attention return"),
@@ -35,12 +42,12 @@ def run_example(name, arguments, folder):
 
 @pytest.mark.parametrize("name", [name for name in TINY if name != SB3])
 def test_an_example_runs(name, tmp_path):
-    arguments, told = TINY[name]
-    assert told in run_example(name, arguments, tmp_path).stdout
+    arguments, printed = TINY[name]
+    assert printed in run_example(name, arguments, tmp_path).stdout
 
 
 @pytest.mark.parametrize("name", TINY)
-def test_the_help_of_an_example_teaches(name, tmp_path):
+def test_the_help_of_an_example_explains_every_option(name, tmp_path):
     run = run_example(name, ["--help"], tmp_path)
     assert list(tmp_path.iterdir()) == []
     text = (ROOT / "examples" / f"{name}.py").read_text(encoding="utf-8")
@@ -68,6 +75,17 @@ def test_the_example_for_sb3_shows_how_far_it_is_and_compares(tmp_path):
         assert float(driver) + float(vehicle_ai) == pytest.approx(float(together), abs=0.11)
 
 
+EXTENSIONS = sorted(path.stem for path in (ROOT / "examples").glob("new_*.py"))
+
+
+def test_there_is_an_example_for_each_extension():
+    kinds = ("driver", "experiment", "hmi", "protocol", "world")
+    assert [f"new_{kind}" for kind in kinds] == EXTENSIONS
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    for name in EXTENSIONS:
+        assert f"`examples/{name}.py`" in page
+
+
 def test_every_example_is_run():
     assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(TINY)
 
@@ -77,7 +95,7 @@ def test_the_benchmark_of_the_highway_world_runs(tmp_path):
     assert (tmp_path / "runs" / "benchmarks" / "highway_world.json").exists()
 
 
-def test_the_benchmark_of_training_tells_where_time_goes(tmp_path):
+def test_the_benchmark_of_training_shows_where_time_goes(tmp_path):
     ours = "--rounds 1 --steps 2 --num-teams 32 --vehicles 2"
     sb3 = "--processes 1 --sb3-steps 4 --sb3-batch 4"
     run_benchmark("training", f"{ours} {sb3}", tmp_path)
@@ -93,7 +111,7 @@ def test_the_benchmark_of_training_tells_where_time_goes(tmp_path):
     assert plain["ratio"] == 1
 
 
-def test_the_benchmark_of_startup_tells_ratios_to_numpy(tmp_path):
+def test_the_benchmark_of_startup_prints_ratios_to_numpy(tmp_path):
     run_benchmark("startup", "--rounds 1 --only version watch", tmp_path)
     written = json.loads((tmp_path / "runs" / "bench" / "startup.json").read_text())
     assert [row["command"] for row in written["rows"]] == [
@@ -106,10 +124,21 @@ def test_the_benchmark_of_startup_tells_ratios_to_numpy(tmp_path):
     assert all(row["seconds"] > 0 and row["ratio"] > 0 for row in written["rows"])
 
 
+def test_the_walk_from_a_demonstrations_file_to_its_figure_is_counted(tmp_path):
+    lines = run_benchmark("walk", "--list", tmp_path).stdout.splitlines()
+    stops, files, returns = map(int, re.findall(r"\d+", lines[-1]))
+    listed = [line.split() for line in lines if re.match(r" *\d+  \S+\.py  ", line)]
+    assert [int(number) for number, *_ in listed] == list(range(1, stops + 1))
+    assert len({file for _, file, _ in listed}) == files == stops - returns
+    assert listed[0][1:] == ["commands/traits.py", "EvaluateTraits.run"]
+    assert any(function == "read_demonstrations" for *_, function in listed)
+
+
 def run_benchmark(name, arguments, folder):
     command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *arguments.split()]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+    return run
 
 
 def test_the_benchmark_of_worlds_is_the_command():

@@ -30,19 +30,19 @@ def test_what_is_installed_is_not_missed():
 
 
 @pytest.mark.parametrize(
-    ("modules", "told"),
+    ("modules", "message"),
     [
         (["torch", "rsl_rl"], "it needs torch: pip install 'hmi-marl[train]'"),
         (["pyarrow", "torch"], "it needs torch and pyarrow: pip install 'hmi-marl[train,data]'"),
         (["imageio_ffmpeg"], "it needs imageio_ffmpeg: pip install 'hmi-marl[video]'"),
     ],
 )
-def test_all_missing_extras_are_named_at_once(modules, told, monkeypatch):
+def test_all_missing_extras_are_named_at_once(modules, message, monkeypatch):
     for module in modules:
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ModuleNotFoundError) as error:
         need("it", *modules)
-    assert str(error.value) == told
+    assert str(error.value) == message
 
 
 def test_an_import_that_fails_for_want_of_an_extra_names_it(monkeypatch):

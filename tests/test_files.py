@@ -1,3 +1,4 @@
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -6,6 +7,8 @@ import pytest
 
 from hmi_marl.files import (
     make_folder,
+    sha256,
+    sha256_of,
     write_atomically,
     write_bytes,
     write_json,
@@ -120,13 +123,23 @@ def test_json_refuses_what_is_no_json_and_leaves_the_old_file(tmp_path: Path, va
     assert content(tmp_path) == ["table.json"]
 
 
+def test_checksums_are_sha_256(tmp_path: Path) -> None:
+    # FIPS 180-2, the example of one block
+    expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    (tmp_path / "abc").write_bytes(b"abc")
+    assert sha256(b"abc") == sha256_of(tmp_path / "abc") == expected
+    large = bytes(range(256)) * 10_000  # more than is read at once
+    (tmp_path / "large").write_bytes(large)
+    assert sha256_of(tmp_path / "large") == hashlib.sha256(large).hexdigest()
+
+
 def test_a_folder_is_made_and_left_empty(tmp_path: Path) -> None:
     for _ in range(2):  # there already the second time
         make_folder(tmp_path / "runs" / "table")
         assert content(tmp_path / "runs" / "table") == []
 
 
-def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match=r"cannot write to .*file"):
         make_folder(tmp_path / "file")

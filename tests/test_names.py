@@ -23,6 +23,6 @@ def test_short_lists_are_given_whole_where_nothing_is_near():
 
 @pytest.mark.parametrize("known", [[], [f"name-{i}" for i in range(100)]])
 def test_a_message_stays_a_line(known):
-    told = unknown("driver", "q", known)
-    assert len(told) < 160
-    assert "\n" not in told
+    message = unknown("driver", "q", known)
+    assert len(message) < 160
+    assert "\n" not in message

@@ -1,3 +1,7 @@
+import ast
+import fnmatch
+import functools
+import graphlib
 import re
 import subprocess
 import sys
@@ -155,19 +159,87 @@ def test_the_human_model_knows_no_road_and_no_agents():
         assert all(name.startswith(allowed) for name in ours), (module, ours)
 
 
-def test_arrows_point_one_way():
-    order = ["envs", "agents", "training", "evaluation", "commands"]
-    for place, folder in enumerate(order):
-        for path in (ROOT / "hmi_marl" / folder).rglob("*.py"):
-            for later in order[place + 1 :]:
-                assert f"hmi_marl.{later}" not in _imports(path), (path, later)
+def test_imports_point_downwards_in_the_order_of_the_contract():
+    layers = [re.findall(r"\w+", layer) for layer in _contract("layers")["layers"]]
+    place = {name: number for number, layer in enumerate(layers) for name in layer}
+    for module, imported in _imports().items():
+        for name in imported:
+            above, below = place[_children(module)[0]], place[_children(name)[0]]
+            assert above <= below, f"{module} imports {name}, which is above it"
 
 
-def _imports(path):
-    return "\n".join(re.findall(r"^\s*(?:from|import) .*", path.read_text(), re.MULTILINE))
+def test_no_package_and_no_module_imports_itself_by_way_of_others():
+    for package in ["", *(f"{name}." for name in _packages())]:
+        siblings = {}
+        for module, imported in _imports().items():
+            for name in imported:
+                if module.startswith(package) and name.startswith(package):
+                    one, other = (_children(each, package)[0] for each in (module, name))
+                    siblings.setdefault(one, set()).update({other} - {one})
+        graphlib.TopologicalSorter(siblings).prepare()  # a CycleError names the circle
 
 
-def test_the_version_is_told_once_and_the_citation_agrees():
+def test_torch_is_imported_only_where_the_contract_says():
+    contract = _contract("torch")
+    forbidden = set(contract["forbidden_modules"])
+    allowed = [line.split(" -> ")[0] for line in contract["ignore_imports"]]
+    for path in (ROOT / "hmi_marl").rglob("*.py"):
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        found = {name.split(".")[0] for name in _imported(path)} & forbidden
+        assert not found or any(fnmatch.fnmatch(module, each) for each in allowed), module
+
+
+def _contract(name):
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    (found,) = (each for each in contracts["contracts"] if each["id"] == name)
+    return found
+
+
+def _packages():
+    inits = (ROOT / "hmi_marl").glob("*/**/__init__.py")
+    return [".".join(path.parent.relative_to(ROOT / "hmi_marl").parts) for path in inits]
+
+
+def _children(name, package=""):
+    return name.removeprefix(package).split(".")
+
+
+@functools.cache
+def _imports():
+    """The modules that each module imports, by their names below hmi_marl; itself as a package."""
+    files = {
+        ".".join(path.relative_to(ROOT / "hmi_marl").with_suffix("").parts): path
+        for path in (ROOT / "hmi_marl").rglob("*.py")
+    }
+    packages = {name.removesuffix(".__init__") for name in files if name.endswith(".__init__")}
+    known = {*files, *packages} - {"__init__"}
+    found = {}
+    for module, path in files.items():
+        if module == "__init__":  # the root imports its names when they are first used
+            continue
+        own = {name.removeprefix("hmi_marl.") for name in _imported(path)}
+        whole = {name if name in known else name.rpartition(".")[0] for name in own}
+        found[module] = (whole & known) - {module.removesuffix(".__init__")}
+    return found
+
+
+def _imported(path):
+    """Everything that a file imports, also in functions, but for type checkers alone."""
+
+    def walk(node):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            return
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        if isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        for child in ast.iter_child_nodes(node):
+            yield from walk(child)
+
+    return set(walk(ast.parse(path.read_text())))
+
+
+def test_the_version_is_written_once_and_the_citation_agrees():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["dynamic"] == ["readme", "version"]
     assert project["license"] == "MIT"

@@ -35,3 +35,23 @@ def test_a_name_is_registered_once(fruit, name):
 def test_names_that_mean_something_else_are_refused(fruit, name):
     with pytest.raises(ValueError, match="a fruit needs a name without"):
         fruit.register(name, "no", 3)
+
+
+def test_an_entry_can_be_removed_with_its_aliases(fruit):
+    fruit.unregister("Pomme")
+    assert list(fruit) == ["pear"]
+    assert "apple" not in fruit
+    fruit.register("pomme", "again", 4)
+    with pytest.raises(KeyError):
+        fruit.unregister("plum")
+
+
+def test_a_name_may_be_followed_by_an_argument(fruit):
+    fruit.register("tree", "of any height", 5, argument="[:HEIGHT]")
+    assert fruit.helps()["tree[:HEIGHT]"] == "of any height"
+    assert [fruit.split(text)[1] for text in ("tree", "TREE:3:4", "pear")] == ["", "3:4", ""]
+    assert fruit.split("tree:3")[0].value == 5
+    with pytest.raises(ValueError, match="fruit 'pear' takes no argument, but got 'pear:3'"):
+        fruit.split("pear:3")
+    with pytest.raises(ValueError, match=r"unknown fruit 'peer:3'; did you mean pear\?|known: "):
+        fruit.split("peer:3")

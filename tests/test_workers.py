@@ -38,7 +38,7 @@ def test_every_worker_has_one_thread_and_this_process_keeps_its_own(monkeypatch)
     assert "NUMBA_NUM_THREADS" not in os.environ
 
 
-def test_workers_begin_as_they_are_told():
+def test_workers_call_begin_first():
     with pool(1, remember, "this") as workers:
         assert workers.submit(remembered, None).result() == "this"
 
@@ -52,13 +52,13 @@ def test_what_has_not_begun_is_dropped_when_one_fails(tmp_path):
     assert len(list(tmp_path.iterdir())) < count
 
 
-def whose(number):
+def process_of(number):
     return number, os.getpid()
 
 
 def test_results_come_in_the_order_of_their_tasks():
-    here = list(results(whose, [3, 1, 2], workers=1))
+    here = list(results(process_of, [3, 1, 2], workers=1))
     assert here == [(number, os.getpid()) for number in (3, 1, 2)]
-    apart = list(results(whose, [3, 1, 2], workers=2))
+    apart = list(results(process_of, [3, 1, 2], workers=2))
     assert [number for number, _ in apart] == [3, 1, 2]
     assert os.getpid() not in {process for _, process in apart}

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import make_card
-from hmi_marl.agents.learned.policy_files import save_policy
+from hmi_marl.agents.learned.policy import make_card, save_policy
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import Layout

@@ -1,8 +1,7 @@
-"""Who sits in the seats: HMIs and drivers, learned or not, and the exact optimum."""
+"""HMIs and driver policies: rules, exact optima and learned ones."""
 
-from hmi_marl.agents.adaptive.catalogue import make_adaptive
-from hmi_marl.agents.adaptive.evidence_files import load_evidence
-from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
+from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
+from hmi_marl.agents.adaptive.factory import make_adaptive
 from hmi_marl.agents.adaptive.hmis import (
     AdaptiveHMI,
     ChoosingHMI,
@@ -11,22 +10,22 @@ from hmi_marl.agents.adaptive.hmis import (
 )
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
 from hmi_marl.agents.catalogue import (
-    DRIVER_POLICY_NAMES,
-    HMI_NAMES,
+    DRIVER_POLICIES,
+    HMIS,
     make_driver_policy,
     make_hmi,
 )
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
-from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard
-from hmi_marl.agents.learned.policy_files import load_policy, save_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, load_policy, save_policy
+from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.envs.seats import Policy
 from hmi_marl.exact.evidence import ChainEvidence
 from hmi_marl.exact.trait_posterior import TraitBelief
 
 __all__ = [
-    "DRIVER_POLICY_NAMES",
-    "HMI_NAMES",
+    "DRIVER_POLICIES",
+    "HMIS",
     "AdaptiveHMI",
     "AlertWhenDistracted",
     "BeliefAlert",
@@ -46,6 +45,7 @@ __all__ = [
     "TraitEstimator",
     "load_evidence",
     "load_policy",
+    "load_traits",
     "make_adaptive",
     "make_driver_policy",
     "make_hmi",

@@ -1,163 +1,149 @@
-"""HMIs and drivers by name, as the command line and the ``partner=`` keyword take them."""
+"""HMIs and driver policies by name, as the command line and ``partner=`` take them.
+
+To add one, register a function that makes it from the configuration of the teams::
+
+    HMIS.register("mine", "alerts every tenth step", make)  # make(config) -> Policy
+
+With ``argument="[:RATE]"`` the name may be followed by an argument, which the function gets as
+text, empty if there is none: ``make(config, argument, sequential)`` for an HMI,
+``make(config, argument)`` for a driver policy. In place of a function a longer name may stand, such
+as ``"random:0.1"``.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from types import MappingProxyType
 
-from hmi_marl.agents.adaptive.catalogue import ADAPT, adaptive_by_name
+from hmi_marl.agents.adaptive.factory import adaptive_by_name
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
-from hmi_marl.agents.learned.policy_files import find_policy, load_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
 from hmi_marl.agents.learned.shipped import PREFIX, is_shipped, shipped_names
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.seats import Policy
 from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING
-from hmi_marl.names import unknown
+from hmi_marl.registry import Registry
 
+Factory = Callable[..., Policy]
 
-def _shipped(kind: str) -> dict[str, str]:
-    """The entry for what comes with the package, if anything does."""
-    names = ", ".join(shipped_names(kind))
-    return {f"{PREFIX}NAME": f"one that comes with the package: {names}"} if names else {}
-
-
-HMI_NAMES = MappingProxyType(
-    {
-        "never": "no alerts (NoHMI)",
-        "always": "an alert in every step",
-        "random": "alerts at a rate: random is random:0.5",
-        "when-distracted": "alerts exactly when the driver was distracted in the last step",
-        "optimal": "the exact optimum for the driver at the wheel, or optimal:NAME for another "
-        "driver model; on the Bayes belief if attention is hidden",
-        "average": "the exact optimum for the average driver (AvgHMI), optimal:average",
-        "belief": "keeps the Bayes belief over distraction from what the car does, never looking "
-        "at the driver; belief:NAME for another driver model, belief:NAME:SHARE to assume that "
-        f"such a share of steps shows d instead of {DEFAULT_REVEALING:g}",
-        "adapt[:KIND][:bayes]": "gets to know the driver; KIND is expected, choosing or "
-        "conditioned; with bayes by the exact posterior instead of the learned encoder",
-        "runs/RUN": "the HMI that a training run has learned, by its folder",
-    }
-    | _shipped(VEHICLE_AI)
-)
-DRIVER_POLICY_NAMES = MappingProxyType(
-    {
-        "rule": "keeps lane and gap by what its lidar perceives",
-        "random": "any action, evenly",
-        "runs/RUN": "the driver that a training run has learned, by its folder",
-    }
-    | _shipped(DRIVER)
-)
-_ALIASES = {
-    "none": "never",
-    "nohmi": "never",
-    "own": "optimal",
-    "average": "optimal:average",
-    "avghmi": "optimal:average",
-}
+HMIS: Registry[Factory | str] = Registry("HMI")
+DRIVER_POLICIES: Registry[Factory | str] = Registry("driver policy")
+_REGISTRIES = {VEHICLE_AI: HMIS, DRIVER: DRIVER_POLICIES}
 
 
 def make_hmi(name: str, config: TeamConfig, sequential: bool = True) -> Policy:
-    """The HMI of this name for teams set up by ``config``.
+    """Make the HMI of this name for teams set up by ``config``.
 
     Args:
-        name: one of ``HMI_NAMES``, where case does not matter, a trained run's folder, or
+        name: one of ``HMIS``, where case does not matter, the folder of a training run, or
             ``trained:NAME``.
-        config: of the teams.
-        sequential: False in a parallel environment, where the AI sees a^H one step late; an HMI
-            that goes by a^H must know.
+        config: configuration of the teams.
+        sequential: False where both agents move simultaneously, so that the HMI sees a^H one step
+            late.
 
     Raises:
-        ValueError: unknown name (the message names the nearest), or one that does not fit the
-            configuration.
+        ValueError: an unknown name (the message suggests the nearest), or an HMI that does not fit
+            the configuration.
     """
-    if not isinstance(name, str):
-        raise TypeError(f"an HMI's name is a string, not {name!r}")
-    if _is_path(name, HMI_NAMES):
-        policy = load_policy(name, VEHICLE_AI, config)
-        if policy.sequential and not sequential:
-            raise ValueError(
-                f"{name} has learned to see a^H_t, which an environment in which both act at once "
-                "shows a step late; use the one that takes turns, or train with --no-sequential"
-            )
-        return policy
-    kind, _, argument = _ALIASES.get(name.lower(), name.lower()).partition(":")
-    if kind in ("never", "always", "when-distracted") and argument:
-        raise ValueError(f"HMI {kind!r} takes no argument, but got {name!r}")
-    if kind in ("never", "always"):
-        return RandomAlert(float(kind == "always"), config.alerts)
-    if kind == "random":
-        return RandomAlert(_number(argument or "0.5", "random:RATE"), config.alerts)
-    if kind == "when-distracted":
-        return AlertWhenDistracted(config)
-    if kind == ADAPT:
-        if not sequential:
-            raise ValueError("an adaptive HMI goes by a^H_t; use an environment that takes turns")
-        return adaptive_by_name(argument, config)
-    if kind in ("optimal", "belief"):
-        model_name, share = argument, ""
-        if kind == "belief":
-            model_name, share = _split_share(argument)
-        model = get_driver(model_name) if model_name else _driver_at_the_wheel(config, kind)
-        if kind == "optimal" and config.ai_sees_attention:
-            return OptimalAlert(model, config)
-        revealing = _number(share, "belief:DRIVER:SHARE") if share else DEFAULT_REVEALING
-        return BeliefAlert(model, config, revealing, sequential)
-    raise ValueError(unknown("HMI", name, _typed(HMI_NAMES) | _ALIASES))
+    policy = _make(name, VEHICLE_AI, config, sequential)
+    if isinstance(policy, LearnedPolicy) and policy.sequential and not sequential:
+        raise ValueError(
+            f"{name} has learned to see a^H_t, which an environment with simultaneous moves shows "
+            "a step late; use one with sequential moves, or train with --no-sequential"
+        )
+    return policy
 
 
 def make_driver_policy(name: str, config: TeamConfig) -> Policy:
-    """The policy of this name for the driver's seat; case does not matter.
+    """Make the driver policy of this name for teams set up by ``config``.
+
+    Args:
+        name: one of ``DRIVER_POLICIES``, where case does not matter, the folder of a training run,
+            or ``trained:NAME``.
+        config: configuration of the teams.
 
     Raises:
-        ValueError: unknown name; the message names the nearest.
+        ValueError: an unknown name; the message suggests the nearest.
     """
-    if not isinstance(name, str):
-        raise TypeError(f"a driver policy's name is a string, not {name!r}")
-    if _is_path(name, DRIVER_POLICY_NAMES):
-        return load_policy(name, DRIVER, config)
-    kind = name.lower()
-    if kind == "rule":
-        return RuleBasedDriver(config)
-    if kind == "random":
-        return RandomDriver()
-    raise ValueError(unknown("driver policy", name, _typed(DRIVER_POLICY_NAMES)))
+    return _make(name, DRIVER, config)
+
+
+def known_names(seat: str) -> dict[str, str]:
+    """Names of all policies for a seat, with their lines of help."""
+    role = "HMI" if seat == VEHICLE_AI else "driver"
+    names = _REGISTRIES[seat].helps()
+    names["runs/RUN"] = f"the {role} learned by a training run, by the folder of the run"
+    if shipped := ", ".join(shipped_names(seat)):
+        names[f"{PREFIX}NAME"] = f"a trained {role} that comes with the package: {shipped}"
+    return names
+
+
+def is_learned(name: str, seat: str) -> bool:
+    """Whether a name stands for a policy in a file rather than for a registered one."""
+    if is_shipped(name) or "/" in name or os.sep in name or name.endswith(".json"):
+        return True
+    return name.partition(":")[0] not in _REGISTRIES[seat] and Path(name).is_dir()
 
 
 def learned_file(name: str, seat: str) -> Path | None:
-    """The weights of what was learned, where a name means that; None of a rule.
+    """Return the weights' file if the name stands for a learned policy, else None.
 
     Raises:
-        FileNotFoundError, ValueError: there are none.
+        FileNotFoundError, ValueError: the policy cannot be found.
     """
-    if not _is_path(name, HMI_NAMES if seat == VEHICLE_AI else DRIVER_POLICY_NAMES):
-        return None
-    return find_policy(Path(name), seat).with_suffix(".safetensors")
+    return find_policy(name, seat).with_suffix(".safetensors") if is_learned(name, seat) else None
 
 
-def _typed(names: MappingProxyType[str, str]) -> dict[str, str]:
-    """The known names that are typed as they stand, without their arguments."""
-    kinds = {name.partition("[")[0]: meaning for name, meaning in names.items()}
-    return {kind: meaning for kind, meaning in kinds.items() if kind.islower()}
+def _make(name: str, seat: str, config: TeamConfig, *sequential: bool) -> Policy:
+    registry = _REGISTRIES[seat]
+    if not isinstance(name, str):
+        raise TypeError(f"the name of the {registry.kind} is a string, not {name!r}")
+    if is_learned(name, seat):
+        return load_policy(name, seat, config)
+    entry, argument = registry.split(name)
+    if isinstance(entry.value, str):
+        return _make(entry.value, seat, config, *sequential)
+    return entry.value(config, argument, *sequential) if entry.argument else entry.value(config)
 
 
-def _is_path(name: str, known: MappingProxyType[str, str]) -> bool:
-    """Whether this means something learned rather than one of the known names."""
-    if is_shipped(name) or "/" in name or os.sep in name or name.endswith(".json"):
-        return True
-    kind = name.lower().partition(":")[0]
-    kinds = {each.partition("[")[0] for each in known}
-    return kind not in kinds and kind not in _ALIASES and Path(name).is_dir()
+def _random(config: TeamConfig, argument: str, sequential: bool) -> Policy:
+    return RandomAlert(_number(argument or "0.5", "random:RATE"), config.alerts)
 
 
-def _split_share(argument: str) -> tuple[str, str]:
-    """The driver model and the share in DRIVER, DRIVER:SHARE or NAME:β,α,η,inflation:SHARE."""
-    model, colon, last = argument.rpartition(":")
-    if not colon:
-        return argument, ""
-    return (argument, "") if "," in last else (model, last)
+def _optimal(config: TeamConfig, argument: str, sequential: bool) -> Policy:
+    driver = _driver(argument, config, "optimal")
+    if config.ai_sees_attention:
+        return OptimalAlert(driver, config)
+    return BeliefAlert(driver, config, DEFAULT_REVEALING, sequential)
+
+
+def _belief(config: TeamConfig, argument: str, sequential: bool) -> Policy:
+    name, colon, share = argument.rpartition(":")
+    if not colon or "," in share:  # DRIVER, or NAME:β,α,η,inflation
+        name, share = argument, ""
+    revealing = _number(share, "belief:DRIVER:SHARE") if share else DEFAULT_REVEALING
+    return BeliefAlert(_driver(name, config, "belief"), config, revealing, sequential)
+
+
+def _adapt(config: TeamConfig, argument: str, sequential: bool) -> Policy:
+    if not sequential:
+        raise ValueError("an adaptive HMI needs a^H_t; use an environment with sequential moves")
+    return adaptive_by_name(argument.lower(), config)
+
+
+def _driver(name: str, config: TeamConfig, kind: str) -> Driver:
+    """The driver model of this name, or without a name the only driver of the teams."""
+    if name:
+        return get_driver(name.lower())
+    if config.only_driver is None:
+        raise ValueError(
+            f"HMI {kind!r} is the optimum for the driver of the team, but driver= is a population; "
+            f"name a driver model, for example {kind}:average"
+        )
+    return config.only_driver
 
 
 def _number(text: str, form: str) -> float:
@@ -167,11 +153,46 @@ def _number(text: str, form: str) -> float:
         raise ValueError(f"{form} takes a number in [0, 1], not {text!r}") from None
 
 
-def _driver_at_the_wheel(config: TeamConfig, kind: str) -> Driver:
-    driver = config.only_driver
-    if driver is None:
-        raise ValueError(
-            f"HMI {kind!r} means the optimum for the driver at the wheel, but driver= is a "
-            f"population; name a driver model, for example {kind}:average"
-        )
-    return driver
+HMIS.register("never", "no alerts (NoHMI)", "random:0", ("none", "NoHMI"))
+HMIS.register("always", "an alert in every step", "random:1")
+HMIS.register("random", "alerts at a rate, by default 0.5", _random, argument="[:RATE]")
+HMIS.register(
+    "when-distracted",
+    "alerts exactly when the driver was distracted in the last step",
+    AlertWhenDistracted,
+)
+HMIS.register(
+    "optimal",
+    "the exact optimum for the driver of the team, or for another driver model; on the Bayes "
+    "belief if attention is hidden",
+    _optimal,
+    ("own",),
+    "[:DRIVER]",
+)
+HMIS.register(
+    "average",
+    "the exact optimum for the average driver (AvgHMI), optimal:average",
+    "optimal:average",
+    ("AvgHMI",),
+)
+HMIS.register(
+    "belief",
+    "alerts by the Bayes belief over distraction, inferred from the car's actions without seeing "
+    "the driver; SHARE is the assumed share of steps that reveal d, by default "
+    f"{DEFAULT_REVEALING:g}",
+    _belief,
+    argument="[:DRIVER[:SHARE]]",
+)
+HMIS.register(
+    "adapt",
+    "infers the driver's traits while driving; KIND is expected, choosing or conditioned; with "
+    "bayes by the exact posterior instead of the learned encoder",
+    _adapt,
+    argument="[:KIND][:bayes]",
+)
+DRIVER_POLICIES.register(
+    "rule", "keeps lane and gap by the distances that its lidar perceives", RuleBasedDriver
+)
+DRIVER_POLICIES.register(
+    "random", "any of the five actions with equal probability", lambda _: RandomDriver()
+)

@@ -1,4 +1,4 @@
-"""Drivers that need no training: one that follows a rule on what it perceives, and a random one."""
+"""Driver policies that need no training: a rule and random actions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ KEEP_SPEED, SPEED_UP, SLOW_DOWN = (
 
 
 class RuleBasedDriver(Memoryless):
-    """Keeps its lane, and its gap to whatever its lidar perceives ahead.
+    """Keep the lane and the gap that the lidar perceives ahead.
 
     It slows down when the perceived gap is shorter than ``slow_gap`` seconds of driving, or
     would close within ``slow_closing`` seconds; it speeds up when the gap is longer than
-    ``fast_gap`` seconds and not closing; otherwise it keeps its speed. Since it goes by
-    *perceived* gaps, a higher inflation makes it more careful.
+    ``fast_gap`` seconds and not closing; otherwise it keeps its speed. Since it uses *perceived*
+    gaps, a higher inflation makes it more careful.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class RuleBasedDriver(Memoryless):
 
 
 class RandomDriver:
-    """Any of the five actions, evenly."""
+    """Choose any of the five actions with equal probability."""
 
     def __init__(self) -> None:
         self._draws = Draws(Stream.DRIVER_POLICY)

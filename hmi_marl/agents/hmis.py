@@ -1,4 +1,4 @@
-"""HMIs that need no training, from none at all to the exact optimum."""
+"""HMIs that need no training, from no alerts to the exact optimum."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.attention_watch import AttentionWatch, step_of
-from hmi_marl.agents.memory import Draws, Memoryless
+from hmi_marl.agents.memory import AttentionWatch, Draws, Memoryless, step_of
 from hmi_marl.envs.alerts import PLAIN, Alerts, need_plain
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
@@ -20,31 +19,31 @@ from hmi_marl.exact.oracle import solve_alerts
 
 @runtime_checkable
 class AttentionRule(Protocol):
-    """An HMI whose alert depends on (t, d, i, c, f) alone, so that its returns are exact."""
+    """An HMI that alerts by (t, d, i, c, f) alone, so that its returns can be computed exactly."""
 
     def alert_probability(self) -> NDArray[np.float64]:
-        """Of each alert in every [t, d, i, c(, f)], as :func:`oracle.evaluate` takes it."""
+        """Return p(alert) at [t, d, i, c(, f)] for each alert; see :func:`oracle.evaluate`."""
         ...
 
 
-def _need_attention(config: TeamConfig, who: str) -> None:
+def _need_attention(config: TeamConfig, name: str) -> None:
     if not config.ai_sees_attention:
         raise ValueError(
-            f"{who} needs to see the driver's attention, which ai_sees_attention=False hides; "
+            f"{name} needs to see the driver's attention, which ai_sees_attention=False hides; "
             "use 'belief', which infers it"
         )
 
 
 def strongest_alert(alerts: Alerts, *probability: float) -> NDArray[np.float64]:
-    """A rule that gives the strongest alert alone, as the oracle takes it.
+    """Return alert probabilities for the oracle of a rule that gives only the strongest alert.
 
     Args:
-        alerts: that there are.
-        probability: of that alert, one number, or one for d = 0 and one for d = 1.
+        alerts: the available alerts.
+        probability: probability of that alert, one number, or one for d = 0 and one for d = 1.
 
     Returns:
-        Of each alert, shape (k, 1, 1 or 2, 1, 1), or (k, 1, 1 or 2, 1, 1, 1) with fatigue; with a
-        single strength without the first axis.
+        Probability of each alert, shape (k, 1, 1 or 2, 1, 1), or (k, 1, 1 or 2, 1, 1, 1) with
+        fatigue; without the first axis if there is a single strength.
     """
     after_d = (1,) * (len(alerts.shape(1)) - 1)
     rule = np.zeros((alerts.strongest, 1, len(probability), *after_d))
@@ -53,11 +52,11 @@ def strongest_alert(alerts: Alerts, *probability: float) -> NDArray[np.float64]:
 
 
 class RandomAlert:
-    """Alert at a rate, whatever happens. Rate 0 never alerts, rate 1 always.
+    """Alert at a constant rate. Rate 0 never alerts, rate 1 always.
 
     Args:
-        rate: of alerts, in [0, 1].
-        alerts: that there are; of several strengths it gives the strongest.
+        rate: probability of an alert in each step.
+        alerts: the available alerts, of which it gives the strongest.
     """
 
     def __init__(self, rate: float, alerts: Alerts = PLAIN) -> None:
@@ -76,7 +75,7 @@ class RandomAlert:
         return self._alerts.strongest * (self._draws.next() < self.rate).astype(np.int64)
 
     def alert_probability(self) -> NDArray[np.float64]:
-        """The rate, everywhere."""
+        """Return the rate for every state."""
         return strongest_alert(self._alerts, self.rate)
 
 
@@ -94,14 +93,14 @@ class AlertWhenDistracted(Memoryless):
         return self._alerts.strongest * distracted.astype(np.int64)
 
     def alert_probability(self) -> NDArray[np.float64]:
-        """1 where d = 1."""
+        """Return 1 where d = 1."""
         return strongest_alert(self._alerts, 0.0, 1.0)
 
 
 class OptimalAlert(Memoryless):
-    """The exact optimum of the alert problem for a given driver model, attention seen.
+    """Exact optimum of the alert problem for a driver model if attention is visible.
 
-    With several strengths, and with fatigue, it is the optimum for these.
+    Several alert strengths and fatigue are taken into account.
     """
 
     def __init__(self, model: str | Driver, config: TeamConfig) -> None:
@@ -133,20 +132,21 @@ class OptimalAlert(Memoryless):
         return self._solution.policy[tuple(state)].astype(np.int64)
 
     def alert_probability(self) -> NDArray[np.float64]:
-        """The optimal policy itself."""
+        """Return the optimal policy."""
         return self._solution.alert_probability
 
 
 class BeliefAlert:
-    """Keeps the Bayes belief over d from a^H and v, and alerts by the rule optimal on it.
+    """Keep the Bayes belief over d from a^H and v, and alert by the rule that is optimal on it.
 
-    It never looks at d, i or c in its observation. See :mod:`hmi_marl.exact.hidden_attention`.
+    It does not use d, i or c of its observation. See :mod:`hmi_marl.exact.hidden_attention`.
 
     Args:
-        model: the driver whose traits the belief and the rule assume.
-        config: of the team.
+        model: driver model of the belief and the rule.
+        config: configuration of the teams.
         revealing: assumed share of steps in which a^H differs from the last applied action.
-        sequential: False in a parallel environment, where the AI sees a^H one step late.
+        sequential: False where both agents move simultaneously, so that the AI sees a^H one step
+            late.
     """
 
     def __init__(

@@ -1,18 +1,26 @@
-"""What simple policies keep from step to step: nothing, or a place in a series of draws."""
+"""What policies remember from step to step: nothing, random draws, or beliefs over attention."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.streams import Stream, uniform
+from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.exact.bayes_filter import BayesFilter
+from hmi_marl.exact.evidence import ChainEvidence
 
 
 class Memoryless:
-    """A policy that has nothing to forget between episodes."""
+    """Base class of policies without memory."""
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
 
 class Draws:
@@ -32,7 +40,7 @@ class Draws:
             self._steps = np.where(which, np.uint64(0), self._steps)
 
     def next(self) -> NDArray[np.float64]:
-        """The next draw of every team, shape (N,), in [0, 1).
+        """Return the next draw of every team, shape (N,), in [0, 1).
 
         Raises:
             RuntimeError: before the first :meth:`reset`.
@@ -42,3 +50,50 @@ class Draws:
         drawn = uniform(self._seeds, self._stream, self._steps)
         self._steps += np.uint64(1)
         return drawn
+
+
+class AttentionWatch:
+    """Keep p(d) of N teams under several driver models from the vehicle AI's observations.
+
+    Args:
+        drivers: the driver models.
+        config: configuration of the teams.
+    """
+
+    def __init__(self, drivers: Sequence[str | Driver], config: TeamConfig) -> None:
+        self._evidence = ChainEvidence(drivers, config)
+        self._layout = vehicle_ai_layout(config)
+        self._horizon = config.horizon
+        self.reset(1)
+
+    @property
+    def filter(self) -> BayesFilter:
+        """Filter that holds p_k(d_{t-1} = 1), i_{t-1} and c_{t-1}."""
+        return self._evidence.filter
+
+    def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
+        """Begin episodes in the marked teams out of ``count``; in all by default."""
+        if which is None:
+            self._evidence.reset(count)
+            self._seen = np.full(count, -1)
+        else:
+            self._evidence.begin(which)
+            self._seen = np.where(which, -1, self._seen)
+
+    def observe(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Update with a turn, shape (N, D); return its step in the episode, shape (N,)."""
+        step = step_of(self._layout.scalar(observations, "time"), self._horizon)
+        self._evidence.observe(observations, step > self._seen)
+        self._seen = step
+        return step
+
+    def reveals(self, observations: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return whether the step will reveal d, since a^H_t differs from v_{t-1}; shape (N,)."""
+        applied = self._layout.chosen(observations, "applied_action")
+        intended = self._layout.chosen(observations, "intended_action")
+        return (applied != NO_ACTION) & (intended != applied)
+
+
+def step_of(time: NDArray[np.float32], horizon: int) -> NDArray[np.int64]:
+    """Return the step from the elapsed share of the episode; at its end the last step."""
+    return np.minimum(np.rint(time * horizon).astype(np.int64), horizon - 1)

@@ -1,34 +1,44 @@
-"""The Gymnasium seats with a partner given by name, as a Policy, or as a plain function.
+"""Environments of one seat in which a partner, given by name or as a Policy, takes the other seat.
 
-A Policy remembers what it saw: give each environment one of its own.
+A Policy remembers what it saw: give each environment its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.memory import Memoryless
-from hmi_marl.envs.config import TeamConfig, takes_team_settings
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.single import as_scalar
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.views import MergeDriver, MergeHMI
+from hmi_marl.envs.worlds import World, make_world
+from hmi_marl.extras import needing
 
+if TYPE_CHECKING:
+    import torch
+
+    from hmi_marl.envs.vector import Seat, TeamVecEnv
+
+_PARTNERS = {DRIVER: (make_hmi, "never"), VEHICLE_AI: (make_driver_policy, "rule")}
+"""By the seat that learns: how the partner is made, and which one by default."""
 Partner = str | Policy | Callable[[NDArray[np.float32]], Any]
 
 
 class FunctionPolicy(Memoryless):
-    """A plain function from one observation, shape (D,), to an action, in a seat."""
+    """Policy of a plain function from one observation, shape (D,), to an action."""
 
     def __init__(self, function: Callable[[NDArray[np.float32]], Any]) -> None:
         self._function = function
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
-        """See :meth:`hmi_marl.envs.seats.Policy.act`; the seat checks what the function gave."""
+        """See :meth:`hmi_marl.envs.seats.Policy.act`; the environment checks the action."""
         return np.array([as_scalar(self._function(one)) for one in observations]).reshape(-1)
 
 
@@ -48,11 +58,11 @@ def _as_policy(
 @takes_team_settings
 def merge_driver(
     partner: Partner = "never",
-    world: str = "highway",
+    world: str | World = "highway",
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeDriver:
-    """The driver's seat with an HMI given: "hmi_marl/MergeDriver-v0"."""
+    """Make "hmi_marl/MergeDriver-v0", the driver's seat with an HMI as the partner."""
     config = TeamConfig(**settings)
     return MergeDriver(_as_policy(partner, make_hmi, config), config, world, render_mode)
 
@@ -60,15 +70,68 @@ def merge_driver(
 @takes_team_settings
 def merge_hmi(
     partner: Partner = "rule",
-    world: str = "highway",
+    world: str | World = "highway",
     render_mode: str | None = None,
     **settings: Any,
 ) -> MergeHMI:
-    """The vehicle AI's seat with a driver given: "hmi_marl/MergeHMI-v0"."""
+    """Make "hmi_marl/MergeHMI-v0", the vehicle AI's seat with a driver as the partner."""
     config = TeamConfig(**settings)
     return MergeHMI(_as_policy(partner, make_driver_policy, config), config, world, render_mode)
 
 
-# As Gymnasium finds it on a class, so that it can add its own wrappers for other render modes.
+# Gymnasium looks for it on the class to add its wrappers for other render modes.
 merge_driver.metadata = MergeDriver.metadata  # type: ignore[attr-defined]
 merge_hmi.metadata = MergeHMI.metadata  # type: ignore[attr-defined]
+
+
+def make_vec(
+    num_teams: int,
+    seat: Seat = "driver",
+    partner: str | Policy | None = None,
+    world: str | World = "batched",
+    seed: int = 0,
+    device: str | torch.device = "cpu",
+    threads: int | None = None,
+    **settings: Any,
+) -> TeamVecEnv:
+    """Make N teams as an rsl_rl ``VecEnv``; see :mod:`hmi_marl.envs.vector`.
+
+    Args:
+        num_teams: N.
+        seat: the acting seat: "driver", "vehicle_ai" or "team" (both, in columns a^H and a^A).
+        partner: policy of the other seat, by its name in :mod:`hmi_marl.agents.catalogue` or as a
+            Policy; by default "never" for the driver, "rule" for the vehicle AI, none for the team.
+        world: world in which the teams drive.
+        seed: team k plays the series of episodes of ``seed + k``.
+        device: device of the returned tensors.
+        threads: threads of the batched world; all cores by default. On a busy machine one thread
+            can be faster than two.
+        settings: fields of :class:`hmi_marl.envs.config.TeamConfig`.
+
+    Raises:
+        ValueError, TypeError: a value out of its range; the message says what to use instead.
+        ModuleNotFoundError: torch or rsl_rl is not installed.
+
+    >>> env = make_vec(2, seat="driver", world="highway", driver="bart")
+    >>> env.num_actions, env.action_sizes, env.get_observations()["driver"].shape
+    (1, (5,), torch.Size([2, 52]))
+    """
+    with needing("make_vec"):
+        from hmi_marl.envs.vector import TeamVecEnv
+
+    config = TeamConfig(**settings)
+    name = None
+    if seat in _PARTNERS:
+        by_name, default = _PARTNERS[seat]
+        partner = default if partner is None else partner
+        if isinstance(partner, str):
+            name, partner = partner, by_name(partner, config)
+    elif isinstance(partner, str):
+        raise ValueError(f"seat={seat!r} has no partner, but got {partner!r}")
+    driven = (
+        make_world(world, config.scene, num_teams, threads) if isinstance(world, str) else world
+    )
+    env = TeamVecEnv(Teaming(config, num_teams, driven), seat, partner, seed, device)
+    env.cfg["partner"] = name if name is not None else env.cfg["partner"]
+    env.cfg["world"] = world if isinstance(world, str) else env.cfg["world"]
+    return env

@@ -1,7 +1,7 @@
-"""The turn loop: who moves when, who sees what, and who watches.
+"""Episodes of two policies: every turn in order, with observers.
 
-Every episode that two policies play goes through here, so the order of moves is written once for a
-:class:`Teaming`, and whatever records, counts or draws is an :class:`Observer`.
+All episodes of two policies go through here, and all that records, counts or draws is an
+:class:`Observer`. The order of moves within a turn is that of :meth:`Teaming.turn`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.seats import Policy, moves_sequentially
 from hmi_marl.envs.teaming import StepResult, Teaming
@@ -25,41 +25,41 @@ class Observer:
         """Called before each turn, when neither agent has moved."""
 
     def seen(self, teaming: Teaming, observations: NDArray[np.float32]) -> None:
-        """Called with what the vehicle AI is about to act on, shape (N, D)."""
+        """Called with the observations that the vehicle AI is about to act on, shape (N, D)."""
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
         """Called after each turn with its rewards and ends."""
 
 
 class HandsOver(Observer):
-    """Let other drivers take the wheel before a step, unannounced.
+    """Change drivers before a step, without notice to the HMI.
 
     Args:
-        step: turns that are taken before.
-        traits: of the new drivers, N of them.
-        tell: is called with these traits when it happens.
+        step: number of turns before the change.
+        traits: of the N new drivers.
+        notify: is called with these traits at the change.
     """
 
     def __init__(
         self,
         step: int,
         traits: Traits,
-        tell: Callable[[Traits], object] = lambda traits: None,
+        notify: Callable[[Traits], object] = lambda traits: None,
     ) -> None:
-        self._turns_left, self._traits, self._tell = step, traits, tell
+        self._turns_left, self._traits, self._notify = step, traits, notify
 
     def before(self, teaming: Teaming) -> None:
-        """Hand over when it is time."""
+        """Hand over at the given step."""
         if self._turns_left == 0:
             teaming.hand_over(self._traits)
-            self._tell(self._traits)
+            self._notify(self._traits)
         self._turns_left -= 1
 
 
 def begin(
     config: TeamConfig, driver: Policy, hmi: Policy, seeds: NDArray[np.uint64], world: str | World
 ) -> Teaming:
-    """Make teams at the start of the episodes of these seeds, and reset both seats' policies."""
+    """Make teams, begin the episodes of these seeds, and reset both seats' policies."""
     teaming = Teaming(config, len(seeds), world)
     for seat in (teaming, driver, hmi):
         seat.reset(seeds)
@@ -71,28 +71,21 @@ def turn(
 ) -> StepResult:
     """Take one step of every team.
 
-    The driver moves first, so that the HMI sees a^H_t. An HMI that moves at the same time as the
-    driver (see :func:`hmi_marl.envs.seats.moves_sequentially`) is asked first and sees a^H_{t-1}.
+    The HMI moves after the driver and sees a^H_t, or at the same time and sees a^H_{t-1}; see
+    :func:`hmi_marl.envs.seats.moves_sequentially`.
     """
+
+    def alert(observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        for observer in observers:
+            observer.seen(teaming, observations)
+        return hmi.act(observations)
+
     for observer in observers:
         observer.before(teaming)
-    if moves_sequentially(hmi):
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-        alerts = _alerts(teaming, hmi, observers)
-    else:
-        alerts = _alerts(teaming, hmi, observers)
-        teaming.intend(driver.act(teaming.observe(DRIVER)))
-    result = teaming.step(alerts)
+    result = teaming.turn(driver.act, alert, moves_sequentially(hmi))
     for observer in observers:
         observer.after(teaming, result)
     return result
-
-
-def _alerts(teaming: Teaming, hmi: Policy, observers: Sequence[Observer]) -> NDArray[np.int64]:
-    observations = teaming.observe(VEHICLE_AI)
-    for observer in observers:
-        observer.seen(teaming, observations)
-    return hmi.act(observations)
 
 
 def turns(
@@ -116,8 +109,8 @@ def play(
         teaming: N teams whose episodes have begun (see :func:`begin`).
         driver, hmi: policies of the two seats, reset for the same episodes.
         observers: watch each turn, in their order.
-        steps: turns to take, also after every episode has ended; until then by default. A policy
-            that remembers its teams over several episodes then ages alike in all of them.
+        steps: number of turns, also after every episode has ended; until then by default. A policy
+            that remembers its teams over several episodes then has the same age in all of them.
 
     Returns:
         The same teams, at the end of their episodes.

@@ -41,7 +41,7 @@ class Collect:
         )
 
         if self.minari:
-            from hmi_marl.demonstrations.minari_export import export_minari, minari_place
+            from hmi_marl.demonstrations.minari import export_minari, minari_place
 
             minari_place(self.out)  # better known now than after the work
         summary = Summary(self.record)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from hmi_marl.agents.learned.policy_files import find_policy, read_policy
+from hmi_marl.agents.learned.policy import find_policy, read_policy
 from hmi_marl.agents.learned.shipped import is_shipped
 
 

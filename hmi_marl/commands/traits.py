@@ -19,21 +19,21 @@ from hmi_marl.training.traits.settings import TraitSettings
 class TrainTraits(TraitSettings):
     """Learn latent driver traits from demonstrations, by adversarial IRL.
 
-    Goes on by itself where a run in the same folder was cut off.
+    Resumes a run that was cut off in the same folder.
 
     Example: hmi-marl traits train --demonstrations runs/demonstrations --supervision id
     """
 
     demonstrations: Path = Path("runs/demonstrations")
-    """Folder that hmi-marl collect wrote, or of your own recordings."""
+    """Folder that hmi-marl collect wrote, or one of your own recordings."""
     preferences: Path | None = None
-    """For --supervision preference with recorded people: a JSON file {"name": number in [0, 1]} of
-    how they like help. Of simulated drivers it is their η."""
+    """JSON file {"name": number in [0, 1]} of people's preferences for help, for --supervision
+    preference. A simulated driver's preference is η."""
     out: Path | None = None
     """Folder of the run; by default runs/traits- and the supervision."""
 
     def run(self, command_line: str) -> None:
-        """Learn, and say what can be done with it."""
+        """Learn, and print the commands that use the result."""
         use_quiet_threads()
         from hmi_marl.training.traits.labels import read_preferences
         from hmi_marl.training.traits.run import learn_traits
@@ -44,7 +44,7 @@ class TrainTraits(TraitSettings):
             only(TraitSettings, self), self.demonstrations, out, answers, command_line=command_line
         )
         print(f"learned: {out}; curves: tensorboard --logdir {out}")
-        print(f"judge it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")
+        print(f"evaluate it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")
 
 
 @dataclass(frozen=True)

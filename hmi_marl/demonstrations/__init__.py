@@ -1,1 +1,1 @@
-"""."""
+"""Demonstrations: recording, datasets, files and environments."""

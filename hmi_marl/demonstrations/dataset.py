@@ -1,9 +1,9 @@
-"""Demonstrations: what could be observed of people who drive, and apart from it the hidden truth.
+"""Demonstrations: observable data of drivers and, separate from them, the hidden truth.
 
-:class:`Observed` is what code that learns is handed; nothing leads from it to :class:`Truth`. In
-arrays, E episodes lie side by side, T steps long at most; in a dataset's folder
-(:mod:`hmi_marl.demonstrations.parquet`) they are two parquet files, one row for each step,
-sorted by episode and step, where a part of n > 1 columns is ``name_0`` to ``name_{n-1}``.
+Code that learns gets :class:`Observed` alone, which holds no reference to :class:`Truth`. Arrays
+hold E episodes of at most T steps. The folder of a dataset
+(:mod:`hmi_marl.demonstrations.parquet`) holds two parquet files with one row for each step, sorted
+by episode and step, where a part of n > 1 columns is ``name_0`` to ``name_{n-1}``.
 
 ``observed.parquet``:
 
@@ -12,12 +12,12 @@ column              type                          meaning
 ==================  ============================  ==============================================
 ``episode``         int32                         0, 1, 2, ... without a gap
 ``step``            int32                         0 to the episode's length - 1
-``driver``          dictionary of strings         who drove; null if not known
-``seed``            uint64                        of the episode, to play it again; null if none
+``driver``          dictionary of strings         the driver's name; null if not known
+``seed``            uint64                        seed of the episode; null if recorded
 ``crashed``         bool                          the car has crashed by the end of the step
 ``action``          int8, 0 to 4                  v_t, as applied: ``VEHICLE_ACTIONS``
 ``alert``           int8, 0 or 1                  a^A_t
-``lidar_*``         float32                       s_t before the step, with others in true size
+``lidar_*``         float32                       s_t before the step, other vehicles in true size
 ``speed``           float32                       in 40 m/s
 ``target_speed``    float32                       in 40 m/s
 ``heading``         float32                       in π
@@ -26,12 +26,12 @@ column              type                          meaning
 ``position``        float32                       in lengths of the road
 ==================  ============================  ==============================================
 
-``truth.parquet``, if there is any: ``episode``, ``step``, ``distracted`` (d_t), ``accepted`` (i_t),
+``truth.parquet``, if known: ``episode``, ``step``, ``distracted`` (d_t), ``accepted`` (i_t),
 ``counter`` (c_t), ``intended_action`` (a^H_t) and the traits ``beta``, ``alpha``, ``eta``,
 ``inflation``.
 
-The states are those columns of the vehicle AI's observation, in its units and within its bounds.
-The step from row t leads to row t + 1, so an episode of T rows holds T - 1 whole transitions.
+The states are columns of the vehicle AI's observation, in its units and within its bounds. The
+step of row t leads to row t + 1, so an episode of T rows holds T - 1 complete transitions.
 """
 
 from __future__ import annotations
@@ -49,29 +49,20 @@ from hmi_marl.envs.observations import Layout, vehicle_ai_layout
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 STATE_PARTS = ("lidar", "speed", "target_speed", "heading", "lateral", "lane", "position")
-"""What is observed of a state, by the names of the vehicle AI's observation."""
-NOBODY = -1
-"""A driver who is not known, an action after the end, the step of a crash that never came."""
+"""Parts of the vehicle AI's observation that make up an observed state."""
+MISSING = -1
+"""An unknown driver, an action after the end, the crash step of an episode without a crash."""
 
 
 def observed_layout(config: TeamConfig) -> Layout:
-    """Which columns of an observed state are what, in teams set up by ``config``."""
+    """Return the layout of observed states in teams set up by ``config``."""
     parts = vehicle_ai_layout(config).parts
     return Layout(tuple(part for part in parts if part.name in STATE_PARTS))
 
 
-def column_names(layout: Layout) -> list[str]:
-    """A name for every column: the part's own, or name_0, name_1, ... if it has several."""
-    return [
-        part.name if part.size == 1 else f"{part.name}_{k}"
-        for part in layout.parts
-        for k in range(part.size)
-    ]
-
-
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What could be observed of E episodes, T steps long at most. All of it is checked.
+    """Observable data of E episodes of at most T steps, checked.
 
     Raises:
         ValueError: arrays that do not fit together, numbers that are not finite or out of their
@@ -79,7 +70,7 @@ class Observed:
     """
 
     layout: Layout
-    """Which columns of ``states`` are what; the parts are ``STATE_PARTS``."""
+    """Layout of ``states``; the parts are ``STATE_PARTS``."""
     states: NDArray[np.float32]
     """s_t before step t, shape (E, T, layout.size); zeros after an episode's end."""
     actions: NDArray[np.int64]
@@ -91,13 +82,13 @@ class Observed:
     crash_step: NDArray[np.int64]
     """The step in which the car crashed, shape (E,); -1 if it did not."""
     driver: NDArray[np.int64]
-    """Who drove, an index of ``names``, shape (E,); -1 if that is not known."""
+    """Driver of each episode, an index of ``names``, shape (E,); -1 if not known."""
     names: tuple[str, ...] = ()
-    """Of the drivers who are known."""
+    """Names of the known drivers."""
     seeds: NDArray[np.uint64] | None = None
-    """Of the episodes, shape (E,), to play them again, never to learn from; None if recorded."""
+    """Seeds that replay the episodes, shape (E,), not for learning; None if recorded elsewhere."""
     about: Mapping[str, Any] = field(default_factory=dict)
-    """How it was made, as JSON has it, without anybody's traits."""
+    """How the data were made, as JSON has it, without traits."""
 
     def __post_init__(self) -> None:
         _check_layout(self.layout)
@@ -115,11 +106,11 @@ class Observed:
         object.__setattr__(self, "names", tuple(self.names))
         _check_names(self.names)
         _check_within("length", self.length, 1, shape[1])
-        _check_within("driver", self.driver, NOBODY, len(self.names) - 1)
-        if (self.crash_step < NOBODY).any() or (self.crash_step >= self.length).any():
+        _check_within("driver", self.driver, MISSING, len(self.names) - 1)
+        if (self.crash_step < MISSING).any() or (self.crash_step >= self.length).any():
             raise ValueError("crash_step is a step of its episode, or -1 where there was no crash")
         self._check_count()
-        _check_tells_no_traits(self.about)
+        _check_no_traits(self.about)
 
     def _check_count(self) -> None:
         real = self.steps_taken
@@ -127,7 +118,7 @@ class Observed:
         _check_within("alerts", self.alerts[real], 0, 1)
         after = ~real
         if (
-            (self.actions[after] != NOBODY).any()
+            (self.actions[after] != MISSING).any()
             or self.alerts[after].any()
             or self.states[after].any()
         ):
@@ -154,22 +145,22 @@ class Observed:
 
     @property
     def steps_taken(self) -> NDArray[np.bool_]:
-        """Which steps there were, shape (E, T)."""
+        """Whether each step is part of its episode, shape (E, T)."""
         return np.arange(self.actions.shape[1]) < self.length[:, None]
 
     @property
     def crashed(self) -> NDArray[np.bool_]:
         """Whether the car crashed, shape (E,)."""
-        return self.crash_step != NOBODY
+        return self.crash_step != MISSING
 
     @property
     def driven(self) -> NDArray[np.int64]:
-        """Steps up to the crash and with it, shape (E,); after them a crashed car stands."""
+        """Steps up to and including the crash, shape (E,); after it the crashed car stands."""
         return np.where(self.crashed, self.crash_step + 1, self.length)
 
     @property
     def number(self) -> NDArray[np.int64]:
-        """Place of each among its driver's episodes here, shape (E,), to split a dataset by."""
+        """Number of each episode among those of its driver, shape (E,), to split a dataset by."""
         number = np.zeros(len(self), np.int64)
         for who in np.unique(self.driver):
             theirs = self.driver == who
@@ -177,11 +168,11 @@ class Observed:
         return number
 
     def labels(self) -> list[str | None]:
-        """The drivers' names, an entry for each episode, None if not known."""
-        return [None if who == NOBODY else self.names[who] for who in self.driver]
+        """Return the driver's name of each episode, None if not known."""
+        return [None if who == MISSING else self.names[who] for who in self.driver]
 
     def take(self, which: ArrayLike) -> Observed:
-        """Some of the episodes: a mask of shape (E,) or their places."""
+        """Select episodes by a mask of shape (E,) or by their indices."""
         index = np.arange(len(self))[np.asarray(which)]
         names = ("states", "actions", "alerts", "length", "crash_step", "driver")
         taken: dict[str, Any] = {name: getattr(self, name)[index] for name in names}
@@ -190,7 +181,7 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What nobody could observe of the same E episodes; for evaluation alone.
+    """Hidden variables of the same E episodes; for evaluation alone.
 
     Raises:
         ValueError: arrays that do not fit together, or numbers out of their range.
@@ -207,7 +198,7 @@ class Truth:
     traits: NDArray[np.float64]
     """Columns as in ``TRAIT_NAMES``, shape (E, 4)."""
     about: Mapping[str, Any] = field(default_factory=dict)
-    """How it was made, the drivers' traits included."""
+    """How the data were made, including the drivers' traits."""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.intended)
@@ -219,14 +210,14 @@ class Truth:
         for name in ("distracted", "accepted"):
             _check_within(name, getattr(self, name), 0, 1)
         _check_within("counter", self.counter, 0, np.iinfo(np.int32).max)
-        _check_within("intended", self.intended, NOBODY, len(VEHICLE_ACTIONS) - 1)
+        _check_within("intended", self.intended, MISSING, len(VEHICLE_ACTIONS) - 1)
         check_traits(Traits.from_array(self.traits), shape[0])
-        over = self.intended == NOBODY
+        over = self.intended == MISSING
         if any(getattr(self, name)[over].any() for name in ("distracted", "accepted", "counter")):
             raise ValueError("after an episode's end d, i and c are 0")
 
     def take(self, which: ArrayLike) -> Truth:
-        """Some of the episodes: a mask of shape (E,) or their places."""
+        """Select episodes by a mask of shape (E,) or by their indices."""
         index = np.arange(len(self.traits))[np.asarray(which)]
         names = ("distracted", "accepted", "counter", "intended", "traits")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
@@ -234,95 +225,107 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """Episodes as observed, with the hidden truth beside them where it is known.
+    """Observed episodes and, if known, their hidden truth.
 
     Raises:
-        ValueError: the two are of other episodes.
+        ValueError: the truth is of other episodes.
     """
 
     observed: Observed
-    """All that may be learned from."""
+    """Data to learn from."""
     truth: Truth | None = None
-    """For evaluation alone; None of people."""
+    """For evaluation alone; None for people."""
 
     def __post_init__(self) -> None:
         if self.truth is None:
             return
         steps = self.observed.steps_taken
-        if not np.array_equal(self.truth.intended != NOBODY, steps):
+        if not np.array_equal(self.truth.intended != MISSING, steps):
             raise ValueError("the truth is of other episodes than what was observed")
 
     def __len__(self) -> int:
         return len(self.observed)
 
     def take(self, which: ArrayLike) -> Demonstrations:
-        """Some of the episodes: a mask of shape (E,) or their places."""
+        """Select episodes by a mask of shape (E,) or by their indices."""
         truth = None if self.truth is None else self.truth.take(which)
         return Demonstrations(self.observed.take(which), truth)
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One recorded drive of L steps, at the environment's policy frequency."""
+    """One drive of L steps recorded elsewhere, at the environment's policy frequency."""
 
     parts: Mapping[str, ArrayLike]
     """Each of ``STATE_PARTS``, in the layout's units, shape (L, part's size), or (L,) for 1."""
     actions: ArrayLike
-    """What the car did, 0 to 4, shape (L,)."""
+    """Applied actions, 0 to 4, shape (L,)."""
     alerts: ArrayLike
     """Whether the driver was alerted, 0 or 1, shape (L,)."""
     driver: str | None = None
-    """Who drove, if that is known."""
+    """Name of the driver, if known."""
     crashed: bool = False
-    """Whether the drive ended by a crash."""
+    """Whether the drive ended in a crash."""
 
 
 def from_recordings(
     recordings: Iterable[Recording], layout: Layout, about: Mapping[str, Any] | None = None
 ) -> Demonstrations:
-    """Recorded drives as demonstrations without truth; they may differ in length.
+    """Make demonstrations without truth from recorded drives, which may differ in length.
 
     Args:
-        recordings: an episode each.
-        layout: as :func:`observed_layout` gives it for the scene that the data are to fit.
-        about: where they are from, as JSON has it.
+        recordings: one for each episode.
+        layout: layout of the states, from :func:`observed_layout` for the scene.
+        about: where the recordings come from, as JSON has it.
 
     Raises:
-        ValueError: something is missing, of another shape, or out of its range; the message says
-            in which recording.
+        ValueError: a part is missing, of another shape, or out of its range; the message names the
+            recording.
     """
     _check_layout(layout)
-    drives = [_drive(number, recording, layout) for number, recording in enumerate(recordings)]
-    if not drives:
+    recordings = list(recordings)
+    if not recordings:
         raise ValueError("there is no recording to make demonstrations of")
-    names = tuple(dict.fromkeys(one.driver for one, *_ in drives if one.driver is not None))
-    length = np.array([len(states) for _, states, _, _ in drives])
+    drives = [_drive(number, recording, layout) for number, recording in enumerate(recordings)]
+    names = tuple(dict.fromkeys(one.driver for one in recordings if one.driver is not None))
+    length = np.array([len(actions) for _, actions, _ in drives])
     shape = len(drives), int(length.max())
     states = np.zeros((*shape, layout.size), np.float32)
-    actions, alerts = np.full(shape, NOBODY), np.zeros(shape, np.int64)
-    for number, (_, s, v, a) in enumerate(drives):
+    actions, alerts = np.full(shape, MISSING), np.zeros(shape, np.int64)
+    for number, (s, v, a) in enumerate(drives):
         states[number, : len(s)], actions[number, : len(s)], alerts[number, : len(s)] = s, v, a
-    crashed = np.array([one.crashed for one, *_ in drives], np.bool_)
-    index = {name: place for place, name in enumerate(names)} | {None: NOBODY}
+    crashed = np.array([one.crashed for one in recordings], np.bool_)
+    index = {name: place for place, name in enumerate(names)} | {None: MISSING}
     observed = Observed(
         layout,
         states,
         actions,
         alerts,
         length,
-        crash_step=np.where(crashed, length - 1, NOBODY),
-        driver=np.array([index[one.driver] for one, *_ in drives]),
+        crash_step=np.where(crashed, length - 1, MISSING),
+        driver=np.array([index[one.driver] for one in recordings]),
         names=names,
         about=dict(about or {}),
     )
     return Demonstrations(observed)
 
 
-_Drive = tuple[Recording, NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]
+def alert_rate(observed: Observed) -> float:
+    """Return the mean number of alerts per step."""
+    return float(observed.alerts[observed.steps_taken].mean())
 
 
-def _drive(number: int, recording: Recording, layout: Layout) -> _Drive:
-    """The recording's states (L, layout.size), actions and alerts (L,)."""
+def held_out(observed: Observed, share: float) -> NDArray[np.bool_]:
+    """Mark the last share of every driver's episodes, which are never learned from; shape (E,)."""
+    count = np.bincount(observed.driver - MISSING)  # the unknown driver's first
+    kept = np.round((1.0 - share) * count[observed.driver - MISSING])
+    return observed.number >= kept
+
+
+def _drive(
+    number: int, recording: Recording, layout: Layout
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the recording's states (L, layout.size), actions and alerts (L,)."""
     where = f"recording {number}"
     if set(recording.parts) != set(layout.slices):
         odd = ", ".join(sorted(set(recording.parts) ^ set(layout.slices)))
@@ -346,7 +349,7 @@ def _drive(number: int, recording: Recording, layout: Layout) -> _Drive:
         _check_within("alerts", alerts, 0, 1)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
-    return recording, states, actions, alerts
+    return states, actions, alerts
 
 
 def _check_layout(layout: Layout) -> None:
@@ -363,20 +366,20 @@ def _check_names(names: Sequence[str]) -> None:
         raise ValueError(f"drivers' names are different non-empty strings, not {names!r}")
 
 
-def _check_tells_no_traits(about: Any) -> None:
+def _check_no_traits(about: Any) -> None:
     if isinstance(about, Mapping):
-        told = [name for name in TRAIT_NAMES if name in about]
-        if told:
-            raise ValueError(f"what is told about observed data holds no traits, but {told[0]}")
+        found = [name for name in TRAIT_NAMES if name in about]
+        if found:
+            raise ValueError(f"about of observed data may hold no traits, but holds {found[0]}")
         for value in about.values():
-            _check_tells_no_traits(value)
+            _check_no_traits(value)
     elif isinstance(about, (list, tuple)):
         for value in about:
-            _check_tells_no_traits(value)
+            _check_no_traits(value)
 
 
 def _put(owner: object, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
-    """Let the owner's field be an array of this type and shape, or raise."""
+    """Convert the owner's field to an array of this type and shape, or raise."""
     object.__setattr__(owner, name, _whole(name, getattr(owner, name), dtype, shape))
 
 

@@ -1,13 +1,13 @@
-"""The environment that demonstrations come from, made from what they say about themselves.
+"""The environment that demonstrations come from, made from the data's own description.
 
-It is the driver's seat with the HMI that collected the data in the other one. What is observed are
-the demonstrations' states, and actions are the driver's, a^H. A recorded window plays again, state
-by state, from its seed, its driver and its actions::
+It is the driver's seat with the HMI that collected the data as the partner. Observations are the
+demonstrations' states, and actions are the driver's, a^H. A recorded window is replayed, state by
+state, from its seed, its driver and its actions::
 
     env = dataset.recover_environment()
     env.reset(seed=episode.seed, options={"driver": "homer"})
 
-since an applied action that is intended again is applied again. A crash ends the episode.
+because the car applies v_t when a^H_t = v_t. A crash ends the episode.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ from hmi_marl.envs.views import MergeDriver
 
 
 def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
-    """A team as JSON has it: the inverse of :func:`hmi_marl.plain.plain`, without the driver.
+    """Make a configuration from JSON, as :func:`hmi_marl.files.json_value` writes it.
 
     Args:
-        team: fields of :class:`TeamConfig`; ``scene`` and ``weights`` are mappings.
-        defaults: of fields that ``team`` lacks.
+        team: fields of :class:`TeamConfig` except ``driver``; ``scene`` and ``weights`` are
+            mappings.
+        defaults: values of fields that ``team`` lacks.
 
     Raises:
-        ValueError, TypeError: a field that there is not, or a value out of its range.
+        ValueError, TypeError: an unknown field, or a value out of its range.
     """
     fields: dict[str, Any] = defaults | dict(team)
     scene: dict[str, Any] = {
@@ -55,13 +56,35 @@ def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     return TeamConfig(scene=Scene(**scene), weights=weights, **fields)
 
 
+def team_of(observed: Observed) -> TeamConfig:
+    """Return the configuration of the teams that these demonstrations come from, without a driver.
+
+    Recordings that hold none are taken to be of the default scene, at its policy frequency.
+
+    Raises:
+        ValueError: the states do not have the layout of such a team.
+    """
+    team = dict(observed.about.get("team", {}))
+    frequency = team.get("scene", {}).get("policy_frequency", Scene().policy_frequency)
+    duration = observed.actions.shape[1] / frequency
+    config = team_config(team, duration=duration, end_at_crash=False)
+    if observed_layout(config) != observed.layout:
+        raise ValueError("the demonstrations' states are not laid out as their scene would be seen")
+    if config.horizon < observed.actions.shape[1]:
+        raise ValueError(
+            f"a window has {observed.actions.shape[1]} steps, but an episode of this team "
+            f"{config.horizon}"
+        )
+    return config
+
+
 class DemonstratedDriver(MergeDriver):
-    """The driver's seat, seen as demonstrations record it.
+    """The driver's seat with the observations of demonstrations.
 
     Args:
         team: see :func:`team_config`.
-        hmi: the name of the HMI in the other seat.
-        drivers: names of known drivers, drawn from evenly; anybody if there are none.
+        hmi: name of the HMI, which is the partner.
+        drivers: names of known drivers to draw from evenly; without any, traits are drawn evenly.
         world: which world the team drives in.
         render_mode: None, "rgb_array" or "human".
     """
@@ -83,7 +106,7 @@ class DemonstratedDriver(MergeDriver):
 
     @property
     def layout(self) -> Layout:
-        """Which columns of the observation mean what: the demonstrations' states."""
+        """Layout of the observation: the demonstrations' states."""
         return self._layout
 
     def reset(
@@ -92,9 +115,9 @@ class DemonstratedDriver(MergeDriver):
         """Begin an episode.
 
         Args:
-            seed: of a recorded window, to play it again, or any other; without one the next
-                episode of the series.
-            options: ``driver``: the name of a known driver, for this episode alone.
+            seed: the seed of a recorded window, to replay it, or any other; without one the next
+                episode of the series begins.
+            options: ``driver``: name of a known driver, for this episode alone.
         """
         name = (options or {}).get("driver")
         if name is not None and name not in DRIVERS:
@@ -110,7 +133,7 @@ class DemonstratedDriver(MergeDriver):
 
 
 class _Chosen:
-    """A population, or for as long as a name is set that driver."""
+    """A population, or one driver for as long as its name is set."""
 
     def __init__(self, population: Population) -> None:
         self.population = population
@@ -124,9 +147,9 @@ class _Chosen:
 
 
 def env_spec(observed: Observed) -> EnvSpec | None:
-    """What makes these demonstrations' environment; None for recordings that do not say.
+    """Return the specification of these demonstrations' environment; None if they hold none.
 
-    A crash ends an episode of it, also where the recorded car stood on after one.
+    A crash ends its episodes, also where the recorded car stood until the end of the window.
     """
     about = observed.about
     if "team" not in about or "hmi" not in about:

@@ -1,16 +1,15 @@
-"""Demonstrations in a folder: ``observed.parquet``, and ``truth.parquet`` where it is known.
+"""Demonstrations in a folder: ``observed.parquet``, and ``truth.parquet`` if the truth is known.
 
-The columns are told in :mod:`hmi_marl.demonstrations.dataset`. Each file's metadata holds, under
+:mod:`hmi_marl.demonstrations.dataset` describes the columns. Each file's metadata holds, under
 ``hmi-marl`` and as JSON: ``format``, the package's ``version``, and ``about``, how the data were
-made; the observed file's also ``layout``, the parts of a state with their bounds. The truth's names
-the observed file that it belongs to by its SHA-256, under ``hmi-marl observed``.
+made; that of the observed file also ``layout``, the parts of a state with their bounds. That of the
+truth holds the SHA-256 of its observed file, under ``hmi-marl observed``.
 
 Needs pyarrow, which comes with the ``data`` extra.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from itertools import chain
@@ -21,24 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.demonstrations.dataset import (
-    NOBODY,
+    MISSING,
     Demonstrations,
     Observed,
     Truth,
-    column_names,
 )
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.extras import needing
-from hmi_marl.files import json_value, write_atomically
+from hmi_marl.files import json_value, sha256_of, write_atomically
 
 with needing("reading and writing demonstrations"):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from hmi_marl.demonstrations.rows import (
+    from hmi_marl.demonstrations.step_file import (
         BELONGS,
         TRUTH_SCHEMA,
         StepFile,
+        column_names,
         observed_schema,
         stamped,
     )
@@ -49,15 +48,15 @@ OBSERVED, TRUTH = "observed.parquet", "truth.parquet"
 def write_demonstrations(
     folder: Path, demonstrations: Demonstrations | Iterable[Demonstrations]
 ) -> None:
-    """Write a dataset into ``folder``, in place of one that is there.
+    """Write a dataset into ``folder`` and replace an existing one.
 
     Args:
-        folder: of the dataset.
-        demonstrations: all of it, or chunks of it one by one, which need not fit into memory
+        folder: folder of the dataset.
+        demonstrations: the whole dataset, or an iterable of chunks, which need not fit into memory
             together.
 
     Raises:
-        ValueError: no chunks, or chunks with different layouts or stamps, or truth in some alone.
+        ValueError: no chunks, chunks with different layouts or stamps, or truth in only some.
     """
     several = [demonstrations] if isinstance(demonstrations, Demonstrations) else demonstrations
     chunks = iter(several)
@@ -123,7 +122,7 @@ def _check_goes_on(first: Demonstrations, chunk: Demonstrations) -> None:
 
 
 def _keys(observed: Observed, start: int) -> tuple[dict[str, Any], NDArray[np.int64]]:
-    """Episode and step of every row, and the episode's place in the chunk."""
+    """Return episode and step of every row, and the episode's index in the chunk."""
     place, step = np.nonzero(observed.steps_taken)
     return {"episode": (start + place).astype(np.int32), "step": step.astype(np.int32)}, place
 
@@ -133,12 +132,12 @@ def _observed_rows(observed: Observed, start: int) -> pa.Table:
     real = observed.steps_taken
     who = observed.driver[place].astype(np.int32)
     rows["driver"] = pa.DictionaryArray.from_arrays(
-        pa.array(who, mask=who == NOBODY), pa.array(observed.names, pa.string())
+        pa.array(who, mask=who == MISSING), pa.array(observed.names, pa.string())
     )
     count = len(place)
     rows["seed"] = pa.nulls(count, pa.uint64()) if observed.seeds is None else observed.seeds[place]
     crash = observed.crash_step[place]
-    rows["crashed"] = (crash != NOBODY) & (rows["step"] >= crash)
+    rows["crashed"] = (crash != MISSING) & (rows["step"] >= crash)
     rows["action"] = observed.actions[real].astype(np.int8)
     rows["alert"] = observed.alerts[real].astype(np.int8)
     states = np.ascontiguousarray(observed.states[real].T)
@@ -160,10 +159,10 @@ def _truth_rows(chunk: Demonstrations, truth: Truth, start: int) -> pa.Table:
 
 
 def read_demonstrations(folder: Path) -> Demonstrations:
-    """A dataset with its truth, where there is any.
+    """Read a dataset, with its truth if there is one.
 
     Raises:
-        FileNotFoundError: no dataset there.
+        FileNotFoundError: no dataset in ``folder``.
         ValueError: see :func:`read_observed`; also a truth of another dataset.
     """
     observed = read_observed(folder)
@@ -172,7 +171,7 @@ def read_demonstrations(folder: Path) -> Demonstrations:
         return Demonstrations(observed)
     file = StepFile(path, TRUTH_SCHEMA)
     if file.belongs_to != sha256_of(folder / OBSERVED):
-        raise ValueError(f"{path} is not the truth of {OBSERVED} beside it")
+        raise ValueError(f"{path} is not the truth of {OBSERVED} in the same folder")
     rows = file.read()
     if not np.array_equal(file.length, observed.length):
         raise ValueError(f"{path} is damaged: its episodes are not those of {OBSERVED}")
@@ -185,7 +184,7 @@ def read_demonstrations(folder: Path) -> Demonstrations:
             file.spread(rows["distracted"], 0),
             file.spread(rows["accepted"], 0),
             file.spread(rows["counter"], 0),
-            file.spread(rows["intended_action"], NOBODY),
+            file.spread(rows["intended_action"], MISSING),
             traits[first],
             file.stamp["about"],
         )
@@ -195,7 +194,7 @@ def read_demonstrations(folder: Path) -> Demonstrations:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """How one of the two files was made, as it tells itself; its rows are not read.
+    """Read from one of the two files how it was made, without reading its rows.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`read_observed`.
@@ -206,12 +205,12 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def read_observed(folder: Path) -> Observed:
-    """What was observed, alone: the truth's file is not opened.
+    """Read the observed data alone, without opening the truth's file.
 
     Raises:
-        FileNotFoundError: no dataset there.
-        ValueError: not a file of ours, of a later format, damaged or cut off, or with numbers that
-            cannot be; the message says which.
+        FileNotFoundError: no dataset in ``folder``.
+        ValueError: another kind of file, another version of the format, a damaged file, or numbers
+            out of range; the message says which.
     """
     path = folder / OBSERVED
     file = StepFile(path)
@@ -232,10 +231,10 @@ def read_observed(folder: Path) -> Observed:
         return Observed(
             file.layout,
             file.states,
-            file.spread(rows["action"], NOBODY),
+            file.spread(rows["action"], MISSING),
             file.spread(rows["alert"], 0),
             file.length,
-            np.where(at < file.length, at, NOBODY),
+            np.where(at < file.length, at, MISSING),
             rows["driver"][first],
             tuple(file.names),
             rows["seed"][first] if known.all() else None,
@@ -243,9 +242,3 @@ def read_observed(folder: Path) -> Observed:
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-
-
-def sha256_of(path: Path) -> str:
-    """The checksum of a file, in hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

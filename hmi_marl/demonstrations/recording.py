@@ -1,11 +1,10 @@
-"""Playing drivers beside an HMI that alerts at random, and recording what could be observed.
+"""Record demonstrations of drivers with an HMI that alerts at random.
 
-Alerts come at random so that receptivity can be seen: what a driver does with one, and without.
+Random alerts show a driver's receptivity: driving with and without an alert in alike situations.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.policy import LearnedPolicy
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.demonstrations.dataset import (
-    NOBODY,
+    MISSING,
     Demonstrations,
     Observed,
     Truth,
@@ -38,41 +36,41 @@ from hmi_marl.envs.drivers import (
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream, check_seed, episode_seed, mix
 from hmi_marl.envs.teaming import StepResult, Teaming
-from hmi_marl.files import json_value
+from hmi_marl.files import json_value, sha256, sha256_of
 
 POPULATION = "population"
 
 
 @dataclass(frozen=True)
 class CollectSettings(TeamSettings):
-    """What to record, checked.
+    """Settings of a recording, checked.
 
     Raises:
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
     drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Who drives: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    """Drivers: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     steps: int = 300_000
-    """For each of them, rounded up to whole windows; each has a series of windows of their own."""
+    """Steps of each driver, rounded up to whole windows. Each driver has separate windows."""
     population: int = 0
-    """So many more drivers, whose traits are drawn evenly from all there are: population-0,
-    population-1, ..., for a look at drivers that were never seen in training."""
+    """Number of further drivers with traits drawn evenly from the whole range: population-0,
+    population-1, ..., to evaluate on drivers that were never seen in training."""
     windows: int = 16
-    """Windows for each driver of the population."""
+    """Windows of each driver of the population."""
     alert_rate: float = 0.2
-    """How often the HMI alerts, whatever happens: the chance of it in each step."""
+    """Probability of an alert in each step."""
     driver_policy: str = "rule"
-    """Who steers: the folder of a trained run, or rule or random."""
+    """Driver policy: the folder of a training run, trained:driver, rule or random."""
     greedy: bool = False
-    """A trained driver takes the likeliest action. A person is no argmax: by default it draws."""
+    """Whether a trained driver takes the likeliest action; by default it draws, as people vary."""
     seed: int = 0
-    """Of everything: the same seed gives the same data."""
+    """Seed of all draws: the same seed gives the same data."""
     end_at_crash: bool = False
-    """Whether a crash ends the window. If not the crashed car stands, so that all windows have the
-    same length, and the length gives nothing away."""
+    """Whether a crash ends the window. If not, the crashed car stands, so that all windows have the
+    same length and the length reveals nothing."""
     num_teams: int = 512
-    """Side by side; memory grows with it. Does not change results."""
+    """Teams simulated in parallel. Needs memory, but does not change results."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", check_seed(self.seed))
@@ -84,26 +82,26 @@ class CollectSettings(TeamSettings):
             if value < least:
                 raise ValueError(f"{name} is at least {least}, but got {value}")
         if not self.drivers and not self.population:
-            raise ValueError("somebody has to drive: name drivers, or draw a population")
+            raise ValueError("there is no driver: name drivers, or set population")
         team = self.team(PAPER_DRIVERS)
         need_plain(team.alerts, "a dataset of demonstrations")
         self.make_hmi(team)
         counts = Counter(driver.name for driver, _ in self.cast())
         twice = [name for name, count in counts.items() if count > 1]
         if twice:
-            raise ValueError(f"two drivers have the name {twice[0]!r}; give one another name")
+            raise ValueError(f"two drivers have the name {twice[0]!r}; rename one")
 
     @property
     def hmi(self) -> str:
-        """The name of the HMI that collects data."""
+        """Name of the HMI that collects data."""
         return f"random:{float(self.alert_rate)!r}"
 
     def make_hmi(self, config: TeamConfig) -> Policy:
-        """The HMI that collects data."""
+        """Make the HMI that collects data."""
         return make_hmi(self.hmi, config)
 
     def make_driver(self, config: TeamConfig) -> Policy:
-        """Who steers.
+        """Make the driver policy.
 
         Raises:
             FileNotFoundError, ValueError: there is no such policy.
@@ -114,7 +112,7 @@ class CollectSettings(TeamSettings):
         return policy
 
     def cast(self) -> list[tuple[Driver, int]]:
-        """Who drives, and in how many windows."""
+        """Return the drivers, each with its number of windows."""
         horizon = self.team(PAPER_DRIVERS).horizon
         named = [(get_driver(name), -(-self.steps // horizon)) for name in self.drivers]
         names = [f"{POPULATION}-{k}" for k in range(self.population)]
@@ -130,9 +128,9 @@ class CollectSettings(TeamSettings):
         return horizon * sum(windows for _, windows in self.cast())
 
     def episodes(self) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
-        """Of every window: who drives, an index of :meth:`cast`, and its seed.
+        """Return the driver of every window, an index of :meth:`cast`, and its seed.
 
-        A driver's series follows from the seed and the driver's name, not from who else drives.
+        A driver's seeds depend on the seed and the driver's name, not on the other drivers.
         """
         cast = self.cast()
         who = np.repeat(np.arange(len(cast)), [windows for _, windows in cast])
@@ -140,7 +138,7 @@ class CollectSettings(TeamSettings):
         return who, episode_seed(self._series([driver.name for driver, _ in cast])[who], number)
 
     def _series(self, names: list[str]) -> NDArray[np.uint64]:
-        digests = (hashlib.sha256(name.encode()).digest() for name in names)
+        digests = (bytes.fromhex(sha256(name.encode())) for name in names)
         keys = [int.from_bytes(digest[:8], "little") for digest in digests]
         return mix(self.seed, Stream.EPISODE, np.array(keys, np.uint64))
 
@@ -152,7 +150,7 @@ def _check_names(drivers: Sequence[str]) -> None:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A population of those who sit here, one for each team, whatever the seeds."""
+    """A population with one given driver for each team, whatever the seeds."""
 
     traits: Traits
 
@@ -163,15 +161,15 @@ class _Placed:
 def collect(
     settings: CollectSettings, progress: Callable[[int], Any] = id, command_line: str = ""
 ) -> Iterator[Demonstrations]:
-    """Play and record, chunk by chunk: each driver's windows one after the other.
+    """Play and record, chunk by chunk, the windows of one driver after another.
 
     Args:
-        settings: what to record.
-        progress: called with the number of steps that have just been recorded.
-        typed: the command, kept with the truth.
+        settings: settings of the recording.
+        progress: called with the number of steps that were recorded since the last call.
+        command_line: the command, kept with the truth.
 
     Raises:
-        FileNotFoundError, ValueError: there is no such driver policy; at once.
+        FileNotFoundError, ValueError: there is no such driver policy; raised before any step.
     """
     config = settings.team(PAPER_DRIVERS)
     settings.make_driver(config)
@@ -193,11 +191,11 @@ def collect(
 
 
 def _about(settings: CollectSettings, config: TeamConfig) -> dict[str, Any]:
-    """How the data are made, without anybody's traits."""
+    """Describe how the data are made, without traits."""
     policy: dict[str, Any] = {"name": settings.driver_policy, "greedy": settings.greedy}
     if isinstance(settings.make_driver(config), LearnedPolicy):
         weights = find_policy(Path(settings.driver_policy), DRIVER).with_suffix(".safetensors")
-        policy["sha256"] = hashlib.sha256(weights.read_bytes()).hexdigest()
+        policy["sha256"] = sha256_of(weights)
     team = {name: value for name, value in json_value(config).items() if name != "driver"}
     return {
         "environment": "merge_v0",
@@ -249,7 +247,7 @@ def _play(
 
 
 class _Recorder(Observer):
-    """Keep what could be observed of each step, and the truth apart."""
+    """Record the observable data of each step and, separately, the truth."""
 
     def __init__(
         self, config: TeamConfig, teaming: Teaming, progress: Callable[[int], Any]
@@ -259,19 +257,19 @@ class _Recorder(Observer):
         shape = teaming.num_teams, config.horizon
         self.states = np.zeros((*shape, self.layout.size), np.float32)
         self.alerts, self.distracted, self.accepted, self.counter = np.zeros((4, *shape), np.int64)
-        self.applied, self.intended = np.full((2, *shape), NOBODY)
-        self.crash_step = np.full(teaming.num_teams, NOBODY)
+        self.applied, self.intended = np.full((2, *shape), MISSING)
+        self.crash_step = np.full(teaming.num_teams, MISSING)
         self._progress = progress
         self._step = 0
 
     def before(self, teaming: Teaming) -> None:
-        """Keep the state in which the driver acts."""
+        """Record the state in which the driver acts."""
         self._on = ~teaming.over
         seen = teaming.observe(VEHICLE_AI)[:, self._columns]
         self.states[self._on, self._step] = seen[self._on]
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
-        """Keep what was done, and the attention that nobody sees."""
+        """Record the actions and the hidden attention."""
         on, t, attention = self._on, self._step, teaming.attention
         for rows, values in (
             (self.applied, teaming.applied),
@@ -282,14 +280,14 @@ class _Recorder(Observer):
             (self.counter, attention.counter),
         ):
             rows[on, t] = values[on]
-        self.crash_step[on & teaming.ego.crashed & (self.crash_step == NOBODY)] = t
+        self.crash_step[on & teaming.ego.crashed & (self.crash_step == MISSING)] = t
         self._progress(int(on.sum()))
         self._step += 1
 
 
 @dataclass
 class Tally:
-    """What was recorded of one driver, or of the whole population."""
+    """Counts of what was recorded of one driver, or of the whole population."""
 
     driver: str
     minutes_per_step: float
@@ -301,7 +299,7 @@ class Tally:
     """Steps with d = 1."""
 
     def as_json(self) -> dict[str, Any]:
-        """Counts and rates."""
+        """Return counts and rates."""
         return {
             "driver": self.driver,
             "episodes": self.episodes,
@@ -313,7 +311,7 @@ class Tally:
 
 
 class Summary:
-    """Counts what passes through :meth:`counting`, for each driver."""
+    """Count the demonstrations that pass through :meth:`counting`, for each driver."""
 
     def __init__(self, settings: CollectSettings) -> None:
         self._step = 1 / settings.team(PAPER_DRIVERS).scene.policy_frequency / 60
@@ -321,7 +319,7 @@ class Summary:
         self._tallies: dict[str, Tally] = {}
 
     def counting(self, chunks: Iterable[Demonstrations]) -> Iterator[Demonstrations]:
-        """The same chunks, counted."""
+        """Yield the same chunks and count them."""
         for chunk in chunks:
             observed, truth = chunk.observed, chunk.truth
             assert truth is not None
@@ -337,11 +335,11 @@ class Summary:
             yield chunk
 
     def as_json(self) -> list[dict[str, Any]]:
-        """A row for each driver, and one for the population."""
+        """Return a row for each driver, and one for the population."""
         return [tally.as_json() for tally in self._tallies.values()]
 
     def as_text(self) -> str:
-        """The same as a table."""
+        """Format the same as a table."""
         head = f"{'driver':<12} {'episodes':>9} {'steps':>10} {'crashed':>8} {'alerts/min':>11}"
         lines = [f"{head} {'distracted':>11}"]
         lines += [

@@ -1,15 +1,16 @@
-r"""What alerts there are and how they help: one strength or several, with fatigue or without.
+r"""Alerts and their effects: one strength or several, with fatigue or without.
 
-The paper's HMI has one bit, alert or not, and says that the signal may be extended. Here a^A = 0 is
-no alert and a^A = j one of the j-th strength s_j in (0, 1], with s_0 = 0. While an alert of
-strength s is in effect, η becomes η s; while the driver is attentive, it costs the share s of what
-silence earns (see :func:`hmi_marl.envs.rewards.attention_terms`). The paper's alert has s = 1.
+The paper's HMI has one bit, alert or not; the paper says that the signal may be extended. Here
+a^A = 0 is no alert and a^A = j one of the j-th strength s_j in (0, 1], with s_0 = 0. While an alert
+of strength s is in effect, η becomes η s; while the driver is attentive, it costs the share s of
+the reward for no alert (see :func:`hmi_marl.envs.rewards.attention_terms`). The paper's alert has
+s = 1.
 
 A weaker alert does not undo a stronger one that is in effect. If it did, the optimum would give
 weak alerts so that an attentive driver is distracted again, since bringing them back is what
 R_accept-alert pays for.
 
-With :class:`Fatigue`, a level f in 0 .. F stands for how weary of alerts the driver is. A step with
+With :class:`Fatigue`, f in 0 .. F is the driver's level of fatigue from alerts. A step with
 an alert of strength s raises it by the alert's rise, ⌈r s⌉; a step without one lowers it by 1; and
 what an alert does in step t is weakened by the alerts before that step:
 
@@ -40,17 +41,17 @@ MOST_STRENGTHS = 100
 
 @dataclass(frozen=True)
 class Fatigue:
-    """How alerts that pile up lose their effect.
+    """Loss of effect of alerts that pile up.
 
     Raises:
         ValueError, TypeError: a number out of its range, by name.
     """
 
     levels: int = 10
-    """F: the level at which the driver is as weary of alerts as can be."""
+    """F: the highest level of fatigue."""
     per_alert: int = 2
-    """r: levels by which an alert of strength 1 wearies. Weaker ones do so in proportion, rounded
-    up to a whole level; every step without an alert rests by one."""
+    """r: levels by which an alert of strength 1 raises fatigue. Weaker ones do so in proportion,
+    rounded up to a whole level; every step without an alert lowers it by one."""
     effect: float = 0.5
     """ε: share of η that is lost at the highest level."""
 
@@ -82,7 +83,7 @@ class Alerts:
     strengths: tuple[float, ...] = FULL
     """s_1 < s_2 < ... < s_k, each in (0, 1]."""
     fatigue: Fatigue | None = None
-    """How they weary, if they do."""
+    """Fatigue from alerts, if there is any."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "strengths", check_strengths(self.strengths))
@@ -91,7 +92,7 @@ class Alerts:
 
     @property
     def choices(self) -> int:
-        """How many actions the vehicle AI has, k + 1."""
+        """Number of the vehicle AI's actions, k + 1."""
         return len(self.strengths) + 1
 
     @property
@@ -110,7 +111,7 @@ class Alerts:
         return self == PLAIN
 
     def shape(self, window: int) -> tuple[int, ...]:
-        """Of the states (d, i, c), or (d, i, c, f) with fatigue: (2, k + 1, N) or (..., F + 1)."""
+        """Shape of the states (d, i, c): (2, k + 1, N), or (..., F + 1) of (d, i, c, f)."""
         levels = (self.levels + 1,) if self.fatigue else ()
         return (2, self.choices, window, *levels)
 
@@ -119,9 +120,9 @@ class Alerts:
         return self._strengths[np.asarray(alert)]
 
     def nearest(self, strength: ArrayLike) -> NDArray[np.int64]:
-        """The a^A or i, 0 .. k, whose strength is nearest: the inverse of :meth:`strength`.
+        """The a^A or i, 0 .. k, nearest in strength: the inverse of :meth:`strength`.
 
-        It takes what single precision has left of a strength, as observations show it.
+        Strengths may be rounded to single precision, as observations show them.
         """
         middle = (self._strengths[1:] + self._strengths[:-1]) / 2
         return np.searchsorted(middle, np.asarray(strength)).astype(np.int64)
@@ -130,8 +131,8 @@ class Alerts:
         """The share of η that helps in step t, in [0, 1], from i_t and f_{t-1}, broadcast."""
         if self.fatigue is None:
             return self.strength(accepted)
-        weariness = np.asarray(fatigue) / self.fatigue.levels
-        return self.strength(accepted) * (1.0 - self.fatigue.effect * weariness)
+        share = np.asarray(fatigue) / self.fatigue.levels
+        return self.strength(accepted) * (1.0 - self.fatigue.effect * share)
 
     def next_fatigue(self, fatigue: ArrayLike, alert: ArrayLike) -> NDArray[np.int64]:
         """f_t from f_{t-1} and a^A_t, broadcast; stays as it is without fatigue."""
@@ -144,7 +145,7 @@ class Alerts:
 
     @cached_property
     def _changes(self) -> NDArray[np.int64]:
-        """Of the level, by a^A."""
+        """Change of the level by each a^A."""
         if self.fatigue is None:
             return np.zeros(self.choices, np.int64)
         # Rounded first, so that 100 x 0.07 = 7.000000000000001 is 7 levels and not 8.
@@ -165,11 +166,11 @@ def check_strengths(strengths: Sequence[float] | NDArray[np.float64]) -> tuple[f
     return checked
 
 
-def need_plain(alerts: Alerts, who: str) -> None:
-    """Raise ``ValueError`` unless the alerts are the paper's: what ``who`` is derived for."""
+def need_plain(alerts: Alerts, method: str) -> None:
+    """Raise ``ValueError`` unless the alerts are the paper's, for which ``method`` is derived."""
     if not alerts.plain:
         raise ValueError(
-            f"{who} is for alerts of one strength, 1, without fatigue, but alert_strengths = "
+            f"{method} is for alerts of one strength, 1, without fatigue, but alert_strengths = "
             f"{alerts.strengths} and fatigue = {alerts.fatigue}"
         )
 

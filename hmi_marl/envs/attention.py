@@ -7,8 +7,8 @@ paper's three relations for i_t and c_t), then the distraction d is drawn:
     p(d_t = 1 | d_{t-1} = 0) = \max(0, \beta - \eta 1(i_t = 1)) \\
     p(d_t = 0 | d_{t-1} = 1) = \min(1, \alpha + \eta 1(i_t = 1))
 
-Where alerts have several strengths, or weary the driver, i says which alert is in effect, a fourth
-number f how weary of alerts the driver is, and η 1(i_t = 1) becomes the η_t of
+Where alerts have several strengths, or cause fatigue, i is the number of the alert in effect, a
+fourth number f the level of fatigue, and η 1(i_t = 1) becomes the η_t of
 :mod:`hmi_marl.envs.alerts`; f is updated last.
 
 All functions are pure, element by element, and know nothing of roads or agents.
@@ -28,7 +28,7 @@ from hmi_marl.envs.drivers import Driver, Traits
 
 @dataclass(frozen=True)
 class Attention:
-    """Where N drivers' attention stands. Each field is an int64 array of shape (N,)."""
+    """The state of N drivers' attention. Each field is an int64 array of shape (N,)."""
 
     distracted: NDArray[np.int64]
     """d: 1 when distracted."""
@@ -37,7 +37,7 @@ class Attention:
     counter: NDArray[np.int64]
     """c: steps since that alert, 0 .. window - 1."""
     fatigue: NDArray[np.int64]
-    """f: how weary of alerts they are; stays 0 without fatigue."""
+    """f: level of fatigue from alerts; stays 0 without fatigue."""
 
     @classmethod
     def initial(cls, num_teams: int) -> Attention:
@@ -45,7 +45,7 @@ class Attention:
         return cls(*(np.zeros(num_teams, np.int64) for _ in range(4)))
 
     def where(self, mask: NDArray[np.bool_], other: Attention) -> Attention:
-        """This where ``mask`` (shape (N,)) holds, ``other`` elsewhere."""
+        """Return this where ``mask`` (shape (N,)) holds, ``other`` elsewhere."""
         return Attention(
             np.where(mask, self.distracted, other.distracted),
             np.where(mask, self.accepted, other.accepted),
@@ -132,7 +132,7 @@ def step(
 
 
 class Successors(NamedTuple):
-    """Where every [a, d, i, c] leads: i and c for sure, d by chance. Shapes (2, 2, 2, N).
+    """Successors of every [a, d, i, c]: i and c for sure, d by chance. Shapes (2, 2, 2, N).
 
     With k strengths (k + 1, 2, k + 1, N), and with fatigue another axis f of F + 1 levels.
     """
@@ -162,10 +162,10 @@ def successors(driver: Driver, window: int, alerts: Alerts = PLAIN) -> Successor
 def transition_matrix(driver: Driver, window: int) -> NDArray[np.float64]:
     """P[a, d, i, c, d', i', c']: the chain's transition probabilities, for inspection.
 
-    It is O(N²) large; :func:`successors` says the same in O(N).
+    Its size is O(N²); :func:`successors` gives the same in O(N).
 
     Args:
-        driver: whose traits.
+        driver: has the traits.
         window: N, in steps.
 
     Returns:

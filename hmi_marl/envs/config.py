@@ -1,4 +1,4 @@
-"""Everything about a team that is a choice, in one place, with the documented defaults."""
+"""Settings of a team, with the documented defaults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DRIVER, VEHICLE_AI = AGENTS
 
 @dataclass(frozen=True)
 class TeamConfig:
-    """How one team of driver and vehicle AI is set up.
+    """Settings of one team of driver and vehicle AI.
 
     Raises:
         ValueError, TypeError: a value out of its range, saying what to use instead.
@@ -37,14 +37,15 @@ class TeamConfig:
     ai_sees_attention: bool = True
     """Whether the vehicle AI sees d, i and c of the last step (a driver-monitoring camera)."""
     reward: Sharing = "team"
-    """Whose reward: "team", "individual", "driving" or "attention" (see :func:`rewards.share`)."""
+    """Reward of each agent: "team", "individual", "driving" or "attention" (see
+    :func:`rewards.share`)."""
     alert_window: int = 7
     """N, the intervention window in steps."""
     alert_strengths: tuple[float, ...] = FULL
-    """Of the alerts that the vehicle AI can give, rising within (0, 1]; (1.0,) is the paper's bit,
-    alert or not. See :mod:`hmi_marl.envs.alerts`."""
+    """Strengths of the vehicle AI's alerts, rising within (0, 1]; (1.0,) is the paper's bit, alert
+    or not. See :mod:`hmi_marl.envs.alerts`."""
     fatigue: Fatigue | None = None
-    """How alerts that pile up lose their effect; None: they do not."""
+    """Loss of effect of alerts that pile up; none by default."""
     duration: float = 20.0
     """Length of an episode [s]."""
     end_at_crash: bool = True
@@ -90,12 +91,12 @@ class TeamConfig:
 
     @property
     def alerts(self) -> Alerts:
-        """What alerts there are and how they help."""
+        """The alerts and their effects."""
         return Alerts(self.alert_strengths, self.fatigue)
 
     @property
     def population(self) -> Population:
-        """Where the driver of an episode is drawn from."""
+        """The population that each episode's driver is drawn from."""
         assert isinstance(self.driver, Population)
         return self.driver
 
@@ -110,22 +111,22 @@ class TeamConfig:
 
 @dataclass(frozen=True)
 class TeamSettings:
-    """What a command lets people choose about teams, as it was typed: nothing is checked yet."""
+    """A command's options about teams, as typed: nothing is checked yet."""
 
     alert_window: int = 7
     """N, the intervention window in steps."""
     alert_strengths: tuple[float, ...] = FULL
     """Strengths of alert that the HMI can choose from, rising within (0, 1]."""
     fatigue: tuple[int, int, float] | None = None
-    """LEVELS PER_ALERT EFFECT, how alerts that pile up lose their effect: an alert of strength 1
-    wearies by PER_ALERT of LEVELS, a step without one rests by 1, and a driver who is as weary as
-    can be lacks the share EFFECT of η. For example 10 2 0.5; none by default."""
+    """LEVELS PER_ALERT EFFECT, loss of effect of alerts that pile up: an alert of strength 1 raises
+    fatigue by PER_ALERT of LEVELS, a step without one lowers it by 1, and at the highest level the
+    share EFFECT of η is lost. For example 10 2 0.5; none by default."""
     duration: float = 20.0
     """Length of an episode [s]."""
     end_at_crash: bool = True
     """Whether a crash ends the episode."""
     ai_sees_attention: bool = True
-    """Whether the HMI sees d, i and c; if not, exact HMIs work on the Bayes belief."""
+    """Whether the HMI sees d, i and c; if not, exact HMIs use the Bayes belief."""
     vehicles: tuple[int, int] = (1, 20)
     """Least and most other vehicles."""
 
@@ -134,7 +135,7 @@ class TeamSettings:
         driver: str | Driver | Sequence[str | Driver] | Population,
         reward: Sharing = "team",
     ) -> TeamConfig:
-        """Teams of this driver, checked."""
+        """Return the checked settings of teams with this driver."""
         return TeamConfig(
             driver=driver,
             ai_sees_attention=self.ai_sees_attention,
@@ -149,7 +150,7 @@ class TeamSettings:
 
 
 def as_fatigue(numbers: tuple[int, int, float] | None) -> Fatigue | None:
-    """(levels, per_alert, effect), as a command takes them, checked."""
+    """Return the :class:`Fatigue` of (levels, per_alert, effect), as a command takes them."""
     return None if numbers is None else Fatigue(*numbers)
 
 
@@ -177,7 +178,7 @@ def takes_team_settings(function: Callable[_P, _R]) -> Callable[_P, _R]:
             if name not in known:
                 own = function.__qualname__
                 raise TypeError(
-                    # Python's own words: TorchRL and others try keywords and look for them.
+                    # Python's own wording: TorchRL and others try keywords and look for it.
                     f"{own}() got an unexpected keyword argument {name!r}; "
                     f"{suggest(name, known, f'help({own})')}"
                 )

@@ -2,7 +2,7 @@
 
 Four numbers describe a driver (the paper's driver table): how easily they become distracted
 (``beta``), how easily they recover (``alpha``), how much an accepted alert helps (``eta``) and
-how much larger than life they perceive other vehicles (``inflation``).
+how many times too large they perceive other vehicles (``inflation``).
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ DRIVERS: Mapping[str, Driver] = MappingProxyType(
 
 
 def known_name(beta: float, alpha: float, eta: float, inflation: float) -> str | None:
-    """The name of the known driver who has exactly these traits, if there is one."""
+    """Return the name of the known driver with exactly these traits, or None."""
     traits = beta, alpha, eta, inflation
     return next((name for name, driver in DRIVERS.items() if driver.traits == traits), None)
 
@@ -101,7 +101,7 @@ PAPER_DRIVERS = ("lisa", "marge", "bart", "homer")
 def get_driver(driver: str | Driver) -> Driver:
     """Look a driver up by name (case does not matter), or pass a :class:`Driver` through.
 
-    A name with traits, ``"mona:0.4,0.3,0.5,2"``, is a driver of one's own: β, α, η, inflation.
+    A name with traits, ``"mona:0.4,0.3,0.5,2"``, is a custom driver: β, α, η, inflation.
     """
     if isinstance(driver, Driver):
         return driver
@@ -113,7 +113,7 @@ def get_driver(driver: str | Driver) -> Driver:
     if driver.lower() not in DRIVERS:
         from hmi_marl.names import unknown  # needed for this error alone
 
-        own = "your own is name:beta,alpha,eta,inflation"
+        own = "a custom one is name:beta,alpha,eta,inflation"
         raise ValueError(f"{unknown('driver', driver, DRIVERS)}; {own}")
     return DRIVERS[driver.lower()]
 
@@ -125,7 +125,7 @@ def _driver_from_text(name: str, traits: str) -> Driver:
         beta, alpha, eta, inflation = (float(number) for number in traits.split(","))
     except ValueError:
         raise ValueError(
-            f"a driver of one's own is name:beta,alpha,eta,inflation, not {name + ':' + traits!r}"
+            f"a custom driver is name:beta,alpha,eta,inflation, not {name + ':' + traits!r}"
         ) from None
     return Driver(name, beta, alpha, eta, inflation)
 
@@ -146,7 +146,7 @@ class Traits:
 
     @classmethod
     def from_array(cls, traits: ArrayLike) -> Traits:
-        """From an array of shape (N, 4), columns as in ``TRAIT_NAMES``."""
+        """Make traits from an array of shape (N, 4), columns as in ``TRAIT_NAMES``."""
         table = np.asarray(traits, np.float64)
         if table.ndim != 2 or table.shape[1] != len(TRAIT_NAMES):
             raise ValueError(f"traits have shape (N, 4), not {table.shape}")
@@ -294,7 +294,7 @@ class TraitDistributions:
 
 
 def as_population(drivers: str | Driver | Sequence[str | Driver] | Population) -> Population:
-    """What the ``driver=`` keyword of every environment accepts, as a population.
+    """Return the population of a ``driver=`` keyword's value.
 
     A name or a :class:`Driver` is a population of one; a list or tuple of them is drawn from
     evenly; a :class:`Population` (such as :class:`TraitDistributions`) is taken as it is.

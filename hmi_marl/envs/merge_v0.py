@@ -9,10 +9,10 @@
 
 HMIway-env of "Learning Latent Traits for Simulated Cooperative Driving Tasks": a human driver
 steers a car past a highway merge among other vehicles, and may be distracted; the vehicle's AI
-may alert them. `env()` is the PettingZoo AEC environment, in which the two take turns and the AI
-sees what the driver is about to do, π(a^A | a^H, s, z). `parallel_env()` lets both act at once;
-the AI then sees the driver's *last* action. It is written natively, since PettingZoo's
-conversion would hide a^H from the AI (and `is_parallelizable` is therefore False).
+may alert them. `env()` is the PettingZoo AEC environment, in which the two move sequentially and
+the AI sees what the driver is about to do, π(a^A | a^H, s, z). `parallel_env()` lets both move at
+the same time; the AI then sees the driver's *last* action. It is written natively, since
+PettingZoo's conversion would hide a^H from the AI (and `is_parallelizable` is therefore False).
 
 ## Actions
 
@@ -27,7 +27,7 @@ LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER). `vehicle_ai`, a^A: 0 no_alert, 1 a
    in effect for `alert_window` steps, in which becoming distracted is less likely by η and
    becoming attentive more likely by η. An alert of strength s helps by η s, and a weaker one
    does not undo a stronger one. With `fatigue`, alerts that pile up help less, and the level of
-   weariness f is updated last (`hmi_marl.envs.alerts`).
+   fatigue f is updated last (`hmi_marl.envs.alerts`).
 3. The applied action is v_t = v_{t-1} if d_t = 1, else a^H_t; v_0 = a^H_0.
 4. The world moves by one policy step (1/5 s in three simulator steps).
 5. Both agents get their rewards.
@@ -44,11 +44,11 @@ Ask for a part by name: `env.unwrapped.layout("vehicle_ai")["distracted"]` is it
 obstacles, `speed`, `target_speed`, `heading`, `lateral`, `lane` (one-hot), `position`,
 `applied_action` (one-hot v_{t-1}), `alerted` (a^A_{t-1}), `time`, `traits` (β, α, η, inflation).
 
-`vehicle_ai` (65): the same with true sizes in `lidar`, and `intended_action` (one-hot; taking
-turns a^H_t, at once a^H_{t-1}), `previous_intended_action` (a^H_{t-1}), and, with
-`ai_sees_attention`, `distracted`, `accepted`, `counter` (d, i, c of the last step). Of graded
-alerts `alerted` and `accepted` are strengths, 0 for none; with `fatigue`, `fatigue` (f over its
-levels) follows `counter`.
+`vehicle_ai` (65): the same with true sizes in `lidar`, and `intended_action` (one-hot; with
+sequential moves a^H_t, with simultaneous moves a^H_{t-1}), `previous_intended_action` (a^H_{t-1}),
+and, with `ai_sees_attention`, `distracted`, `accepted`, `counter` (d, i, c of the last step). With
+graded alerts `alerted` and `accepted` are strengths, 0 for none; with `fatigue`, `fatigue` (f over
+its levels) follows `counter`.
 
 `state()`: both lidars and everything that either seat could see, attention and traits included.
 
@@ -74,7 +74,7 @@ other strengths than 1 also `strength` (in effect), with `fatigue` also `fatigue
 ```python
 merge_v0.env(
     driver="homer",          # a name, a Driver, a list of them or a Population drawn at each reset
-    world="highway",         # highway-env itself; "batched": the same, compiled
+    world="highway",         # highway-env itself; "batched": the same, compiled; or a World
     observe_traits=True,     # both seats see β, α, η, inflation
     ai_sees_attention=True,  # the AI sees d, i, c of the last step
     reward="team",           # or "individual" (driving and distraction to the driver, alert terms
@@ -111,9 +111,9 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import wrappers
 
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
-from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.single import RENDER_MODES, SingleTeam
+from hmi_marl.envs.single import RENDER_MODES, SingleTeam, team_info
+from hmi_marl.envs.worlds import World
 
 _OVER = "the episode is over: call reset() before stepping again"
 
@@ -130,7 +130,7 @@ class _InOrder(wrappers.OrderEnforcingWrapper):  # type: ignore[misc]
 
 @takes_team_settings
 def env(
-    *, world: str = "highway", render_mode: str | None = None, **settings: Any
+    *, world: str | World = "highway", render_mode: str | None = None, **settings: Any
 ) -> AECEnv[str, NDArray[np.float32], int]:
     """The AEC environment, with PettingZoo's checks on the order of calls.
 
@@ -140,11 +140,13 @@ def env(
 
 
 class _TwoSeats:
-    """What the two PettingZoo interfaces share: spaces, layouts, state and pictures."""
+    """Spaces, layouts, state and pictures of both PettingZoo interfaces."""
 
     possible_agents: list[str]
 
-    def __init__(self, world: str, render_mode: str | None, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, world: str | World, render_mode: str | None, settings: dict[str, Any]
+    ) -> None:
         self.config = TeamConfig(**settings)
         self.team = SingleTeam(self.config, world, render_mode)
         self.render_mode = render_mode
@@ -180,12 +182,12 @@ class _TwoSeats:
         return self.action_spaces[agent]
 
     def layout(self, agent: str) -> Layout:
-        """Which columns of this agent's observation mean what."""
+        """Named columns of this agent's observation."""
         return self.team.teaming.layouts[agent]
 
     @property
     def state_layout(self) -> Layout:
-        """Which columns of :meth:`state` mean what."""
+        """Named columns of :meth:`state`."""
         return self.team.teaming.state_layout
 
     def state(self) -> NDArray[np.float32]:
@@ -216,7 +218,7 @@ class _TwoSeats:
 
 
 class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
-    """Taking turns, without PettingZoo's wrapper. For keywords see the module's documentation."""
+    """Sequential moves, without PettingZoo's wrapper. Keywords as for :func:`env`."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
         "name": "merge_v0",
@@ -227,7 +229,7 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
 
     @takes_team_settings
     def __init__(
-        self, *, world: str = "highway", render_mode: str | None = None, **settings: Any
+        self, *, world: str | World = "highway", render_mode: str | None = None, **settings: Any
     ) -> None:
         AECEnv.__init__(self)
         _TwoSeats.__init__(self, world, render_mode, settings)
@@ -247,7 +249,7 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
         self.infos = self._infos()
 
     def observe(self, agent: str) -> NDArray[np.float32]:
-        """What this agent sees now."""
+        """Return this agent's observation."""
         self._need_reset()
         return self.team.teaming.observe(agent)[0]
 
@@ -263,11 +265,11 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
         action = self.team.check(agent, action)  # before anything changes
         self._cumulative_rewards[agent] = 0.0
         if agent == DRIVER:
-            self.team.intend(action)
+            self.team.teaming.intend([action])
             self._clear_rewards()
             self.agent_selection = VEHICLE_AI
             return
-        result = self.team.alert(action)
+        self.team.result = result = self.team.teaming.step([action])
         for name in AGENTS:
             self.rewards[name] = float(result.rewards[name][0])
             self.terminations[name] = bool(result.terminated[0])
@@ -279,7 +281,7 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
 
 
 class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
-    """Both at once: the AI sees a^H of the last step. Keywords as for :func:`env`."""
+    """Simultaneous moves: the AI sees a^H of the last step. Keywords as for :func:`env`."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
         "name": "merge_v0",
@@ -289,7 +291,7 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
 
     @takes_team_settings
     def __init__(
-        self, *, world: str = "highway", render_mode: str | None = None, **settings: Any
+        self, *, world: str | World = "highway", render_mode: str | None = None, **settings: Any
     ) -> None:
         _TwoSeats.__init__(self, world, render_mode, settings)
         self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
@@ -314,7 +316,7 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
     ]:
         """One step of the team, from both agents' actions.
 
-        After the end, when nobody is left to act, no actions give five empty dicts.
+        After the end no agent is left to act, and no actions give five empty dicts.
         """
         self._need_reset()
         if not self.agents:
@@ -323,9 +325,9 @@ class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # ty
             return {}, {}, {}, {}, {}
         if set(actions) != set(AGENTS):
             raise ValueError(f"actions are needed for {AGENTS}, but got {tuple(actions)}")
-        self.team.check(VEHICLE_AI, actions[VEHICLE_AI])  # before the driver's counts as taken
-        self.team.intend(actions[DRIVER])
-        result = self.team.alert(actions[VEHICLE_AI])
+        alert = self.team.check(VEHICLE_AI, actions[VEHICLE_AI])
+        intent = self.team.check(DRIVER, actions[DRIVER])
+        self.team.result = result = self.team.teaming.turn([intent], [alert])
         self.team.show()
         rewards = {agent: float(result.rewards[agent][0]) for agent in AGENTS}
         terminations = dict.fromkeys(AGENTS, bool(result.terminated[0]))

@@ -1,4 +1,4 @@
-"""What each seat sees: flat float32 boxes whose parts code can ask for by name.
+"""Observations of each seat: flat float32 boxes with named parts.
 
 >>> from hmi_marl.envs.config import TeamConfig
 >>> layout = vehicle_ai_layout(TeamConfig(driver="bart"))
@@ -23,7 +23,7 @@ from hmi_marl.envs.scene import LANE_WIDTH, Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego
 
 FASTEST = 40.0
-"""Speed that highway-env brings every vehicle back to [m/s]; scales all speeds."""
+"""Speed above which highway-env brakes every vehicle [m/s]; scales all speeds."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which columns of an observation mean what."""
+    """The named parts of an observation, in the order of its columns."""
 
     parts: tuple[Part, ...]
 
     @cached_property
     def slices(self) -> Mapping[str, slice]:
-        """Where each part lies."""
+        """Columns of each part, by name."""
         ends = np.cumsum([part.size for part in self.parts])
         return {
             part.name: slice(int(end) - part.size, int(end))
@@ -66,12 +66,12 @@ class Layout:
         return self.slices[name]
 
     def columns(self, names: Iterable[str]) -> NDArray[np.int64]:
-        """Where the named parts lie, one after the other, as indices of columns."""
+        """Indices of the named parts' columns, one part after the other."""
         every = np.arange(self.size)
         return np.concatenate([every[self[name]] for name in names])
 
     def columns_of(self, other: Layout) -> NDArray[np.int64]:
-        """The columns that hold the parts of another layout, in that layout's order."""
+        """Indices of the columns that hold another layout's parts, in that layout's order."""
         return self.columns(part.name for part in other.parts)
 
     def get(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float32]:
@@ -115,9 +115,9 @@ class Layout:
         return "\n".join(rows)
 
 
-def _lidar(name: str, scene: Scene, whose: str) -> Part:
+def _lidar(name: str, scene: Scene, sizes: str) -> Part:
     bound = max(1.0, 2 * FASTEST * 1.05 / scene.lidar_range)
-    meaning = f"(distance, relative radial speed) per ray over {scene.lidar_range:g}, {whose}"
+    meaning = f"(distance, relative radial speed) per ray over {scene.lidar_range:g}, {sizes}"
     return Part(name, 2 * scene.lidar_cells, -bound, bound, meaning)
 
 
@@ -138,7 +138,7 @@ _INTENDED = Part(
     _ACTIONS,
     0.0,
     1.0,
-    "one-hot a^H: taking turns of this step, at once of the last; zeros if none yet",
+    "one-hot a^H: of this step with sequential moves, else of the last; zeros if none yet",
 )
 _PREVIOUS = Part("previous_intended_action", _ACTIONS, 0.0, 1.0, "one-hot a^H of the last step")
 _APPLIED = Part("applied_action", _ACTIONS, 0.0, 1.0, "one-hot v of the last step")
@@ -158,7 +158,7 @@ def _attention(config: TeamConfig) -> tuple[Part, ...]:
 
 
 def driver_layout(config: TeamConfig) -> Layout:
-    """The driver's observation: lidar as perceived, own motion, what was applied and heard."""
+    """The driver's observation: perceived lidar, own motion, applied action, last alert."""
     traits = (_TRAITS,) if config.observe_traits else ()
     lidar = _lidar("lidar", config.scene, "others inflated")
     return Layout((lidar, *_motion(config.scene), _APPLIED, _ALERTED, _TIME, *traits))
@@ -195,7 +195,7 @@ def motion_parts(ego: Ego, scene: Scene) -> dict[str, NDArray[np.float64]]:
 
 
 def traits_part(traits: Traits) -> NDArray[np.float64]:
-    """Traits of N drivers as they are shown: shape (N, 4), inflation over its most."""
+    """Traits of N drivers as observed: shape (N, 4), inflation over its maximum."""
     shown = traits.as_array()
     shown[:, TRAIT_NAMES.index("inflation")] /= MAX_INFLATION
     return shown

@@ -1,7 +1,7 @@
 """Pictures of a team: highway-env's road and cars, the driver's attention and the HMI below.
 
-A picture is made from a :class:`Snapshot`, so that any world's teams can be drawn, one of
-thousands as well as a single one.
+A picture is made from a :class:`Snapshot`, so that teams of any world can be drawn, also one of
+thousands. The road is the merge of the team's :class:`Scene`.
 
 Pictures are drawn on surfaces in memory and leave the process as it was: highway-env's own
 viewer would start SDL's display, rename its window and show nothing under SDL's dummy driver, so
@@ -39,7 +39,7 @@ GHOST = (200, 60, 160, 45)
 
 @dataclass(frozen=True)
 class TeamStatus:
-    """What the panel under the road shows about one team."""
+    """Content of the panel under the road, about one team."""
 
     driver: str
     inflation: float
@@ -55,9 +55,9 @@ class TeamStatus:
     time: float
     crashed: bool
     strength: float = 1.0
-    """Of the alert, where there is one."""
+    """Strength of the alert, where there is one."""
     belief: tuple[tuple[str, float], ...] = ()
-    """What the HMI believes about who drives: names and their probabilities."""
+    """The HMI's belief about the driver: names and their probabilities."""
 
 
 def team_status(teaming: Teaming, team: int) -> TeamStatus:
@@ -172,7 +172,7 @@ class Viewer:
             self._window = None
 
     def asked_to_close(self, event: pygame.Event) -> bool:
-        """Is this event the window's close button, or the end of the program?"""
+        """Whether this event is the window's close button, or the end of the program."""
         return event.type == pygame.QUIT or (
             event.type == pygame.WINDOWCLOSE and event.window is self._window
         )
@@ -293,7 +293,7 @@ class Viewer:
 
 
 _windowed: weakref.WeakSet[Viewer] = weakref.WeakSet()
-"""Viewers with a window. They share one queue of events, so whoever draws serves them all."""
+"""Viewers with a window. They share one queue of events: each drawing handles it for all."""
 
 
 def _stand_in(
@@ -306,7 +306,7 @@ def _stand_in(
 
 
 def has_display() -> bool:
-    """Can a window be opened here?"""
+    """Whether a window can be opened here."""
     if os.name == "nt" or os.uname().sysname == "Darwin":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,8 +1,9 @@
-"""The eight reward terms of the paper's reward table, a named term each, over N teams."""
+"""The eight reward terms of the paper's reward table, by name, and their sums over an episode."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import reduce
 from typing import Literal, get_args
@@ -141,7 +142,7 @@ SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
 def share(
     terms: dict[str, NDArray[np.float64]], sharing: Sharing
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the driver and the vehicle AI each receive, shapes (N,).
+    """Rewards of the driver and of the vehicle AI, shapes (N,).
 
     ``team``: the sum of all eight to both. ``individual``: driving and distraction to the driver,
     alert and accept to the AI. ``driving``: the five driving terms to both. ``attention``:
@@ -152,3 +153,30 @@ def share(
         reduce(np.add, [terms[name] for name in names]) for names in SHARES[sharing]
     )
     return driver, vehicle_ai
+
+
+class EpisodeTotals:
+    """Sums over the present episode of each of N teams: return, terms, length, alerts."""
+
+    names = ("return", *TERMS, "length", "alerts")
+
+    def __init__(self, num_teams: int) -> None:
+        self._sums = np.zeros((len(self.names), num_teams))
+
+    def add(
+        self,
+        rewards: NDArray[np.float64],
+        terms: Mapping[str, NDArray[np.float64]],
+        alerted: NDArray[np.int64],
+    ) -> None:
+        """Add one step; an alert counts as one, however strong."""
+        by_term = [terms[name] for name in TERMS]
+        self._sums += np.stack([rewards, *by_term, np.ones_like(rewards), alerted > 0])
+
+    def of(self, which: NDArray[np.bool_]) -> dict[str, NDArray[np.float64]]:
+        """Sums of the M marked teams by name, shape (M,) each."""
+        return dict(zip(self.names, self._sums[:, which], strict=True))
+
+    def clear(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Start again from 0 in the marked teams, all by default."""
+        self._sums[:, slice(None) if which is None else which] = 0.0

@@ -1,4 +1,4 @@
-"""The merge scene: road, traffic, frequencies, lidar; and where everybody starts.
+"""The merge scene: road, traffic, frequencies, lidar, and the vehicles' starts.
 
 The road is highway-env's generic merge: ``lanes`` main lanes in the x direction with a ramp that
 joins them from the right. The scene of an episode is a pure function of (Scene, seed), whichever
@@ -46,17 +46,17 @@ class Scene:
     """
 
     lanes: int = 3
-    """Main lanes, 1 to 5; the ramp comes on top."""
+    """Main lanes, 1 to 5, without the ramp."""
     vehicles: int | tuple[int, int] = (1, 20)
     """Other vehicles on the main lanes, 1 to 50: a fixed number, or a range, from 0 on, that each
-    episode draws from evenly. The one on the ramp comes on top. As in highway-env, a vehicle that
+    episode draws from evenly. One more is on the ramp. As in highway-env, a vehicle that
     finds no free place in ten tries is left out."""
     before: float = 150.0
     """Road before the ramp starts to converge, at least 60."""
     converge: float = 80.0
-    """Where the ramp approaches the highway."""
+    """Length over which the ramp approaches the highway."""
     parallel: float = 80.0
-    """Where the ramp runs beside the highway and vehicles can merge."""
+    """Length over which the ramp runs along the highway and vehicles can merge."""
     after: float | None = None
     """Road after the merge, at least 90. None: as long as the episode needs."""
     policy_frequency: int = 5
@@ -66,7 +66,7 @@ class Scene:
     lidar_cells: int = 16
     """Number of lidar rays, evenly around the car."""
     lidar_range: float = 60.0
-    """How far the lidar sees."""
+    """Range of the lidar."""
     target_speeds: tuple[float, ...] = (20.0, 25.0, 30.0)
     """Speeds [m/s] that speed_up and slow_down choose from: evenly spaced, increasing, at most
     40."""
@@ -107,7 +107,7 @@ class Scene:
 
     @property
     def merge_end(self) -> float:
-        """Where the merging lane ends [m]; traffic starts anywhere before."""
+        """End of the merging lane [m]; traffic starts anywhere before."""
         return self.before + self.converge + self.parallel
 
     @property
@@ -118,7 +118,7 @@ class Scene:
         return self.merge_end + self.after
 
     def fitted(self, duration: float) -> Scene:
-        """This scene with a road on which nobody reaches the end within ``duration`` seconds.
+        """Return this scene with a road too long to reach its end within ``duration`` seconds.
 
         Raises:
             ValueError: ``after`` was given and is too short for the driver's car.
@@ -175,16 +175,16 @@ def _check_speeds(speeds: tuple[float, ...]) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Start:
-    """Where the traffic of one episode starts, one entry for each vehicle on the main lanes.
+    """Starts of the traffic of one episode, one entry for each vehicle on the main lanes.
 
     The driver's car and the vehicle on the ramp always start alike (constants of this module).
     """
 
     lane: NDArray[np.int64]
     longitudinal: NDArray[np.float64]
-    """Along the lane [m]."""
+    """Position along the lane [m]."""
     speed: NDArray[np.float64]
-    """[m/s], which is also the speed that the vehicle wants."""
+    """Speed [m/s], which is also the vehicle's target speed."""
 
 
 def draw_start(scene: Scene, seed: int) -> Start:
@@ -192,7 +192,7 @@ def draw_start(scene: Scene, seed: int) -> Start:
 
     The number of vehicles is drawn evenly from the scene's range; each tries up to ten random
     places on the main lanes up to the end of the merging lane and takes the first that is more
-    than 15 m from everybody in its lane.
+    than 15 m from every other vehicle in its lane.
 
     Draw number 0 of the scene stream gives the count; vehicle k's try j uses the draws
     1 + 3 (10 k + j) + (0: lane, 1: place, 2: speed), so any single draw can be made on its own.
@@ -205,7 +205,7 @@ def draw_start(scene: Scene, seed: int) -> Start:
 
 
 def number_of_draws(most_vehicles: int) -> int:
-    """Uniform draws that a scene with at most so many vehicles may need."""
+    """Number of uniform draws that a scene with at most so many vehicles may need."""
     return 1 + 3 * SPAWN_TRIES * most_vehicles
 
 
@@ -219,7 +219,7 @@ def place(
     longitudinal: NDArray[np.float64],
     speed: NDArray[np.float64],
 ) -> int:
-    """The rule of :func:`draw_start` on given draws, in a form that can be compiled as it stands.
+    """Apply the rule of :func:`draw_start` to given draws, in a form that can be compiled.
 
     Writes into ``lane``, ``longitudinal`` and ``speed`` (each of shape (high,)) and returns how
     many vehicles found a place.

@@ -1,19 +1,23 @@
-"""What may sit in a seat: anything that maps a batch of observations to a batch of actions."""
+"""The two seats of a team: the policies that sit in them, and turns with a partner in one."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.teaming import StepResult, Teaming
+
 
 @runtime_checkable
 class Policy(Protocol):
-    """A policy for one seat of N teams at once.
+    """A policy for one seat of N teams.
 
     In a single-team environment pass ``observation[None]`` and take element 0 of the answer.
-    A policy may remember what it saw of its teams: give each environment one of its own.
+    A policy may remember what it saw of its teams: give each environment its own object.
     """
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
@@ -32,8 +36,8 @@ class Policy(Protocol):
 def moves_sequentially(hmi: Policy) -> bool:
     """Whether a vehicle AI's policy is asked after the driver has acted, and so sees a^H_t.
 
-    A policy that has learned to act at once with the driver says otherwise by an attribute
-    ``sequential``; it is asked before, when its observation still holds a^H_{t-1}.
+    A policy that was trained with simultaneous moves has an attribute ``sequential`` that is
+    false; it is asked before the driver acts, when its observation still holds a^H_{t-1}.
     """
     return bool(getattr(hmi, "sequential", True))
 
@@ -43,3 +47,44 @@ def check_policy(policy: object) -> Policy:
     if isinstance(policy, type) or not isinstance(policy, Policy):
         raise TypeError(f"a partner is a Policy object with reset() and act(), not {policy!r}")
     return policy
+
+
+class PartnerTurns:
+    """Turns of N teams in which a partner acts in the other seat.
+
+    A partner who drives has always acted before the vehicle AI observes (:meth:`prepare`).
+
+    Args:
+        teaming: the teams.
+        seat: the seat whose actions :meth:`step` takes, "driver" or "vehicle_ai".
+        partner: the policy in the other seat.
+        check: returns the partner's actions, or raises if they are not valid.
+    """
+
+    def __init__(
+        self,
+        teaming: Teaming,
+        seat: str,
+        partner: Policy,
+        check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda actions: actions,
+    ) -> None:
+        self._teaming, self._seat, self._partner, self._check = teaming, seat, partner, check
+
+    def prepare(self) -> None:
+        """Let a partner who drives act, if it has not acted in this turn."""
+        if self._seat == VEHICLE_AI and not self._teaming.intent_given.all():
+            self._teaming.intend(self._act(self._teaming.observe(DRIVER)))
+
+    def step(self, actions: NDArray[np.int64] | list[int]) -> StepResult:
+        """Take one step of every team from this seat's actions, shape (N,).
+
+        Where the partner fails, no team has moved, and the step can be taken again.
+        """
+        if self._seat == DRIVER:
+            sequential = moves_sequentially(self._partner)
+            return self._teaming.turn(actions, self._act, sequential)
+        self.prepare()  # again, if the partner failed when it was asked first
+        return self._teaming.step(actions)
+
+    def _act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        return self._check(self._partner.act(observations))

@@ -1,4 +1,4 @@
-"""One team as the single-episode interfaces need it: seeds in series, checked actions, pictures."""
+"""One team for the single-episode interfaces: series of seeds, checked actions, pictures, info."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from hmi_marl.envs.alerts import FULL
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
-from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 
 if TYPE_CHECKING:
     from hmi_marl.envs.render import Viewer
@@ -21,9 +23,9 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class SingleTeam:
-    """A :class:`Teaming` of one, under PettingZoo's and Gymnasium's habits."""
+    """A :class:`Teaming` of one team, with the conventions of PettingZoo and Gymnasium."""
 
-    def __init__(self, config: TeamConfig, world: str, render_mode: str | None) -> None:
+    def __init__(self, config: TeamConfig, world: str | World, render_mode: str | None) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"render_mode is None or one of {RENDER_MODES}, not {render_mode!r}")
         self.teaming = Teaming(config, 1, world)
@@ -31,16 +33,16 @@ class SingleTeam:
             DRIVER: spaces.Discrete(len(VEHICLE_ACTIONS)),
             VEHICLE_AI: spaces.Discrete(config.alerts.choices),
         }
-        """By agent; the same objects at each look."""
+        """Action space of each agent; always the same objects."""
         self.result: StepResult | None = None
-        """Of the last step, None before the first."""
+        """Result of the last step, None before the first."""
         self._render_mode = render_mode
         self._viewer: Viewer | None = None
         self._seed: int | None = None
         self._episode = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copies and pickles: all but the viewer, since a window cannot be copied."""
+        """Return all but the viewer, since a window cannot be copied."""
         return self.__dict__ | {"_viewer": None}
 
     @property
@@ -52,8 +54,8 @@ class SingleTeam:
         """Begin the episode of ``seed``, or without one the next episode of the series.
 
         Args:
-            seed: of a series, whose first episode begins.
-            of_episode: the seed is that of an episode itself, as :attr:`seed` says it.
+            seed: of a new series; its first episode begins.
+            of_episode: the seed is an episode's own, as :attr:`seed` gives it.
         """
         if seed is not None:
             self._seed, self._episode = check_seed(seed), 0
@@ -71,15 +73,6 @@ class SingleTeam:
     def check(self, agent: str, action: Any) -> int:
         """Return the agent's action as an int, or raise; see :func:`action_index`."""
         return action_index(action, self.action_spaces[agent], agent)
-
-    def intend(self, action: Any) -> None:
-        """a^H, checked."""
-        self.teaming.intend([self.check(DRIVER, action)])
-
-    def alert(self, action: Any) -> StepResult:
-        """a^A, checked; takes the step."""
-        self.result = self.teaming.step([self.check(VEHICLE_AI, action)])
-        return self.result
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3) in mode "rgb_array"; None after drawing in the window."""
@@ -116,14 +109,47 @@ class SingleTeam:
             self._viewer = None
 
 
+def team_info(teaming: Teaming, result: StepResult | None, team: int = 0) -> dict[str, Any]:
+    """Numbers about one team after a step, for ``info``: the truth, for evaluation and pictures.
+
+    ``distracted`` (d), ``accepted`` (i), ``counter`` (c), ``applied_action`` (v, -1 before the
+    first step), ``crashed``, ``speed`` [m/s], ``time_headway`` [s] to the next object ahead in the
+    lane (inf if nothing is), ``beta``, ``alpha``, ``eta``, ``inflation``, and one entry per
+    reward term, 0 before the first step. With alerts of other strengths than 1 also ``strength``,
+    that of the alert in effect, 0 if none is; with fatigue also ``fatigue``, its level.
+    """
+    attention, ego, traits = teaming.attention, teaming.ego, teaming.traits
+    alerts = teaming.alerts
+    more: dict[str, float] = {}
+    if alerts.strengths != FULL:
+        more["strength"] = float(alerts.strength(attention.accepted[team]))
+    if alerts.fatigue is not None:
+        more["fatigue"] = int(attention.fatigue[team])
+    return {
+        "distracted": bool(attention.distracted[team]),
+        "accepted": bool(attention.accepted[team]),
+        "counter": int(attention.counter[team]),
+        "applied_action": int(teaming.applied[team]),
+        "crashed": bool(ego.crashed[team]),
+        "speed": float(ego.speed[team]),
+        "time_headway": float(teaming.time_headway()[team]),
+        "beta": float(traits.beta[team]),
+        "alpha": float(traits.alpha[team]),
+        "eta": float(traits.eta[team]),
+        "inflation": float(traits.inflation[team]),
+        **more,
+        **{name: float(result.terms[name][team]) if result else 0.0 for name in TERMS},
+    }
+
+
 def action_index(action: Any, space: spaces.Discrete, agent: str) -> int:
     """Return an action as an int, or raise.
 
     Args:
         action: what ``space`` contains (an int, ``True``, a NumPy integer, a zero-dimensional
-            array of one), or a zero-dimensional tensor whose ``item()`` it contains.
+            array of one), or a zero-dimensional tensor with such an ``item()``.
         space: of the agent's actions.
-        agent: whose action it is, for the message.
+        agent: for the message.
 
     Raises:
         ValueError: the space does not contain it.
@@ -142,7 +168,7 @@ def action_index(action: Any, space: spaces.Discrete, agent: str) -> int:
 
 
 def as_scalar(action: Any) -> Any:
-    """A bool, a zero-dimensional array or tensor as a number; others as they are."""
+    """Return a bool, a zero-dimensional array or tensor as a number, anything else unchanged."""
     if isinstance(action, np.ndarray) and action.shape == ():
         return action[()]
     if not isinstance(action, np.generic) and getattr(action, "shape", None) == ():

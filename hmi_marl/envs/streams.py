@@ -4,7 +4,7 @@ A draw is a pure function of (seed, stream, counter), so it does not matter how 
 share a batch, in which order or on which thread they run, or which world carries them. The
 mixing function is SplitMix64's finaliser (Steele, Lea & Flood 2014), chained over the three
 words. It needs only 64-bit integer arithmetic, works element by element on NumPy arrays of any
-shape, and can be compiled as it stands.
+shape, and can be compiled.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Stream(IntEnum):
     TRAINING = 7
     """Series of training episodes, one for each iteration."""
     LEARNING = 8
-    """What a learner draws: initial weights, explored actions, mini-batches."""
+    """Draws of a learner: initial weights, explored actions, mini-batches."""
 
 
 def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:

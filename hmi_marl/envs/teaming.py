@@ -1,14 +1,16 @@
-"""The one place where a step of a team is put together, for N teams over any world.
+"""Steps of N teams over any world: the order of moves, the human model, the rewards.
 
-Taking turns, a step is: :meth:`Teaming.observe` the driver's seat, :meth:`Teaming.intend` a^H,
-observe the vehicle AI's seat (which now holds a^H_t), :meth:`Teaming.step` with a^A. At once,
-both seats are observed before ``intend``, so that the AI's seat still holds a^H_{t-1}.
+:meth:`Teaming.turn` is a whole step. With sequential moves the driver acts first
+(:meth:`Teaming.intend`), so that the vehicle AI's observation holds a^H_t when it acts
+(:meth:`Teaming.step`). With simultaneous moves the vehicle AI is asked first, and its observation
+still holds a^H_{t-1}.
 
-Every team has a turn of its own: resetting some teams in mid-turn leaves the others there.
+Each team has its own turn: resetting some teams in mid-turn leaves the others in theirs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,18 +26,21 @@ from hmi_marl.envs.rewards import attention_terms, driving_terms, share
 from hmi_marl.envs.streams import Stream, uniform
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
 
+Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
+"""Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
+
 NO_ACTION = -1
 _LANE_CHANGES = (VEHICLE_ACTIONS.index("move_left"), VEHICLE_ACTIONS.index("move_right"))
 
 
 @dataclass(frozen=True)
 class StepResult:
-    """What one step gave each of N teams. Every array has shape (N,)."""
+    """Rewards and ends of one step of N teams. Every array has shape (N,)."""
 
     rewards: dict[str, NDArray[np.float64]]
-    """By agent."""
+    """Reward of each agent."""
     terms: dict[str, NDArray[np.float64]]
-    """By reward term."""
+    """Value of each reward term."""
     terminated: NDArray[np.bool_]
     """The episode ended by a crash."""
     truncated: NDArray[np.bool_]
@@ -43,14 +48,14 @@ class StepResult:
 
 
 class Teaming:
-    """N teams of driver and vehicle AI, step by step.
+    """N teams of driver and vehicle AI.
 
-    What happens to team k depends on seed k and team k's actions alone.
+    Team k's episode depends on seed k and team k's actions alone.
 
     Args:
-        config: how every team is set up.
+        config: settings of every team.
         num_teams: N.
-        world: a world's name, or a World of N scenes ``config.scene``.
+        world: a world's name, or a World with N copies of ``config.scene``.
 
     Raises:
         ValueError, TypeError: fewer than one team, or a world that does not fit.
@@ -61,7 +66,7 @@ class Teaming:
             raise ValueError(f"there is at least one team, but got num_teams = {num_teams}")
         self.config = config
         self.alerts = config.alerts
-        """What a^A means."""
+        """Meaning of a^A."""
         self.num_teams = num_teams
         self.world = _fitting(world, config, num_teams)
         self.layouts = {
@@ -69,21 +74,21 @@ class Teaming:
             VEHICLE_AI: obs.vehicle_ai_layout(config),
         }
         self.state_layout = obs.state_layout(config)
-        nobody = np.zeros(num_teams, np.int64)
+        zeros = np.zeros(num_teams, np.int64)
         self.seeds = np.zeros(num_teams, np.uint64)
         self.traits = Traits.from_array(np.zeros((num_teams, len(TRAIT_NAMES))))
         self.attention = Attention.initial(num_teams)
-        self.steps = nobody.copy()
+        self.steps = zeros.copy()
         """Steps taken in each team's episode."""
-        self.intended = nobody + NO_ACTION
+        self.intended = zeros + NO_ACTION
         """The latest a^H of each team, -1 before the first."""
-        self.previous_intended = nobody + NO_ACTION
-        self.applied = nobody + NO_ACTION
+        self.previous_intended = zeros + NO_ACTION
+        self.applied = zeros + NO_ACTION
         """The latest v."""
-        self.alerted = nobody.copy()
+        self.alerted = zeros.copy()
         """The latest a^A, 0 to k."""
         self.over = np.ones(num_teams, np.bool_)
-        """Teams whose episode has ended, or has not begun."""
+        """Teams without a running episode: ended, or not begun."""
         self.ego: Ego = self.world.ego()
         self.intent_given = np.zeros(num_teams, np.bool_)
         """Teams in mid-turn: the driver has acted, the vehicle AI has not."""
@@ -116,15 +121,15 @@ class Teaming:
         self.ego = self.world.ego()
 
     def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
-        """Other drivers take the wheel in mid-trip, attentive; car, time and v stay as they are.
+        """Change drivers in mid-episode. The new ones are attentive; car, time and v stay.
 
         Args:
-            traits: of N drivers; those of unmarked teams are not taken.
-            which: the teams in which they do, shape (N,), bool; all by default.
+            traits: of N drivers; those of unmarked teams are not used.
+            which: the teams that change drivers, shape (N,), bool; all by default.
 
         Raises:
             ValueError, TypeError: impossible traits, a mask that does not fit, or a turn that has
-                begun: somebody else would carry out its intent. Nothing has changed then.
+                begun: another driver would carry out its intent. Nothing has changed then.
         """
         fresh = self._mask(which)
         if (fresh & self.intent_given).any():
@@ -134,12 +139,40 @@ class Teaming:
         self.attention = Attention.initial(self.num_teams).where(fresh, self.attention)
         self.world.perceive(self.traits.inflation, fresh)
 
-    def intend(self, driver_actions: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
-        """The drivers' a^H_t, shape (N,), integers 0 to 4.
+    def turn(self, driver: Actor, hmi: Actor, sequential: bool = True) -> StepResult:
+        """Take one step of every team, each seat in its turn.
 
         Args:
-            driver_actions: those of ended and of unmarked teams are not read.
-            which: the teams whose drivers act now, shape (N,), bool; all by default.
+            driver: a^H_t, or a function from the driver's observations to them.
+            hmi: a^A_t, or a function from the vehicle AI's observations to them.
+            sequential: whether the vehicle AI is asked after the driver and so sees a^H_t. If
+                not, it is asked first and sees a^H_{t-1}.
+
+        Raises:
+            ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
+                function raises leaves every team as it was before the turn.
+        """
+        if not sequential:
+            alerts = self._ask(VEHICLE_AI, hmi)
+            self.intend(self._ask(DRIVER, driver))
+            return self.step(alerts)
+        self.intend(self._ask(DRIVER, driver))
+        try:
+            alerts = self._ask(VEHICLE_AI, hmi)
+        except Exception:
+            self.withdraw()
+            raise
+        return self.step(alerts)
+
+    def _ask(self, agent: str, actor: Actor) -> ArrayLike:
+        return actor(self.observe(agent)) if callable(actor) else actor
+
+    def intend(self, driver_actions: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
+        """Set the drivers' a^H_t, shape (N,), integers 0 to 4.
+
+        Args:
+            driver_actions: a^H_t; those of ended and of unmarked teams are not read.
+            which: the teams in which the driver acts now, shape (N,), bool; all by default.
 
         Raises:
             ValueError: an action out of range, or a second intent in the same step.
@@ -158,11 +191,13 @@ class Teaming:
         self.intent_given = np.zeros(self.num_teams, np.bool_)
 
     def step(self, alerts: ArrayLike) -> StepResult:
-        """The HMIs' a^A_t, shape (N,), integers: attention, then the world, then rewards.
-
-        Of the paper's alerts they are 0 or 1; of k strengths 0 to k.
+        """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
 
         Ended teams stay as they are and get zeros.
+
+        Args:
+            alerts: a^A_t, shape (N,), integers: 0 or 1 with the paper's alerts, 0 to k with k
+                strengths.
 
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
@@ -220,20 +255,20 @@ class Teaming:
         )
 
     def observe(self, agent: str) -> NDArray[np.float32]:
-        """What the seat sees now, shape (N, layout's size); see :mod:`observations`."""
+        """Return the agent's observations, shape (N, layout's size); see :mod:`observations`."""
         parts = self._common_parts()
         parts["lidar"] = self._lidar(inflated=agent == DRIVER)
         return self.layouts[agent].join(parts)
 
     def state(self) -> NDArray[np.float32]:
-        """The whole team's state, shape (N, state_layout.size), for centralised critics."""
+        """Return the whole team's state, shape (N, state_layout.size), for centralised critics."""
         parts = self._common_parts()
         parts["lidar"] = self._lidar(inflated=False)
         parts["perceived_lidar"] = self._lidar(inflated=True)
         return self.state_layout.join(parts)
 
     def time_headway(self) -> NDArray[np.float64]:
-        """Seconds to whatever is ahead in the lane, shape (N,); inf if nothing is, or standing."""
+        """Time to the next object ahead in the lane [s], shape (N,); inf if none, or at 0 m/s."""
         moving = self.ego.speed > 0
         speed = np.where(moving, self.ego.speed, 1.0)
         return np.where(moving, np.maximum(self.ego.gap, 0.0) / speed, np.inf)

@@ -7,15 +7,15 @@ seat                    actions                        turns
                                                        this a^H
 ``"vehicle_ai"``        (N, 1): a^A, 0 or 1 (or to k)  the partner has always driven before the
                                                        observation, which therefore holds a^H_t
-``"team"``              (N, 2): a^H and a^A            both at once: the AI sees a^H_{t-1}
+``"team"``              (N, 2): a^H and a^A            simultaneous: the AI sees a^H_{t-1}
 ======================  =============================  =========================================
 
-Observations are a TensorDict of float32 groups, whichever seat learns: ``driver`` and
+Observations are a TensorDict of float32 groups, the same for every seat: ``driver`` and
 ``vehicle_ai`` (what these seats see), ``traits`` (N, 4) (β, α, η and inflation as they are) and
 ``critic`` (the team's whole state). :attr:`TeamVecEnv.layouts` names their columns.
 
-Teams whose episode ends begin the next one inside ``step``. A step in which that happened says so
-in ``extras``: ``final_observation``, ``final_teams`` and ``log`` (see :meth:`TeamVecEnv.step`).
+A team begins its next episode inside the ``step`` that ends one. ``extras`` of such a step hold
+``final_observation``, ``final_teams`` and ``log`` (see :meth:`TeamVecEnv.step`).
 
 Team k plays the series of seed ``seed + k``: its e-th episode has seed
 ``episode_seed(seed + k, e)``, so nothing of it depends on the number of teams.
@@ -37,10 +37,10 @@ from tensordict import TensorDict
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.envs.seats import Policy, check_policy, moves_sequentially
+from hmi_marl.envs.rewards import EpisodeTotals
+from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
 from hmi_marl.envs.streams import check_seed, episode_seed
 from hmi_marl.envs.teaming import StepResult, Teaming
-from hmi_marl.envs.totals import Totals
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
@@ -56,14 +56,14 @@ _TRAITS = Layout(
 
 
 class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
-    """N teams, one seat or both of them to be learned.
+    """N teams with one seat or both to be learned.
 
     Args:
         teaming: the N teams, in any world. Belongs to this environment from now on.
-        seat: who acts: "driver", "vehicle_ai" or "team" (both at once).
+        seat: "driver", "vehicle_ai" or "team" (both).
         partner: the policy in the other seat; None exactly for seat "team".
         seed: team k plays the series of episodes of ``seed + k``.
-        device: where tensors are handed out. The teams themselves run on the CPU.
+        device: of the returned tensors. The teams themselves run on the CPU.
 
     Raises:
         ValueError, TypeError: a seat, partner or seed that does not fit, saying what does.
@@ -85,11 +85,11 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self.num_envs = teaming.num_teams
         """N, the number of teams."""
         self.agents = (DRIVER, VEHICLE_AI) if seat == TEAM else (seat,)
-        """Whose actions the columns of ``step``'s argument are."""
+        """Agents of the columns of ``step``'s argument."""
         sizes = {DRIVER: len(VEHICLE_ACTIONS), VEHICLE_AI: teaming.alerts.choices}
         self.action_sizes = tuple(sizes[agent] for agent in self.agents)
-        """How many values each column of actions takes: (5,), (2,) or (5, 2); k + 1 in place of 2
-        with k strengths of alert."""
+        """Number of values of each column of actions: (5,), (2,) or (5, 2); with k strengths of
+        alert k + 1 in place of 2."""
         self.num_actions = len(self.agents)
         """Columns of actions, 1 or 2."""
         self.max_episode_length = teaming.config.horizon
@@ -99,7 +99,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             "traits": _TRAITS,
             "critic": teaming.state_layout,
         }
-        """Which columns of each group of observations mean what."""
+        """Named columns of each group of observations."""
         self.cfg: dict[str, Any] = {
             "environment": "hmi_marl.TeamVecEnv",
             "seat": seat,
@@ -109,12 +109,13 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             "seed": check_seed(seed),
             "team": json_value(teaming.config),
         }
-        """What is being run, fit for JSON; rsl_rl keeps it with the run."""
+        """Description of the environment, fit for JSON; rsl_rl keeps it with the run."""
         self._columns = {
             agent: torch.from_numpy(_columns_in_state(teaming, agent)).to(self.device)
             for agent in (DRIVER, VEHICLE_AI)
         }
-        self._totals = Totals(self.num_envs)
+        self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
+        self._totals = EpisodeTotals(self.num_envs)
         self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
@@ -170,16 +171,16 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         return self.get_observations(), {}
 
     def get_observations(self) -> TensorDict:
-        """What everybody sees now, groups of shape (N, their layout's size).
+        """Return the present observations, groups of shape (N, their layout's size).
 
-        Steps that follow leave it as it is.
+        Later steps do not change them.
         """
         return self._groups(self._state, self.teaming.traits.as_array())
 
     def step(
         self, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """One step of every team; those whose episode ends begin the next.
+        """Take one step of every team; teams at the end of their episode begin the next.
 
         Args:
             actions: indices of shape (N, num_actions), any integer type, or floats that hold
@@ -207,9 +208,12 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         columns = self._checked(actions)
         self._untouched = False
-        result = self.teaming.step(self._act(columns))
+        if self._turns is None:
+            result = self.teaming.turn(columns[:, 0], columns[:, 1])
+        else:
+            result = self._turns.step(columns[:, 0])
         rewards = self._rewards(result)
-        self._totals.add(result, rewards, self.teaming.alerted)
+        self._totals.add(rewards, result.terms, self.teaming.alerted)
         ended = result.terminated | result.truncated
         extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
         if self.seat == TEAM:
@@ -218,7 +222,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
                 for agent, values in result.rewards.items()
             }
         if ended.any():
-            extras |= self._farewell(ended)
+            extras |= self._final_extras(ended)
             self._episodes += ended
             self._begin(ended)
         else:
@@ -231,7 +235,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         )
 
     def picture(self, team: int = 0) -> NDArray[np.uint8]:
-        """How one of the teams stands, as the viewer draws it: (height, width, 3)."""
+        """Picture of one of the teams, shape (height, width, 3)."""
         if not 0 <= team < self.num_envs:
             raise ValueError(f"team lies in 0 to {self.num_envs - 1}, but got {team}")
         from hmi_marl.envs.render import Viewer, team_status  # pulls in pygame
@@ -241,7 +245,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         return self._viewer.draw(self.teaming.world.snapshot(team), team_status(self.teaming, team))
 
     def close(self) -> None:
-        """Let go of what pictures were drawn with."""
+        """Close the viewer that pictures were drawn with."""
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
@@ -261,31 +265,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._observe()
 
     def _observe(self) -> None:
-        """Come to the point at which the seat acts; a partner who drives has acted by then."""
-        if self.seat == VEHICLE_AI:
-            self.teaming.intend(self._partner_actions(DRIVER))
+        """Let a partner who drives act, and read the state that the seat acts on."""
+        if self._turns is not None:
+            self._turns.prepare()
         self._state = self.teaming.state()
-
-    def _act(self, columns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Let the drivers act if they have not; what alerts there are, shape (N,)."""
-        if self.seat == VEHICLE_AI:
-            return columns[:, 0]
-        if self.partner is not None and not moves_sequentially(self.partner):
-            alerts = self._partner_actions(VEHICLE_AI)
-            self.teaming.intend(columns[:, 0])
-            return alerts
-        self.teaming.intend(columns[:, 0])
-        if self.seat == TEAM:
-            return columns[:, 1]
-        try:
-            return self._partner_actions(VEHICLE_AI)
-        except Exception:
-            self.teaming.withdraw()
-            raise
-
-    def _partner_actions(self, agent: str) -> NDArray[np.int64]:
-        assert self.partner is not None
-        return self.partner.act(self.teaming.observe(agent))
 
     def _rewards(self, result: StepResult) -> NDArray[np.float64]:
         if self.seat != TEAM:
@@ -293,17 +276,18 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         driver, vehicle_ai = result.rewards[DRIVER], result.rewards[VEHICLE_AI]
         return driver + vehicle_ai if self.teaming.config.reward == "individual" else driver
 
-    def _farewell(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """What there is to say about the episodes that ended, before the next ones begin."""
+    def _final_extras(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+        """``extras`` about the episodes that ended, before the next ones begin."""
         last = self._groups(self.teaming.state()[ended], self.teaming.traits.as_array()[ended])
+        totals = self._totals.of(ended) | {"crash_rate": self.teaming.ego.crashed[ended]}
         return {
             "final_teams": self._tensor(np.flatnonzero(ended)),
             "final_observation": last,
-            "log": self._totals.of(ended) | {"Episode/crash_rate": self._crashes(ended)},
+            "log": {
+                f"Episode/{name}": torch.from_numpy(values.astype(np.float32))
+                for name, values in totals.items()
+            },
         }
-
-    def _crashes(self, ended: NDArray[np.bool_]) -> torch.Tensor:
-        return torch.from_numpy(self.teaming.ego.crashed[ended].astype(np.float32))
 
     def _groups(self, state: NDArray[np.float32], traits: NDArray[np.float64]) -> TensorDict:
         """The groups of M teams, from their states, shape (M, D), and traits, shape (M, 4)."""
@@ -358,7 +342,7 @@ def _check_seat(seat: str, partner: Policy | None) -> None:
 
 
 def _columns_in_state(teaming: Teaming, agent: str) -> NDArray[np.int64]:
-    """Where the agent's observation lies in the team's state, column by column.
+    """Columns of the team's state that hold the agent's observation.
 
     The state holds everything that either seat sees, in the same units, the driver's lidar by the
     name of ``perceived_lidar``; so one state gives all groups at once.

@@ -2,18 +2,17 @@
 
 ``gymnasium.make("hmi_marl/MergeDriver-v0", partner="never")`` is the driver's seat, with an HMI
 as part of the world; ``gymnasium.make("hmi_marl/MergeHMI-v0", partner="rule")`` is the vehicle
-AI's seat, with a driver inside. Both take turns, so that the HMI sees what the driver is about to
-do, and take every keyword of :mod:`hmi_marl.envs.merge_v0`.
+AI's seat, with a driver inside. Moves are sequential, so that the HMI sees what the driver is about
+to do. Both take every keyword of :mod:`hmi_marl.envs.merge_v0`.
 
 The classes here take the partner as a :class:`hmi_marl.envs.seats.Policy`;
 :mod:`hmi_marl.agents.partners`, which ``gymnasium.make`` goes through, also takes a known
-policy's name or a plain function from one observation to an action. A policy remembers what it
-saw, so one object must not be the partner in several environments: make one for each.
+policy's name or a plain function from one observation to an action. A policy may remember
+what it saw: give each environment its own object.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import Any
 
 import gymnasium
@@ -22,14 +21,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.info import team_info
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.seats import Policy, check_policy, moves_sequentially
-from hmi_marl.envs.single import RENDER_MODES, SingleTeam
+from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
+from hmi_marl.envs.single import RENDER_MODES, SingleTeam, team_info
+from hmi_marl.envs.worlds import World
 
 
 class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
-    """What both seats share."""
+    """The common part of both seats."""
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's)
     seat: str
@@ -39,12 +38,13 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         self,
         partner: Policy,
         config: TeamConfig,
-        world: str = "highway",
+        world: str | World = "highway",
         render_mode: str | None = None,
     ) -> None:
         self.partner = check_policy(partner)
         self.config = config
         self.team = SingleTeam(config, world, render_mode)
+        self._turns = PartnerTurns(self.team.teaming, self.seat, self.partner, self._checked)
         self.render_mode = render_mode
         self.metadata = self.metadata | {"render_fps": config.scene.policy_frequency}
         self.observation_space: spaces.Box = self.layout.space()  # type: ignore[assignment]
@@ -52,7 +52,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     @property
     def layout(self) -> Layout:
-        """Which columns of the observation mean what."""
+        """Named columns of the observation."""
         return self.team.teaming.layouts[self.seat]
 
     def reset(
@@ -62,35 +62,28 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
         super().reset(seed=seed)
         self._begin(seed)
         self.partner.reset(self.team.teaming.seeds)
-        self._before_observing()
+        self._turns.prepare()
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One step of the team from this seat's action; the reward is this seat's."""
+        """Take one step of the team from this seat's action; the reward is this seat's."""
         if self.team.teaming.over.all():
             raise RuntimeError("the episode is over: call reset() before stepping again")
-        self._act(action)
-        result = self.team.result
-        assert result is not None
+        action = self.team.check(self.seat, action)  # before the partner is asked
+        self.team.result = result = self._turns.step([action])
         self.team.show()
         terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
         if not (terminated or truncated):
-            self._before_observing()
+            self._turns.prepare()
         reward = float(result.rewards[self.seat][0])
         return self._observation(), reward, terminated, truncated, self._info()
 
     def _begin(self, seed: int | None) -> None:
         self.team.reset(seed)
 
-    @abstractmethod
-    def _act(self, action: Any) -> None:
-        """Take the step, with the partner's action where it is due."""
-
-    def _before_observing(self) -> None:
-        """Let a partner act who comes before this seat in a turn."""
-
-    def _partner_action(self) -> int:
-        answer = np.asarray(self.partner.act(self.team.teaming.observe(self.other_seat)))
+    def _checked(self, actions: Any) -> NDArray[np.int64]:
+        """The partner's actions, shape (1,), or an error that says what is wrong."""
+        answer = np.asarray(actions)
         count = int(self.team.action_spaces[self.other_seat].n)
         if (
             answer.shape != (1,)
@@ -101,7 +94,7 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
                 f"the partner in the seat of {self.other_seat} answers with an integer, 0 to "
                 f"{count - 1}, for each team, but this one gave {answer!r}"
             )
-        return int(answer[0])
+        return answer
 
     def _observation(self) -> NDArray[np.float32]:
         return self.team.teaming.observe(self.seat)[0]
@@ -119,32 +112,12 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 
 
 class MergeDriver(_OneSeat):
-    """The driver's seat; the HMI is given."""
+    """The driver's seat; the HMI is part of the environment."""
 
     seat, other_seat = DRIVER, VEHICLE_AI
 
-    def _act(self, action: Any) -> None:
-        action = self.team.check(self.seat, action)  # before a partner is asked
-        at_once = None if moves_sequentially(self.partner) else self._partner_action()
-        self.team.intend(action)
-        try:
-            alert = self._partner_action() if at_once is None else at_once
-        except Exception:
-            self.team.teaming.withdraw()  # so that the step can be taken again
-            raise
-        self.team.alert(alert)
-
 
 class MergeHMI(_OneSeat):
-    """The vehicle AI's seat; the driver is given, and has always acted before the AI observes."""
+    """The vehicle AI's seat; the driver is part of the environment and acts before the AI sees."""
 
     seat, other_seat = VEHICLE_AI, DRIVER
-
-    def _act(self, action: Any) -> None:
-        action = self.team.check(self.seat, action)  # before a partner is asked
-        if not self.team.teaming.intent_given.all():
-            self._before_observing()  # the partner failed when it was asked first
-        self.team.alert(action)
-
-    def _before_observing(self) -> None:
-        self.team.intend(self._partner_action())

@@ -1,7 +1,7 @@
-r"""Who drives, and whether they are distracted: the exact Bayes filter, step by step.
+r"""The exact Bayes filter of the driver and of d, step by step.
 
-Observed are the applied actions v_t and the alerts a^A_t. i and c follow from the alerts, so that d
-is all that is hidden. If candidate k drives, with policy π_k on what k perceives, o^k_t, a window
+Observed are the applied actions v_t and the alerts a^A_t. i and c follow from the alerts, so that
+only d is hidden. If candidate k drives, with policy π_k on what k perceives, o^k_t, a window
 (one episode) is a hidden Markov chain from d_{-1} = 0 in which
 
 .. math::
@@ -16,9 +16,9 @@ prediction b' and the evidence of one step are
 
 and the log evidence of k is the sum of its logarithms, over all windows of one driver.
 
-It is assumed that alerts tell nothing of what is hidden: a^A_t depends on v_{<t}, s_t and chance.
-That holds for alerts at random, and not for an HMI that saw d_{t-1} or a^H_t: when such an HMI
-alerts is itself evidence, which is not counted here.
+It is assumed that alerts do not depend on what is hidden: a^A_t depends on v_{<t}, s_t and chance.
+That holds for random alerts, and not for an HMI that saw d_{t-1} or a^H_t: its alerts are evidence
+too, which is not counted here.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _ROUNDING = 1e-6
 
 
 class BayesFilter:
-    """The evidence for each of K candidates about who drives each of N teams.
+    """Evidence for each of K candidates as the driver of each of N teams.
 
     Args:
         drivers: the K candidates.
@@ -45,7 +45,7 @@ class BayesFilter:
         count: N.
 
     Raises:
-        ValueError, TypeError: no candidates, fewer than one team, or what is no driver or window.
+        ValueError, TypeError: no candidates, fewer than one team, or an invalid driver or window.
     """
 
     def __init__(self, drivers: Sequence[str | Driver], window: int, count: int) -> None:
@@ -55,9 +55,9 @@ class BayesFilter:
         self.window = check_window(window)
         self.log_evidence = np.zeros((count, len(self.drivers)))
         """log p_k of all v seen so far, in this window and before; shape (N, K), -inf where k
-        cannot be."""
+        is impossible."""
         self.distracted = np.zeros((count, len(self.drivers)))
-        """p_k(d_t = 1 | v up to now): if k drives. Shape (N, K)."""
+        """p_k(d_t = 1 | v up to now), if k drives; shape (N, K)."""
         self._attentive = np.ones((count, len(self.drivers)))  # 1 - distracted, to its last digits
         self._traits = Traits.of(self.drivers)
         self.accepted, self.counter = np.zeros((2, count), np.int64)
@@ -65,10 +65,10 @@ class BayesFilter:
         self._applied = np.full(count, NO_ACTION)
 
     def begin(self, which: NDArray[np.bool_] | None = None) -> None:
-        """The same drivers begin a new window: d, i, c and v begin anew, the evidence stays.
+        """Begin a new window of the same drivers: d, i, c and v begin anew, the evidence stays.
 
         Args:
-            which: the teams in which they do, bool, shape (N,); all by default.
+            which: the teams that begin one, bool, shape (N,); all by default.
 
         Raises:
             ValueError: a mask of another shape or type.
@@ -87,20 +87,20 @@ class BayesFilter:
         alerts: ArrayLike,
         active: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float64]:
-        """Take one step into account.
+        """Update with one step.
 
-        A candidate for whom the step is impossible is believed to be as distracted as the step
-        itself says, so that a filter of the wrong driver still sees what is plain.
+        If the step is impossible for a candidate, d follows from the step alone: 1 where v was
+        kept, else 0. So the filter of a wrong driver still follows d.
 
         Args:
             intent_probabilities: π_k(a^H_t | o^k_t), shape (K, N, 5).
             applied: v_t, integers 0 to 4, shape (N,).
             alerts: a^A_t, integers 0 or 1, shape (N,).
-            active: the teams that took a step, bool, shape (N,); all by default. Of the others
-                nothing is read, and they stay as they are.
+            active: the teams that took a step, bool, shape (N,); all by default. The others are
+                not read and stay as they are.
 
         Returns:
-            log p_k(v_t | v_{<t}), what the step adds to ``log_evidence``; shape (N, K), 0 for teams
+            log p_k(v_t | v_{<t}), the step's part of ``log_evidence``; shape (N, K), 0 for teams
             that took none.
 
         Raises:
@@ -139,7 +139,7 @@ class BayesFilter:
         return np.where(acts[:, None], gain, 0.0)
 
     def posterior(self, prior: ArrayLike | None = None) -> NDArray[np.float64]:
-        """p(k | all that was seen), shape (N, K); see :func:`posterior`."""
+        """p(k | all v seen so far), shape (N, K); see :func:`posterior`."""
         return posterior(self.log_evidence, prior)
 
     def _predict(
@@ -166,19 +166,19 @@ class BayesFilter:
 def posterior(
     log_evidence: NDArray[np.float64], prior: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """p(k | data) of K candidates, by Bayes' rule: prior times evidence, shared out.
+    """p(k | data) of K candidates, by Bayes' rule: prior times evidence, normalised.
 
     Args:
         log_evidence: log p(data | k), shape (N, K), -inf where k is impossible.
-        prior: how frequent the candidates are, up to a factor, shape (K,) or (N, K); all equally
-            by default.
+        prior: frequencies of the candidates, up to a factor, shape (K,) or (N, K); equal by
+            default.
 
     Returns:
         Shape (N, K); the rows sum to 1.
 
     Raises:
         ValueError: numbers that are no prior, or a row in which every candidate of the prior is
-            impossible: no share would be right, and the data or the policy are not what was said.
+            impossible: then the data or the policy are other ones than assumed.
     """
     shape = log_evidence.shape
     weights = np.ones(shape[1]) if prior is None else np.asarray(prior, np.float64)
@@ -199,7 +199,7 @@ def posterior(
 
 
 def check_candidates(drivers: Sequence[str | Driver]) -> tuple[Driver, ...]:
-    """Return the candidates, or raise if there are none or they are no drivers."""
+    """Return the candidates, or raise if there are none or one is no driver."""
     if isinstance(drivers, (str, Driver)):
         raise TypeError(f"candidates are a list of drivers, not {drivers!r}")
     if not len(drivers):

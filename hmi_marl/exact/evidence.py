@@ -1,18 +1,18 @@
-r"""What each step of a trip tells about who drives, as the vehicle AI sees it.
+r"""Evidence of each step of a trip about the driver, from the vehicle AI's observations.
 
-A :class:`Evidence` reads the vehicle AI's observations, taking turns, and tells for each of K
-candidates the log likelihood of what is new. Two of them: :class:`ChainEvidence`, exact, and the
-learned one of :mod:`hmi_marl.agents.adaptive.evidence_model`.
+An :class:`Evidence` reads the vehicle AI's observations with sequential moves, and gives the log
+likelihood of what is new for each of K candidates. :class:`ChainEvidence` is exact; a learned one
+can take its place.
 
-The exact one goes by a^H, v and a^A alone. With a^H seen, d is hidden only where a^H_t agrees with
-v_{t-1}; how often it shows itself, and how that changes with alerts, is what β, α and η are:
+:class:`ChainEvidence` uses a^H, v and a^A alone. With a^H seen, d is hidden only where a^H_t agrees
+with v_{t-1}. How often d is 1 elsewhere, and how alerts change that, depends on β, α and η:
 
 .. math::
     p_k(v_t | a^H_t, v_{<t}) = b' 1(v_t = v_{t-1}) + (1 - b') 1(v_t = a^H_t)
 
-with b' = p_k(d_t = 1) as :class:`BayesFilter` predicts it. It is exact for whatever HMI alerts,
-since what the HMI goes by has been seen here too. *How* somebody drives, a^H_t itself, is not
-counted: it tells inflation, but needs the driver's own policy and eyes.
+with b' = p_k(d_t = 1) as :class:`BayesFilter` predicts it. It is exact for every HMI, since
+all that the HMI sees has been seen here too. The choice of a^H_t itself is not counted: it depends
+on inflation, but its likelihood needs the driver's policy and perception.
 """
 
 from __future__ import annotations
@@ -33,36 +33,36 @@ from hmi_marl.exact.bayes_filter import BayesFilter, check_candidates
 
 
 class Evidence(Protocol):
-    """Tells how well each of K candidates explains what N drivers do, step by step."""
+    """Log likelihood of each of K candidates for each of N drivers, step by step."""
 
     drivers: tuple[Driver, ...]
     """The candidates."""
 
     def reset(self, count: int) -> None:
-        """Be ready for ``count`` teams that begin trips."""
+        """Begin the trips of ``count`` teams."""
 
     def begin(self, which: NDArray[np.bool_]) -> None:
-        """New trips begin where ``which``, shape (N,), is set."""
+        """Begin new trips where ``which``, shape (N,), is set."""
 
     def observe(
         self, observations: NDArray[np.float32], new: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
-        """Log likelihood of what is new since the last observation, up to a number for each team.
+        """Log likelihood of what is new since the last observation, up to a constant for each team.
 
         Args:
             observations: of the vehicle AI's seat, which holds a^H_t; shape (N, D).
-            new: where a turn has begun that was not observed yet, shape (N,).
+            new: teams in a turn that has not been observed yet, shape (N,).
 
         Returns:
-            Shape (N, K), 0 where nothing is new; -inf where a candidate cannot be.
+            Shape (N, K), 0 where nothing is new; -inf where a candidate is impossible.
         """
         ...
 
 
 def chains(drivers: Sequence[Driver]) -> tuple[tuple[Driver, ...], NDArray[np.int64]]:
-    """Drivers who differ in β, α or η, and for each of K drivers which of them is alike, (K,).
+    """Drivers who differ in β, α or η, and for each of K drivers the index of the equal one, (K,).
 
-    Who differs in inflation alone has the same chain.
+    Drivers who differ in inflation alone have the same chain.
     """
     table = np.array([driver.traits[:3] for driver in drivers])
     _, first, alike = np.unique(table, axis=0, return_index=True, return_inverse=True)
@@ -74,10 +74,10 @@ class ChainEvidence:
 
     Args:
         drivers: the candidates.
-        config: of the teams.
+        config: settings of the teams.
 
     Raises:
-        ValueError, TypeError: no candidates, what is no driver, or graded alerts.
+        ValueError, TypeError: no candidates, something that is no driver, or graded alerts.
     """
 
     def __init__(self, drivers: Sequence[str | Driver], config: TeamConfig) -> None:
@@ -91,7 +91,7 @@ class ChainEvidence:
     def reset(self, count: int) -> None:
         """See :meth:`Evidence.reset`."""
         self.filter = BayesFilter(self._chains, self._window, count)
-        """Holds p_k(d_{t-1} = 1), i_{t-1} and c_{t-1} of every different chain."""
+        """p_k(d_{t-1} = 1), i_{t-1} and c_{t-1} of every different chain."""
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`Evidence.begin`."""

@@ -1,16 +1,16 @@
 r"""Alerting without a driver-monitoring camera: the Bayes belief over d and its optimal rule.
 
-With attention hidden the AI sees d only through the applied action. The driver model says
-v_t = v_{t-1} if d_t = 1, else a^H_t, so a step *reveals* d_t when a^H_t differs from v_{t-1} and
-tells nothing when they agree. i and c follow from the AI's own alerts and are known. The belief
+With attention hidden the AI sees d only through the applied action. In the driver model
+v_t = v_{t-1} if d_t = 1, else a^H_t, so a step *reveals* d_t when a^H_t differs from v_{t-1} and is
+silent when they agree. i and c follow from the AI's own alerts and are known. The belief
 b = p(d = 1) therefore moves by
 
 .. math::
     b' = b (1 - \min(1, \alpha + \eta i')) + (1 - b) \max(0, \beta - \eta i')
 
 in a silent step, and to the d that was seen in a revealing one. The first step is always silent,
-since v_0 = a^H_0. On (t, b, i, c) this is again a
-Markov decision process, given how often steps reveal; it is solved here on a grid of beliefs.
+since v_0 = a^H_0. On (t, b, i, c) this is again a Markov decision process, given the share of
+revealing steps; it is solved here on a grid of beliefs.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class BeliefSolution:
 
 
 def locate(belief: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The grid point at or below each belief, and how far it is to the next one."""
+    """The grid point at or below each belief, and the fraction of the way to the next one."""
     position = belief * (GRID - 1)
     low = np.minimum(position.astype(np.int64), GRID - 2)
     return low, position - low
@@ -105,9 +105,9 @@ def solve_belief(
 ) -> BeliefSolution:
     """Dynamic programming over (t, b, i, c), with ``revealing`` of the steps showing d.
 
-    Each step but the first reveals d independently with that probability. Whether the present one
-    will is known when alerting if ``sequential``, that is, when taking turns (a^H_t and v_{t-1}
-    are both seen); at once it is not, and both cases are weighed.
+    Each step but the first reveals d independently with that probability. With ``sequential`` moves
+    (a^H_t and v_{t-1} are both seen) the alert depends on whether the present step will; with
+    simultaneous moves it does not, and both cases are weighed.
 
     Raises:
         ValueError: ``revealing`` outside [0, 1], or what :func:`oracle.solve_alerts` refuses.
@@ -138,7 +138,7 @@ def solve_belief(
 
 @dataclass(frozen=True)
 class _Choice:
-    """What alerting, or not, leads to from every grid point; arrays of shape (GRID, 2, window)."""
+    """Consequences of one choice at every grid point; arrays of shape (GRID, 2, window)."""
 
     reward: NDArray[np.float64]
     distracted: NDArray[np.float64]
@@ -172,11 +172,11 @@ class _Choice:
 
 
 def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeights) -> float:
-    r"""What a rule earns with a driver who need not be the one that it assumes: exact.
+    r"""Exact attention return of a rule with any driver, also another than the rule assumes.
 
-    Between two steps that reveal d nothing happens by chance that the rule could see, so that its
-    belief, its alerts, i and c run along one path from each (t, d, i, c), and so does p(d) of the
-    driver. With W_t(d, i, c) the return from step t on, when d_{t-1} has just shown itself,
+    Between two steps that reveal d the rule sees nothing random, so that its belief, its alerts, i
+    and c follow one path from each (t, d, i, c), and so does p(d) of the driver. With W_t(d, i, c)
+    the return from step t on, when d_{t-1} has just been revealed,
 
     .. math::
         W_t = E \sum_{u = t}^{v} r_u + W_{v + 1}(d_v, i_v, c_v)
@@ -185,8 +185,8 @@ def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeigh
     share that the rule assumes, but for the first.
 
     Args:
-        rule: of :func:`solve_belief`, taking turns.
-        driver: who drives.
+        rule: of :func:`solve_belief`, with sequential moves.
+        driver: the driver.
         weights: of the rewards.
 
     Returns:
@@ -194,7 +194,7 @@ def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeigh
     """
     driver, window, horizon = get_driver(driver), rule.window, rule.horizon
     d, i, c = (axis.ravel() for axis in np.indices((2, 2, window)))
-    # W[t, d, i, c], flat in the last three; what a step of a path leads to is looked up in it
+    # W[t, d, i, c], flat in the last three; the successors of a path's step are looked up in it
     later = np.zeros((horizon + 1, 4 * window))
     for t in reversed(range(horizon)):
         assumed = true = d.astype(np.float64)
@@ -202,8 +202,8 @@ def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeigh
         for u in range(t, horizon):
             share = rule.revealing if u > 0 else 0.0
             for reveals, chance in ((1, share), (0, 1.0 - share)):
-                told = np.full(len(d), reveals == 1)
-                alert = rule.alert(np.full(len(d), u), told, assumed, accepted, counter)
+                shown = np.full(len(d), reveals == 1)
+                alert = rule.alert(np.full(len(d), u), shown, assumed, accepted, counter)
                 reward, after, next_i, next_c = _consequence(
                     alert, true, accepted, counter, driver, window, weights
                 )

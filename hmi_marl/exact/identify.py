@@ -1,18 +1,18 @@
-r"""Who drives: the exact Bayes classifier of recorded windows, by what could be observed alone.
+r"""The exact Bayes classifier of the driver of recorded windows, from observable data alone.
 
-Observed are the seed of a window (one episode), the actions as applied, and the alerts. What each
-candidate would have perceived is had by playing the window again, since its traffic follows from
-the seed and from what was applied (:func:`perceived`); what they would have intended, from the true
-policy (:func:`replay_intents`); and the evidence that follows, from :class:`BayesFilter`, which
-sums over all that d could have been. With
+Observed are the seed of a window (one episode), the applied actions, and the alerts. Playing the
+window again gives what each candidate would have perceived, since its traffic follows from the seed
+and the applied actions (:func:`perceived`); the true policy gives what they would have intended
+(:func:`replay_intents`); and :class:`BayesFilter` gives the evidence, summed over all values of d.
+With
 
 .. math::
     p(k | \text{windows}) \propto p(k) \prod_{\text{windows}} p_k(v_0, v_1, ... | \text{seed},
     a^A_0, a^A_1, ...)
 
-no classifier that is given the same is right more often on average, where the prior says how often
-each candidate drives: this is the ceiling for all that learn. It is so for alerts that tell nothing
-of what is hidden, such as those at random; see :mod:`hmi_marl.exact.bayes_filter`.
+no classifier with the same data is right more often on average, if p(k) is how often each candidate
+drives: this is the ceiling of every learned classifier. It requires alerts that do not depend on
+what is hidden, such as random ones; see :mod:`hmi_marl.exact.bayes_filter`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.agents.memory import Memoryless
-from hmi_marl.agents.rollout import turn
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver, Traits
@@ -39,8 +37,8 @@ _Label = TypeVar("_Label", bound=Hashable)
 
 
 @runtime_checkable
-class TellsProbabilities(Protocol):
-    """A driver's policy that can tell how likely each of its actions is."""
+class StochasticPolicy(Protocol):
+    """A driver policy that gives the probability of each of its actions."""
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Policy.reset`."""
@@ -52,32 +50,32 @@ class TellsProbabilities(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What E windows tell about which of K candidates drove them."""
+    """Evidence of E windows about which of K candidates drove them."""
 
     drivers: tuple[Driver, ...]
     """The candidates."""
     log_evidence: NDArray[np.float64]
-    """log p_k(v_0, v_1, ... | seed, alerts), shape (E, K); -inf where k cannot have driven."""
+    """log p_k(v_0, v_1, ... | seed, alerts), shape (E, K); -inf where k is impossible."""
 
     def posterior(self, prior: ArrayLike | None = None) -> NDArray[np.float64]:
         """p(k | window), shape (E, K); see :func:`bayes_filter.posterior` for the prior.
 
         Raises:
-            ValueError: numbers that are no prior, or a window that none can have driven.
+            ValueError: numbers that are no prior, or a window impossible for every candidate.
         """
         return posterior(self.log_evidence, prior)
 
     def pooled(self, groups: ArrayLike) -> Identification:
-        """What several windows of one driver tell together: the sum of their log evidence.
+        """Evidence of several windows of one driver together: the sum of their log evidence.
 
         Args:
-            groups: P pools of n windows each, by their places: integers of shape (P, n).
+            groups: P pools of n windows each, indices of shape (P, n).
 
         Returns:
             The same for P pools in place of E windows.
 
         Raises:
-            ValueError, IndexError: no such places.
+            ValueError, IndexError: no such windows.
         """
         places = np.asarray(groups)
         if places.ndim != 2 or not np.issubdtype(places.dtype, np.integer):
@@ -117,7 +115,7 @@ def marginal(
 
 def identify(
     config: TeamConfig,
-    policy: TellsProbabilities,
+    policy: StochasticPolicy,
     drivers: Sequence[str | Driver],
     seeds: ArrayLike,
     actions: ArrayLike,
@@ -127,22 +125,21 @@ def identify(
     """The exact evidence for each of K candidates in each of E windows, T steps long at most.
 
     Args:
-        config: of the teams that were recorded, ``end_at_crash`` included; whom it names as driver
-            is not read.
-        policy: the one that steered, made for such teams. It drew its actions, or took the
+        config: settings of the recorded teams, ``end_at_crash`` included; its driver is not read.
+        policy: the true driver policy, made for such teams. It drew its actions, or took the
             likeliest if it has a ``greedy`` that is true. It is reset.
         drivers: the candidates.
         seeds: of the windows, shape (E,).
         actions: v_t as applied, 0 to 4, shape (E, T).
         alerts: a^A_t, 0 or 1, shape (E, T).
-        length: steps of each window, shape (E,); what stands after them is not read.
+        length: steps of each window, shape (E,); later columns are not read.
 
     Raises:
-        TypeError: a policy that does not tell its probabilities, or seeds that are no integers.
+        TypeError: a policy without probabilities, or seeds that are no integers.
         ValueError: no candidates, arrays that do not fit together, numbers out of their range, or
             windows that go on after their end when they are played again.
     """
-    check_tells_probabilities(policy)
+    check_stochastic(policy)
     need_plain(config.alerts, "identify()")
     candidates = check_candidates(drivers)
     seeds, actions, alerts, length = _checked(config, seeds, actions, alerts, length)
@@ -157,7 +154,7 @@ def identify(
 
 def _evidence(
     config: TeamConfig,
-    policy: TellsProbabilities,
+    policy: StochasticPolicy,
     drivers: Sequence[Driver],
     seeds: NDArray[np.uint64],
     actions: NDArray[np.int64],
@@ -173,14 +170,14 @@ def _evidence(
 
 def replay_intents(
     config: TeamConfig,
-    policy: TellsProbabilities,
+    policy: StochasticPolicy,
     drivers: Sequence[Driver],
     seeds: NDArray[np.uint64],
     actions: NDArray[np.int64],
     alerts: NDArray[np.int64],
     length: NDArray[np.int64],
 ) -> Iterator[NDArray[np.float64]]:
-    """How likely each intent was for each candidate, by playing recorded windows again.
+    """Probability of each intent for each candidate, by playing recorded windows again.
 
     Args:
         config, policy, drivers, seeds, actions, alerts, length: as of :func:`identify`.
@@ -191,10 +188,11 @@ def replay_intents(
     shape = len(drivers), len(seeds), -1
     policy.reset(np.tile(seeds, len(drivers)))
     for seen in perceived(config, drivers, seeds, actions, alerts, length):
-        told = policy.probabilities(seen.reshape(-1, seen.shape[-1]))
+        chances = policy.probabilities(seen.reshape(-1, seen.shape[-1]))
         if getattr(policy, "greedy", False):
-            told = (np.arange(told.shape[1]) == told.argmax(axis=1)[:, None]).astype(np.float64)
-        yield told.reshape(shape)
+            likeliest = chances.argmax(axis=1)[:, None]
+            chances = (np.arange(chances.shape[1]) == likeliest).astype(np.float64)
+        yield chances.reshape(shape)
 
 
 def perceived(
@@ -205,10 +203,10 @@ def perceived(
     alerts: NDArray[np.int64],
     length: NDArray[np.int64],
 ) -> Iterator[NDArray[np.float32]]:
-    """What each candidate would have seen, by playing recorded windows again.
+    """Observations of each candidate, by playing recorded windows again.
 
-    Candidates of the same inflation share worlds. In these nobody is ever distracted, so that what
-    was recorded as applied is applied again.
+    Candidates of the same inflation share worlds. Drivers in these are never distracted, so that
+    the recorded actions are applied again.
 
     Args:
         config, drivers, seeds, actions, alerts, length: as of :func:`identify`.
@@ -235,18 +233,7 @@ def perceived(
             seen[..., layout["traits"]] = traits[:, None]
         yield seen
         for teams in replays:
-            turn(teams, _Recorded(driven[:, t]), _Recorded(alerted[:, t]))
-
-
-class _Recorded(Memoryless):
-    """Repeat the recorded actions of one step, shape (E,)."""
-
-    def __init__(self, actions: NDArray[np.int64]) -> None:
-        self._actions = actions
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
-        """See :meth:`hmi_marl.envs.seats.Policy.act`."""
-        return self._actions
+            teams.turn(driven[:, t], alerted[:, t])
 
 
 def _attentive_teams(config: TeamConfig, inflation: float, seeds: NDArray[np.uint64]) -> Teaming:
@@ -257,11 +244,11 @@ def _attentive_teams(config: TeamConfig, inflation: float, seeds: NDArray[np.uin
     return teams
 
 
-def check_tells_probabilities(policy: object) -> TellsProbabilities:
-    """Return ``policy`` if it can tell its probabilities, or raise TypeError."""
-    if isinstance(policy, type) or not isinstance(policy, TellsProbabilities):
+def check_stochastic(policy: object) -> StochasticPolicy:
+    """Return ``policy`` if it gives probabilities, or raise TypeError."""
+    if isinstance(policy, type) or not isinstance(policy, StochasticPolicy):
         raise TypeError(
-            "the true driver policy must tell its probabilities: give an object with reset() and "
+            "the true driver policy must give its probabilities: pass an object with reset() and "
             f"probabilities(), such as a LearnedPolicy, not {policy!r}"
         )
     return policy
@@ -273,7 +260,7 @@ _Data = tuple[NDArray[np.uint64], NDArray[np.int64], NDArray[np.int64], NDArray[
 def _checked(
     config: TeamConfig, seeds: ArrayLike, actions: ArrayLike, alerts: ArrayLike, length: ArrayLike
 ) -> _Data:
-    """The windows as arrays that fit together; their actions are checked as they are played."""
+    """Return the windows as arrays that fit together; actions are checked when they are played."""
     shape = np.shape(actions)
     if len(shape) != 2 or shape[1] > config.horizon:
         raise ValueError(

@@ -1,6 +1,6 @@
 r"""The exact optimum of the alert problem, and what any alert policy can reach.
 
-With attention seen, alerting is a finite Markov decision process of its own: the state is
+With attention seen, alerting is a finite Markov decision process: the state is
 (d, i, c) of :mod:`hmi_marl.envs.attention`, the action a^A, the reward the three attention terms
 of the paper's reward table, and nothing that the car does changes it. Dynamic programming over
 (t, d, i, c) therefore gives exact answers:
@@ -11,9 +11,9 @@ of the paper's reward table, and nothing that the car does changes it. Dynamic p
 for an episode of T steps from d = i = c = 0. Since i and c move for sure, each state has two
 successors, and a step of it costs O(N).
 
-Alerts of k strengths, and alerts that weary (:mod:`hmi_marl.envs.alerts`), are the same problem
+Alerts of k strengths, and fatigue from alerts (:mod:`hmi_marl.envs.alerts`), are the same problem
 with a^A and i in 0 .. k and, with fatigue, a fourth axis f in 0 .. F, which moves for sure as
-well. In what follows S stands for the shape of the states: (2, 2, window) with the paper's alerts,
+well. Below, S is the shape of the states: (2, 2, window) with the paper's alerts,
 (2, k + 1, window) with k strengths, and (2, k + 1, window, F + 1) with fatigue.
 """
 
@@ -31,7 +31,7 @@ from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
 from hmi_marl.envs.attention import check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
-from hmi_marl.exact.identify import identify as identify  # exact as well: who drives
+from hmi_marl.exact.identify import identify as identify  # part of the oracle's interface
 
 DEFAULT_WINDOW = 7
 DEFAULT_HORIZON = 100
@@ -125,12 +125,12 @@ def check_horizon(horizon: int) -> int:
 
 @dataclass(frozen=True)
 class _Chain:
-    """One driver's alert problem. Arrays have shape (k + 1, *S), what a^A does in every state."""
+    """One driver's alert problem: effects of a^A in every state, arrays of shape (k + 1, *S)."""
 
     p_distracted: NDArray[np.float64]
     """p(d_t = 1)."""
     place: NDArray[np.int64]
-    """Where (i_t, c_t), or (i_t, c_t, f_t), lies among all such, in the order of S."""
+    """Index of (i_t, c_t), or (i_t, c_t, f_t), among all such, in the order of S."""
     rewards: dict[str, NDArray[np.float64]]
     """Expected reward of each attention term."""
 
@@ -150,17 +150,17 @@ class _Chain:
         return cls(after.distracted, np.ravel_multi_index(known, sizes), rewards)
 
     def expected(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of ``value``, shape S, in the next step: shape (k + 1, *S)."""
+        """Expectation of ``value``, shape S, in the next step: shape (k + 1, *S)."""
         attentive, distracted = value.reshape(2, -1)
         p = self.p_distracted
         return (1.0 - p) * attentive[self.place] + p * distracted[self.place]
 
     def action_values(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Expected return of every a^A, where ``value``, shape S, is that of the next step on."""
+        """Expected return of every a^A; ``value``, shape S, is that from the next step on."""
         return sum(self.rewards.values()) + self.expected(value)
 
     def flow(self, joint: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Probability of each state in the next step, from that of [a, state] in this one."""
+        """Probability of each state in the next step, from that of [a, state] in this step."""
         states = joint.shape[1:]
         places, count = self.place.ravel(), math.prod(states[1:])
         after = [
@@ -194,7 +194,7 @@ def solve_alerts(
         horizon: steps in the episode.
         weights: of the reward terms; the paper's by default.
         strengths: of the alerts, rising within (0, 1]; the paper's one by default.
-        fatigue: how alerts weary the driver; they do not by default.
+        fatigue: from alerts; none by default.
 
     Raises:
         ValueError: unknown driver, window < 1, horizon < 1, or strengths that do not rise.
@@ -225,7 +225,7 @@ def alert_losses(
     strengths: Sequence[float] = FULL,
     fatigue: Fatigue | None = None,
 ) -> NDArray[np.float64]:
-    """Attention return that each a^A gives away in each state, alerting optimally from there on.
+    """Loss of attention return by each a^A in each state, with optimal alerts afterwards.
 
     Added up over the steps of an episode it is an HMI's distance from the optimum, with far less
     noise than the difference of two returns: a policy's expected return is the optimum's less the
@@ -264,12 +264,12 @@ def evaluate(
     Args:
         alert_probability: of the policy in [t, d, i, c], each in [0, 1]; any shape that
             broadcasts to (horizon, 2, 2, window), so that a single number is a random HMI. With
-            k strengths, of each of them: any shape that broadcasts to (k, horizon, *S), where
-            what is left of 1 is the probability of no alert.
+            k strengths, of each of them: any shape that broadcasts to (k, horizon, *S); the rest
+            to 1 is the probability of no alert.
         driver, window, horizon, weights, strengths, fatigue: as in :func:`solve_alerts`.
 
     Raises:
-        ValueError: a probability outside [0, 1] or NaN, several whose sum is above 1, or a shape
+        ValueError: a probability outside [0, 1] or NaN, several with a sum above 1, or a shape
             that does not fit.
     """
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)

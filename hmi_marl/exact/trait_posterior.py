@@ -1,4 +1,4 @@
-"""What is believed about who drives: a probability for each of K candidates."""
+"""A belief about the driver: a probability for each of K candidates."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hmi_marl.exact.identify import marginal
 
 @dataclass(frozen=True, eq=False)
 class TraitBelief:
-    """Who may drive each of N teams."""
+    """Probabilities of K candidates in each of N teams."""
 
     drivers: tuple[Driver, ...]
     """The K candidates: the known types, or a sample of a population."""
     probabilities: NDArray[np.float64]
-    """Of each candidate, shape (N, K); the rows sum to 1."""
+    """Probability of each candidate, shape (N, K); the rows sum to 1."""
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -43,7 +43,7 @@ class TraitBelief:
         return marginal(self.probabilities, [driver.name for driver in self.drivers])
 
     def expected(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Mean of what each candidate has: shape (K, ...) to (N, ...)."""
+        """Expectation of a quantity of each candidate: shape (K, ...) to (N, ...)."""
         return np.tensordot(self.probabilities, values, axes=1)
 
 

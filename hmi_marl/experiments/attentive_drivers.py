@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver

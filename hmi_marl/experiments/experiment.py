@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from tqdm import tqdm
 
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.files import json_value, make_folder

@@ -17,7 +17,7 @@ import numpy as np
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import strongest_alert
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import get_driver

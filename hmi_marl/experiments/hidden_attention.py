@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig

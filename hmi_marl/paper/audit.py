@@ -1,7 +1,7 @@
-"""What the paper prints for distraction returns, held against what any alert policy can reach.
+"""Audit of the paper's distraction returns: the range that alert policies can reach, exactly.
 
-The paper does not say how long its window N or its episodes are. The audit therefore takes a
-given N and every horizon from 94 to 100 steps, around the 95 or so that its NoHMI row implies.
+The paper does not give its window N or the length of its episodes. The audit therefore takes one N
+and every horizon from 94 to 100 steps, around the 95 or so that the NoHMI row implies.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ HORIZONS = range(94, 101)
 
 @dataclass(frozen=True)
 class AuditedCell:
-    """One cell of the paper's table beside the exact numbers. Ranges are over the horizons."""
+    """One cell of the paper's table and the exact numbers. Ranges are over the horizons."""
 
     hmi: str
     driver: str
     paper: float
     least: float
-    """The worst that any alert policy can do in the longest of these episodes."""
+    """Lowest return of any alert policy, in the longest of these episodes."""
     most: float
-    """The best that any alert policy can do in the shortest."""
+    """Highest return of any alert policy, in the shortest."""
     reachable: bool
     optimum: tuple[float, float]
     """Distraction return of the alert optimum (which maximises the whole attention return)."""
     optimum_if_eta_1: tuple[float, float]
-    """The same, if the driver's η were 1."""
+    """The same with η = 1."""
 
 
 def audit(window: int = oracle.DEFAULT_WINDOW) -> list[AuditedCell]:
-    """Every distraction return that the paper prints, row by row."""
+    """Audit every distraction return that the paper prints, row by row."""
     exact = {name: _exact_ranges(DRIVERS[name], window) for name in PAPER_DRIVERS}
     return [
         AuditedCell(
@@ -54,15 +54,15 @@ def audit(window: int = oracle.DEFAULT_WINDOW) -> list[AuditedCell]:
 
 
 def _exact_ranges(driver: Driver, window: int) -> list[tuple[float, float]]:
-    """What is reachable, the optimum, and the optimum if η were 1, over the horizons."""
+    """Ranges over the horizons: reachable returns, the optimum, the optimum with η = 1."""
     reachable = [oracle.reachable(driver, window, horizon) for horizon in HORIZONS]
     ranges = [(min(r.least for r in reachable), max(r.most for r in reachable))]
-    for who in (driver, replace(driver, eta=1.0)):
-        optima = [oracle.solve_alerts(who, window, steps).distraction_return for steps in HORIZONS]
+    for each in (driver, replace(driver, eta=1.0)):
+        optima = [oracle.solve_alerts(each, window, steps).distraction_return for steps in HORIZONS]
         ranges.append((min(optima), max(optima)))
     return ranges
 
 
 def audit_json(cells: list[AuditedCell]) -> list[dict[str, Any]]:
-    """The audit as JSON content."""
+    """Return the audit as JSON content."""
     return [asdict(cell) for cell in cells]

@@ -1,7 +1,7 @@
-"""What the paper prints in its metrics table, by HMI (rows) and driver (columns).
+"""Printed values of the paper's tables.
 
-The cells of a driver with another driver's HMI are left as ``*`` there. A row "own" is the
-diagonal of the first four.
+Metrics are by HMI (rows) and driver (columns). The paper leaves cells of a driver with another
+driver's HMI as ``*``. The row "own" is the diagonal of its first four rows.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ DRIVER_TRAITS: Mapping[str, tuple[float, float, float, float]] = MappingProxyTyp
         "homer": (0.8, 0.2, 1.0, 9.0),
     }
 )
-"""Its table of drivers: β, α, η and inflation."""
+"""The paper's table of drivers: β, α, η and inflation."""
 REWARDS: Mapping[str, float] = MappingProxyType(
     {
         "collision": -5.0,
@@ -50,9 +50,9 @@ REWARDS: Mapping[str, float] = MappingProxyType(
         "accept_alert": 30.0,
     }
 )
-"""Its table of rewards, by our names of the terms."""
+"""The paper's table of rewards, by :data:`hmi_marl.envs.rewards.TERMS`."""
 
 
 def mean_over_drivers(row: Row) -> float:
-    """The average that the paper's text gives."""
+    """Return the average over the drivers, which the paper's text gives."""
     return sum(row.values()) / len(row)

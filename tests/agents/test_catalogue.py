@@ -1,11 +1,7 @@
-import re
-
 import numpy as np
 import pytest
 
 from hmi_marl.agents import (
-    DRIVER_POLICY_NAMES,
-    HMI_NAMES,
     AlertWhenDistracted,
     BeliefAlert,
     OptimalAlert,
@@ -15,7 +11,8 @@ from hmi_marl.agents import (
     make_driver_policy,
     make_hmi,
 )
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.agents.catalogue import known_names
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver
 
 SEEN = TeamConfig(driver="bart")
@@ -65,14 +62,14 @@ def test_the_belief_takes_the_share_of_steps_that_show_and_the_kind_of_turns():
         for sequential in (True, False):
             rule = make_hmi(name, HIDDEN, sequential)._rule
             assert (rule.driver.name, rule.revealing) == (model, revealing)
-            # At once nobody knows whether a step will show, so the rule is the same in both.
+            # With simultaneous moves a^H is not known yet, so the rule is the same in both.
             assert np.array_equal(rule.advantage[:, 0], rule.advantage[:, 1]) != sequential
 
 
 def test_driver_policies_by_name_whatever_the_case():
     assert type(make_driver_policy("Rule", SEEN)) is RuleBasedDriver
     assert type(make_driver_policy("RANDOM", SEEN)) is RandomDriver
-    with pytest.raises(TypeError, match="driver policy's name is a string"):
+    with pytest.raises(TypeError, match="name of the driver policy is a string"):
         make_driver_policy(None, SEEN)
 
 
@@ -88,10 +85,10 @@ def test_with_attention_hidden_the_optimum_is_on_the_belief():
 
 
 def test_every_listed_name_can_be_made():
-    for make, names in ((make_hmi, HMI_NAMES), (make_driver_policy, DRIVER_POLICY_NAMES)):
-        for name in names:
-            if re.fullmatch("[a-z-]+", name):  # others stand for more than one
-                make(name, SEEN)
+    for make, seat in ((make_hmi, VEHICLE_AI), (make_driver_policy, DRIVER)):
+        for name in known_names(seat):
+            if "/" not in name and not name.startswith("trained:"):
+                make(name.partition("[")[0], SEEN if name[:5] != "adapt" else HIDDEN)
         with pytest.raises(FileNotFoundError, match="no policy for the seat"):
             make("runs/RUN", SEEN)  # stands for the folder of a run
 
@@ -128,7 +125,7 @@ def test_a_bad_driver_policy_is_refused():
 def test_the_own_optimum_of_a_population_is_refused():
     with pytest.raises(ValueError, match="name a driver model, for example optimal:average"):
         make_hmi("own", TeamConfig(driver=["lisa", "bart"]))
-    with pytest.raises(TypeError, match="HMI's name is a string"):
+    with pytest.raises(TypeError, match="name of the HMI is a string"):
         make_hmi(3, SEEN)
 
 

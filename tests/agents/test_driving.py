@@ -29,7 +29,7 @@ def seen(gap, opening, speed, target_speed=25.0):
 @pytest.mark.parametrize(
     ("gap", "opening", "action"),
     [
-        (60.0, 60.0, "speed_up"),  # nobody in sight
+        (60.0, 60.0, "speed_up"),  # nothing in sight
         (10.0, 0.0, "slow_down"),  # 0.4 s at 25 m/s
         (50.0, -20.0, "slow_down"),  # closes in 2.5 s
         (0.0, 0.0, "slow_down"),  # inside what is perceived

@@ -73,7 +73,7 @@ def test_the_optimal_hmi_plays_the_solved_policy_in_every_state(weights, window)
         )
 
 
-def test_rules_tell_the_oracle_their_probabilities():
+def test_rules_give_the_oracle_their_probabilities():
     config = TeamConfig(driver="homer")
     for hmi in (RandomAlert(0.25), AlertWhenDistracted(config), OptimalAlert("bart", config)):
         returns = oracle.evaluate(hmi.alert_probability(), "homer", 7, 100)
@@ -128,7 +128,7 @@ def test_plain_rules_give_the_strongest_alert():
         assert np.array_equal(alert, 4 * attention.distracted)
 
 
-def test_rules_of_graded_alerts_tell_the_oracle_their_probabilities():
+def test_rules_of_graded_alerts_give_the_oracle_their_probabilities():
     config = TeamConfig(driver="homer", alert_strengths=GRADES, fatigue=WEARY)
     given = {"strengths": GRADES, "fatigue": WEARY}
     best = oracle.solve_alerts("homer", **given)
@@ -158,13 +158,13 @@ def test_the_shapes_of_a_rule_of_one_strength_are_those_of_the_paper():
 def test_what_knows_one_bit_alone_refuses_other_alerts_at_the_door(settings):
     config = TeamConfig(driver="homer", **settings)
     hidden = TeamConfig(driver="homer", ai_sees_attention=False, **settings)
-    told = "is for alerts of one strength, 1, without fatigue"
+    message = "is for alerts of one strength, 1, without fatigue"
     for name, team in (("belief", config), ("optimal", hidden)):
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             make_hmi(name, team)
     driver = make_driver_policy("random", config)
     driver.probabilities = lambda seen: np.full((len(seen), 5), 0.2)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         identify(
             config, driver, ["lisa"], np.zeros(0, np.int64), *np.zeros((2, 0, 1), np.int64), []
         )

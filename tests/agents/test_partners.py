@@ -3,13 +3,15 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
 
-from hmi_marl import Scene, merge_v0
+from hmi_marl import Scene, make_vec, merge_v0
 from hmi_marl.agents import RandomAlert, RuleBasedDriver
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.views import MergeDriver, MergeHMI
 
+FEW = {"scene": Scene(vehicles=4), "duration": 3.0}
 SMALL = {"scene": Scene(vehicles=3), "duration": 3.0}
 SEATS = ["hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0"]
 
@@ -85,7 +87,7 @@ def test_partners_by_name_by_policy_and_by_function_are_the_same():
 
 
 class Partner:
-    """A Policy that gives the answers it is told to, one after the other."""
+    """A Policy that gives these answers, one after the other."""
 
     def __init__(self, *answers):
         self.answers = list(answers)
@@ -172,7 +174,7 @@ def test_a_policy_class_is_no_partner():
 
 
 @pytest.mark.parametrize("seat", SEATS)
-def test_a_typo_is_told_the_known_keywords(seat):
+def test_a_typo_names_the_known_keywords(seat):
     message = r"got an unexpected keyword argument 'drvier'; did you mean driver\?"
     with pytest.raises(TypeError, match=message):
         gymnasium.make(seat, drvier="bart")
@@ -204,3 +206,54 @@ def test_bad_partners_and_actions_are_refused(seat):
     env.step(0)
     with pytest.raises(RuntimeError, match="episode is over"):
         env.step(0)
+
+
+@pytest.mark.parametrize("seat", ["driver", "vehicle_ai", "team"])
+def test_the_batched_world_gives_what_highway_env_gives(seat):
+    envs = [
+        make_vec(4, seat, world=world, driver=["bart", "homer"], **FEW)
+        for world in ("highway", "batched")
+    ]
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(35):
+        actions = torch.as_tensor(
+            np.column_stack([rng.integers(0, size, 4) for size in envs[0].action_sizes])
+        )
+        (slow, slow_rewards, slow_dones, _), (fast, rewards, dones, _) = (
+            env.step(actions) for env in envs
+        )
+        for group in ("driver", "vehicle_ai", "traits", "critic"):
+            torch.testing.assert_close(fast[group], slow[group], rtol=0, atol=1e-6)
+        torch.testing.assert_close(rewards, slow_rewards, rtol=0, atol=1e-5)
+        assert torch.equal(dones, slow_dones)
+        ends += int(dones.sum())
+    assert ends >= 4
+
+
+def test_a_thousand_teams_go_on_for_ever():
+    env = make_vec(1000, "team", threads=1, driver="bart", **FEW)
+    actions = torch.zeros(1000, 2, dtype=torch.int64)
+    for _ in range(40):
+        observations, rewards, dones, extras = env.step(actions)
+        assert torch.isfinite(rewards).all()
+        if dones.any():
+            assert len(extras["final_teams"]) == int(dones.sum())
+    assert observations["critic"].shape == (1000, env.layouts["critic"].size)
+    with pytest.raises(ValueError, match="threads lies in"):
+        make_vec(2, threads=10_000)
+
+
+def test_any_team_can_be_seen_at_any_time():
+    env = make_vec(30, "team", driver=["bart", "homer"], **FEW)
+    first, other = env.picture(0), env.picture(29)
+    assert first.dtype == np.uint8
+    assert first.shape == other.shape
+    assert (first != other).any()
+    env.step(torch.tensor([[3, 1]] * 30))
+    assert (env.picture(29) != other).any()
+    for team in (-1, 30):
+        with pytest.raises(ValueError, match="team lies in 0 to 29"):
+            env.picture(team)
+    env.close()
+    env.close()

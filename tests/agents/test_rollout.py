@@ -15,7 +15,7 @@ SEEDS = np.arange(4, dtype=np.uint64)
 
 
 class Counting(Memoryless):
-    """A driver whose a^H is the number of the step, modulo 5."""
+    """A driver with the number of the step, modulo 5, as a^H."""
 
     def __init__(self):
         self.step = 0
@@ -78,12 +78,43 @@ def test_play_ends_when_the_last_episode_has_ended():
     assert len(log.calls) == 3 * teaming.steps.max()  # nothing is left to play
 
 
+def test_a_turn_that_fails_can_be_taken_again():
+    class Failing(Memoryless):
+        def act(self, observations):
+            raise OSError("no memory")
+
+    driver, sound = Counting(), RandomAlert(0.0)
+    teaming = begin(CONFIG, driver, sound, SEEDS, "batched")
+    before = teaming.state()
+    with pytest.raises(OSError, match="no memory"):
+        next(turns(teaming, driver, Failing()))
+    np.testing.assert_array_equal(teaming.state(), before)
+    next(turns(teaming, driver, sound))
+    assert (teaming.steps == 1).all()
+
+
 def test_the_order_of_moves_is_written_once():
-    """Outside the environments only the turn loop lets a driver move, and a benchmark."""
+    """Only these modules take a turn in its two halves; all others go through Teaming.turn."""
+    halves = re.compile(r"\.(intend|withdraw)\(")
     where = {
         path.relative_to(ROOT / "hmi_marl").as_posix()
         for path in (ROOT / "hmi_marl").rglob("*.py")
-        if re.search(r"\.intend\(", path.read_text(encoding="utf-8"))
+        if halves.search(path.read_text(encoding="utf-8"))
     }
-    outside = {path for path in where if not path.startswith("envs/")}
-    assert outside == {"agents/rollout.py", "evaluation/bench.py"}
+    assert where == {
+        "envs/teaming.py",  # the turn itself
+        "envs/seats.py",  # a partner drives before the vehicle AI's seat is observed
+        "envs/merge_v0.py",  # PettingZoo's AEC interface: one agent's action at a time
+        "experiments/speed.py",  # a benchmark that observes both seats
+    }
+    moves = re.compile(r"moves_sequentially\(")
+    asked = {
+        path.relative_to(ROOT / "hmi_marl").as_posix()
+        for path in (ROOT / "hmi_marl").rglob("*.py")
+        if moves.search(path.read_text(encoding="utf-8"))
+    }
+    assert asked == {
+        "envs/seats.py",
+        "agents/rollout.py",
+        "agents/adaptive/hmis.py",  # refuses HMIs that move at the same time
+    }

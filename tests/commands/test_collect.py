@@ -74,7 +74,7 @@ def test_demonstrations_are_recorded_written_and_summed_up(tmp_path, capsys):
 
 
 def test_without_minari_nothing_is_played(monkeypatch, tmp_path, capsys):
-    monkeypatch.delitem(sys.modules, "hmi_marl.demonstrations.minari_export", raising=False)
+    monkeypatch.delitem(sys.modules, "hmi_marl.demonstrations.minari", raising=False)
     monkeypatch.setitem(sys.modules, "minari", None)
     assert main(["collect", *TINY, "--minari"]) == 2
     assert "pip install 'hmi-marl[data]'" in capsys.readouterr().err

@@ -160,7 +160,7 @@ def test_nothing_of_an_extra_is_imported_where_none_is_needed(modules, tmp_path:
         ("from hmi_marl.training.evidence.run import learn_evidence", "train"),
         ("from hmi_marl.agents.learned.onnx_export import export_onnx", "train"),
         ("from hmi_marl.demonstrations.parquet import read_observed", "data"),
-        ("from hmi_marl.demonstrations.minari_export import export_minari", "data"),
+        ("from hmi_marl.demonstrations.minari import export_minari", "data"),
     ],
 )
 def test_the_python_interface_names_the_extra_too(code: str, extra: str, tmp_path: Path) -> None:

@@ -94,11 +94,11 @@ def test_traits_are_learned_and_judged(capsys: pytest.CaptureFixture[str]) -> No
 def test_preferences_of_people_are_read_from_a_file(capsys: pytest.CaptureFixture[str]) -> None:
     preferred = ["traits", "train", "--supervision", "preference", *TINY, "--preferences", "asked"]
     for content, told in (
-        ("", "asked is no JSON file"),
-        ('["lisa"]', 'asked is to hold {"name": number in [0, 1], ...}'),
-        ('{"lisa": true, "homer": 1}', "asked is to hold"),
-        ('{"lisa": 0.2}', "the preferences say nothing of homer"),
-        ('{"lisa": 0.2, "homer": 1.5}', "a preference for help lies in [0, 1]"),
+        ("", "asked is not a JSON file"),
+        ('["lisa"]', 'asked does not contain {"name": number in [0, 1], ...}'),
+        ('{"lisa": true, "homer": 1}', "asked does not contain"),
+        ('{"lisa": 0.2}', "the preferences lack homer"),
+        ('{"lisa": 0.2, "homer": 1.5}', "a preference lies in [0, 1], but got 1.5"),
     ):
         Path("asked").write_text(content, "utf-8")
         assert told in told_of(preferred, capsys)

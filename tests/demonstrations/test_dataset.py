@@ -6,15 +6,17 @@ import pytest
 from demonstrations import LAYOUT, changed, made_up
 
 from hmi_marl.demonstrations.dataset import (
-    NOBODY,
+    MISSING,
     STATE_PARTS,
     Demonstrations,
     Observed,
     Recording,
-    column_names,
+    alert_rate,
     from_recordings,
+    held_out,
     observed_layout,
 )
+from hmi_marl.demonstrations.step_file import column_names
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import Layout, state_layout, vehicle_ai_layout
 
@@ -117,7 +119,7 @@ def test_observed_data_are_checked_at_the_door() -> None:
     refuse("names are different non-empty strings", names=("lisa", "lisa"))
     refuse("names are different non-empty strings", names=("",))
     refuse("seeds has shape", seeds=np.zeros(3, np.uint64))
-    refuse("holds no traits, but beta", about={"team": {"drivers": [{"beta": 0.2}]}})
+    refuse("may hold no traits, but holds beta", about={"team": {"drivers": [{"beta": 0.2}]}})
 
 
 def test_truth_is_checked_at_the_door() -> None:
@@ -172,7 +174,7 @@ def test_recorded_drives_become_demonstrations_without_truth() -> None:
     assert observed.names == ("ann", "bea")
     assert observed.labels() == ["ann", None, "bea", "ann"]
     assert observed.length.tolist() == [2, 4, 3, 1]
-    assert observed.crash_step.tolist() == [1, NOBODY, NOBODY, NOBODY]
+    assert observed.crash_step.tolist() == [1, MISSING, MISSING, MISSING]
     assert observed.actions.tolist()[2] == [0, 3, 4, -1]
     assert observed.alerts.tolist()[0] == [0, 1, 0, 0]
     assert observed.layout.scalar(observed.states, "speed")[3].tolist() == [0.5, 0, 0, 0]
@@ -201,3 +203,18 @@ def test_recordings_are_checked_at_the_door(drive: Recording, message: str) -> N
 def test_no_recordings_are_refused() -> None:
     with pytest.raises(ValueError, match="no recording"):
         from_recordings([], LAYOUT)
+
+
+def test_alerts_count_by_steps_that_there_were():
+    observed = made_up([4, 2]).observed
+    alerts = np.array([[1, 0, 0, 1], [1, 0, 0, 0]])
+    assert alert_rate(dataclasses.replace(observed, alerts=alerts)) == 0.5
+
+
+def test_the_last_windows_of_every_driver_are_held_out():
+    driver = [0, 0, 1, 0, 1, 0, 0, -1]
+    observed = made_up([3] * 8, driver=driver, names=("ada", "bob")).observed
+    marked = held_out(observed, 0.4)
+    # Of ada's windows 0, 1, 3, 5, 6 the last two, of bob's 2 and 4 the last one.
+    assert np.flatnonzero(marked).tolist() == [4, 5, 6]
+    assert not held_out(observed, 0.0).any()

@@ -1,5 +1,6 @@
 import json
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -11,8 +12,11 @@ from gymnasium.utils.env_checker import check_env
 
 from hmi_marl import DRIVERS, Scene
 from hmi_marl.demonstrations.dataset import observed_layout
-from hmi_marl.demonstrations.env import DemonstratedDriver, env_spec, team_config
+from hmi_marl.demonstrations.env import DemonstratedDriver, env_spec, team_config, team_of
+from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
+from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.files import json_value
 
@@ -58,8 +62,8 @@ def test_the_driver_of_an_episode_can_be_named() -> None:
         _, info = env.reset(seed=1, options=options)
         assert info["beta"] in [DRIVERS[name].beta for name in possible]
     assert env.reset(seed=1)[1]["beta"] != DRIVERS["homer"].beta, "of that episode alone"
-    anybody = make(drivers=[])
-    assert anybody.reset(seed=1)[1]["beta"] != anybody.reset(seed=2)[1]["beta"]
+    any_driver = make(drivers=[])
+    assert any_driver.reset(seed=1)[1]["beta"] != any_driver.reset(seed=2)[1]["beta"]
     with pytest.raises(ValueError, match="unknown driver 'ned'; known drivers: "):
         env.reset(options={"driver": "ned"})
 
@@ -84,3 +88,35 @@ def test_a_spec_goes_through_json() -> None:
     env = gymnasium.make(EnvSpec.from_json(spec.to_json()))
     assert env.reset(seed=1)[0].shape == (observed_layout(CONFIG).size,)
     assert env.unwrapped.config.end_at_crash
+
+
+def test_a_team_comes_back_from_its_dataset(tmp_path):
+    settings = CollectSettings(
+        duration=1.0, steps=5, vehicles=(2, 3), alert_window=4, end_at_crash=True
+    )
+    write_demonstrations(tmp_path, collect(settings))
+    config, found = settings.team(PAPER_DRIVERS), team_of(read_observed(tmp_path))
+    for name in ("scene", "weights", "alert_window", "duration", "end_at_crash"):
+        assert getattr(found, name) == getattr(config, name)
+
+
+def test_recordings_that_say_nothing_are_of_the_default_scene():
+    observed = made_up([10, 7]).observed
+    team = {"scene": {"lidar_cells": 4}}  # of the made-up layout
+    config = team_of(replace(observed, about={"team": team}))
+    assert config.duration == 2.0
+    assert not config.end_at_crash
+    assert config.weights == RewardWeights()
+    assert replace(config.scene, after=None) == Scene(lidar_cells=4)
+
+
+def test_states_that_do_not_fit_their_scene_are_refused():
+    with pytest.raises(ValueError, match="not laid out as their scene would be seen"):
+        team_of(made_up([10]).observed)
+
+
+def test_windows_longer_than_an_episode_are_refused():
+    observed = made_up([10]).observed
+    team = {"scene": {"lidar_cells": 4}, "duration": 1.0}
+    with pytest.raises(ValueError, match="a window has 10 steps, but an episode of this team 5"):
+        team_of(replace(observed, about={"team": team}))

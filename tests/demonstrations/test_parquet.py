@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hmi_marl
-from hmi_marl.demonstrations.dataset import Demonstrations, column_names
+from hmi_marl.demonstrations.dataset import Demonstrations
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     TRUTH,
@@ -24,7 +24,7 @@ from hmi_marl.demonstrations.parquet import (
     read_observed,
     write_demonstrations,
 )
-from hmi_marl.demonstrations.rows import FORMAT
+from hmi_marl.demonstrations.step_file import FORMAT, column_names
 
 
 @st.composite
@@ -146,7 +146,7 @@ def refused(folder: Path, message: str) -> None:
         read_demonstrations(folder)
 
 
-def test_nothing_there_is_told(tmp_path: Path) -> None:
+def test_nothing_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no demonstrations at .* hmi-marl collect"):
         read_observed(tmp_path)
 
@@ -187,7 +187,7 @@ def test_foreign_files_and_other_formats_are_refused(folder: Path) -> None:
     refused(folder, "no demonstrations that can be read here: format None")
     for stamp, message in (
         ({"format": "hmi-marl demonstrations 2"}, "format 'hmi-marl demonstrations 2'"),
-        ({"format": FORMAT}, "does not tell how the data were made"),
+        ({"format": FORMAT}, "does not say how the data were made"),
         ({"format": FORMAT, "about": {}}, "its stamp has no layout"),
         ({"format": FORMAT, "about": {}, "layout": [{"name": "lidar"}]}, "damaged layout"),
         ({"format": FORMAT, "about": {}, "layout": 3}, "damaged layout"),
@@ -276,7 +276,7 @@ def test_rows_that_are_missing_or_out_of_order_are_refused(folder: Path) -> None
 def test_a_truth_of_another_dataset_is_refused(folder: Path, tmp_path: Path) -> None:
     write_demonstrations(tmp_path / "other", made_up([4, 2, 3], seed=3))
     shutil.copy(tmp_path / "other" / TRUTH, folder / TRUTH)
-    refused(folder, "is not the truth of observed.parquet beside it")
+    refused(folder, "is not the truth of observed.parquet in the same folder")
     shutil.copy(folder / OBSERVED, folder / TRUTH)
     refused(folder, "truth.parquet has other columns")
     shutil.copy(tmp_path / "other" / TRUTH, tmp_path / "other" / OBSERVED)
@@ -315,7 +315,7 @@ def test_a_truth_of_shorter_episodes_is_refused(folder: Path) -> None:
 
 
 def test_without_pyarrow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [m for m in sys.modules if m.startswith("hmi_marl.training.demonstration_")]:
+    for name in [m for m in sys.modules if m.startswith("hmi_marl.demonstrations.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(ModuleNotFoundError, match=r"needs pyarrow: pip install .*\[data\]"):

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from hmi_marl import merge_v0
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import make_card
-from hmi_marl.agents.learned.policy_files import load_policy, save_policy
+from hmi_marl.agents.learned.policy import load_policy, make_card, save_policy
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.demonstrations import recording as collecting
 from hmi_marl.demonstrations.dataset import Demonstrations, Observed, Truth
@@ -65,7 +64,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("settings", "message"),
     [
         ({"drivers": ("moe",)}, "unknown driver 'moe'"),
-        ({"drivers": ()}, "somebody has to drive"),
+        ({"drivers": ()}, "there is no driver"),
         ({"drivers": ("homer", "Homer")}, "two drivers have the name 'homer'"),
         ({"drivers": ("homer", "homer:0,1,0,1")}, "two drivers have the name 'homer'"),
         ({"drivers": ("population-0:0,1,0,1",), "population": 1}, "the name 'population-0'"),
@@ -80,18 +79,18 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ({"alert_window": 0}, "alert_window is at least 1"),
     ],
 )
-def test_errors_are_told_at_the_door(settings: dict[str, Any], message: str) -> None:
+def test_errors_are_reported_at_the_door(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         tiny(**settings)
 
 
-@pytest.mark.parametrize("settings", [{"drivers": "homer"}, {"steps": 2.5}, {"teams": True}])
-def test_values_of_another_kind_are_told_at_the_door(settings: dict[str, Any]) -> None:
+@pytest.mark.parametrize("settings", [{"drivers": "homer"}, {"steps": 2.5}, {"num_teams": True}])
+def test_values_of_another_kind_are_reported_at_the_door(settings: dict[str, Any]) -> None:
     with pytest.raises(TypeError, match=r"takes a tuple|is a whole number"):
         tiny(**settings)
 
 
-def test_a_policy_that_is_not_there_is_told_before_anything_is_played() -> None:
+def test_a_policy_that_is_not_there_is_reported_before_anything_is_played() -> None:
     with pytest.raises(ValueError, match="unknown driver policy 'autopilot'"):
         collect(tiny(driver_policy="autopilot"))
     with pytest.raises(FileNotFoundError, match="no policy for the seat of driver"):
@@ -160,7 +159,7 @@ def test_what_is_recorded_is_what_stepping_by_hand_gives(policy: str, trained: P
 def test_the_data_do_not_depend_on_the_chunks(tmp_path: Path, teams: int, trained: Path) -> None:
     settings = tiny(population=2, windows=2, driver_policy=str(trained))
     expected = whole(settings)
-    chunks = list(collect(replace(settings, teams=teams)))
+    chunks = list(collect(replace(settings, num_teams=teams)))
     assert [len(chunk) for chunk in chunks[:-1]] == [teams] * (len(chunks) - 1)
     write_demonstrations(tmp_path, iter(chunks))
     read = read_demonstrations(tmp_path)
@@ -254,7 +253,7 @@ def test_by_default_a_trained_driver_draws(trained: Path) -> None:
 def test_a_policy_that_reads_the_traits_is_shown_them(trained: Path) -> None:
     one, other = (
         true(whole(tiny(drivers=(f"mona:0,1,{eta},1",), driver_policy=str(trained), steps=400)))
-        for eta in (0, 1)  # which changes nothing else, as nobody is distracted
+        for eta in (0, 1)  # which changes nothing else, as no driver is distracted
     )
     assert (one.intended != other.intended).any()
 
@@ -315,12 +314,12 @@ def test_the_lidar_is_not_the_inflated_one(monkeypatch: pytest.MonkeyPatch) -> N
     np.testing.assert_array_equal(recorded, true_sizes)
 
 
-def test_the_observed_file_tells_nothing_of_the_drivers_but_their_names(tmp_path: Path) -> None:
+def test_the_observed_file_shows_nothing_of_the_drivers_but_their_names(tmp_path: Path) -> None:
     settings = tiny(drivers=("mona:0.4321,0.3217,0.5678,2.3456",), population=2, windows=1)
     write_demonstrations(tmp_path, collect(settings, command_line=f"collect {settings.drivers[0]}"))
     observed = read_observed(tmp_path)
-    told = json.dumps(observed.about)
-    assert not [word for word in ("4321", "mona", *TRAIT_NAMES) if word in told]
+    text = json.dumps(observed.about)
+    assert not [word for word in ("4321", "mona", *TRAIT_NAMES) if word in text]
     content = (tmp_path / OBSERVED).read_bytes()
     words = (b"4321", b"3217", b"5678", b"3456", b"beta", b"inflation", b"distracted", b"intended")
     assert not [word for word in words if word in content]

@@ -49,7 +49,7 @@ def test_a_trait_that_is_no_number_is_refused():
         Driver("", 0.5, 0.5, 0.5, 3.0)
 
 
-def test_an_unknown_driver_is_told_the_known_ones():
+def test_the_error_for_an_unknown_driver_names_the_known_ones():
     with pytest.raises(ValueError, match=r"unknown driver 'ned'.*lisa, marge, bart, homer, avera"):
         get_driver("ned")
     with pytest.raises(TypeError, match="name or a Driver"):
@@ -176,7 +176,7 @@ def test_what_was_drawn_must_be_traits():
         check_traits(np.zeros((2, 4)), 2)
 
 
-def test_a_driver_of_ones_own_can_be_written_down():
+def test_a_custom_driver_can_be_written_as_text():
     assert get_driver("mona:0.4,0.3,0.5,2") == Driver("mona", 0.4, 0.3, 0.5, 2.0)
 
 

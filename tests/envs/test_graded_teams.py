@@ -164,7 +164,7 @@ def test_rewards_of_graded_alerts_by_hand():
     assert result.terms["accept_alert"].tolist() == [0.0] * 4
 
 
-def test_info_tells_the_strength_in_effect_and_the_level():
+def test_info_holds_the_strength_in_effect_and_the_level():
     env = merge_v0.parallel_env(driver="homer", **SMALL, **WEARIED)
     _, infos = env.reset(seed=2)
     assert (infos["driver"]["strength"], infos["driver"]["fatigue"]) == (0.0, 0)

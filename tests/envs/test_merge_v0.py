@@ -148,7 +148,7 @@ def test_an_episode_ends_for_both_at_once_with_the_last_rewards(end):
             last[agent] = (reward, terminated, truncated, info)
             env.step(None)
         else:
-            env.step(3 if agent == "driver" else 0)  # always faster: runs into somebody
+            env.step(3 if agent == "driver" else 0)  # always faster: runs into another car
     assert set(last) == {"driver", "vehicle_ai"}
     for reward, terminated, truncated, info in last.values():
         assert (terminated, truncated) == ((False, True) if end == "time" else (True, False))
@@ -268,7 +268,7 @@ def test_before_the_first_reset_everything_asks_for_it():
 
 
 @pytest.mark.parametrize("make", [merge_v0.env, merge_v0.raw_env, merge_v0.parallel_env])
-def test_every_keyword_is_shown_and_a_typo_is_told_the_known_ones(make):
+def test_every_keyword_is_shown_and_the_error_for_a_typo_names_the_known_ones(make):
     shown = inspect.signature(make).parameters
     assert set(shown) == {"world", "render_mode", *(field.name for field in fields(TeamConfig))}
     assert shown["reward"].default == "team"

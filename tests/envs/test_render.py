@@ -328,8 +328,7 @@ def test_an_environment_goes_on_when_its_window_is_closed() -> None:
     team.reset(seed=1)
     pygame.event.post(pygame.Event(pygame.QUIT))
     for _ in range(3):
-        team.intend(1)
-        team.alert(0)
+        team.result = team.teaming.turn([1], [0])
         team.show()
     assert team._viewer is not None
     assert team._viewer.closed
@@ -463,18 +462,18 @@ def test_a_driver_of_no_name_is_called_driver() -> None:
     assert team_status(made, 0).driver == "driver"
 
 
-def test_the_status_tells_how_strong_an_alert_is() -> None:
+def test_the_status_shows_the_strength_of_an_alert() -> None:
     made = Teaming(
         TeamConfig(duration=2.0, scene=Scene(vehicles=1), alert_strengths=(0.25, 0.5, 1.0)), 1
     )
     made.reset(np.array([1], np.uint64))
-    told = []
+    shown = []
     for alert in (2, 0, 3):
         made.intend([1])
         made.step([alert])
         status = team_status(made, 0)
-        told.append((status.alert, status.strength if status.alert else None, status.steps_left))
-    assert told == [(True, 0.5, 7), (False, None, 6), (True, 1.0, 7)]
+        shown.append((status.alert, status.strength if status.alert else None, status.steps_left))
+    assert shown == [(True, 0.5, 7), (False, None, 6), (True, 1.0, 7)]
 
 
 def bars(picture: Picture, colour: tuple[int, int, int]) -> list[int]:
@@ -508,7 +507,7 @@ def test_of_many_candidates_the_likeliest_are_shown_in_their_order(viewer: Viewe
     np.testing.assert_array_equal(viewer.draw(SNAPSHOT, replace(STATUS, belief=chosen)), picture)
 
 
-def test_a_belief_and_perceived_sizes_have_room_beside_each_other() -> None:
+def test_a_belief_and_perceived_sizes_have_room_next_to_each_other() -> None:
     perceived = Viewer(CONFIG, perceived=True)
     believed = replace(STATUS, belief=(("bart", 0.5), ("lisa", 0.5)))
     pictures = [

@@ -395,7 +395,7 @@ def test_a_new_episode_is_driven_by_whom_the_population_draws():
 
 
 @pytest.mark.parametrize(
-    ("traits", "which", "error", "told"),
+    ("traits", "which", "error", "message"),
     [
         (Traits.of([ALWAYS, NEVER]), None, ValueError, r"beta is an array .* shape \(3,\)"),
         (NEW.as_array(), None, TypeError, "a Population draws Traits, not"),
@@ -409,15 +409,15 @@ def test_a_new_episode_is_driven_by_whom_the_population_draws():
         (NEW, np.array([1, 0, 1]), ValueError, "which= marks teams by bools"),
     ],
 )
-def test_a_hand_over_to_nobody_is_refused_and_changes_nothing(traits, which, error, told):
+def test_a_hand_over_to_no_driver_is_refused_and_changes_nothing(traits, which, error, message):
     teams = on_the_way()
     before = teams.state()
-    with pytest.raises(error, match=told):
+    with pytest.raises(error, match=message):
         teams.hand_over(traits, which)
     np.testing.assert_array_equal(teams.state(), before)
 
 
-def test_nobody_takes_the_wheel_in_mid_turn():
+def test_no_driver_takes_the_wheel_in_mid_turn():
     teams = on_the_way()
     teams.intend([1, 1, 1], SECOND)
     before = teams.state()
@@ -425,7 +425,7 @@ def test_nobody_takes_the_wheel_in_mid_turn():
         with pytest.raises(ValueError, match=r"between turns; alert with step\(\) first"):
             teams.hand_over(NEW, which)
     np.testing.assert_array_equal(teams.state(), before)
-    teams.hand_over(NEW, OTHERS)  # in whose turn nobody has acted
+    teams.hand_over(NEW, OTHERS)  # where no driver has acted in the turn
     np.testing.assert_array_equal(teams.state()[1], before[1])
 
 
@@ -459,7 +459,7 @@ def test_the_new_driver_sees_with_their_own_eyes(world):
     changed = drive(small, large)
     all_small, all_large = drive(small, small), drive(large, large)
     for k in range(6):
-        np.testing.assert_array_equal(changed[k][1], all_small[k][1])  # nobody took over there
+        np.testing.assert_array_equal(changed[k][1], all_small[k][1])  # no new driver there
         theirs = all_large if k in (2, 4) else all_small  # the driver's seat, from then on
         np.testing.assert_array_equal(changed[k][0], theirs[k][0])
     assert (all_small[2][0] != all_large[2][0]).any()

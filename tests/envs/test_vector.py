@@ -10,7 +10,7 @@ from standing_world import CrashingWorld, StandingWorld, standing_teams
 
 from hmi_marl import Driver, Scene, TraitDistributions, merge_v0
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.streams import episode_seed
@@ -25,7 +25,7 @@ SMALL = {"scene": Scene(vehicles=2), "duration": 2.0, "driver": ["bart", "homer"
 
 
 def standing(num_teams, seat="team", partner=None, seed=0, world=StandingWorld, **settings):
-    """A vector of cars that do not move, in an episode of five steps unless told otherwise."""
+    """A vector of cars that do not move, in an episode of five steps by default."""
     config = TeamConfig(**({"duration": 1.0} | settings))
     teaming = Teaming(config, num_teams, world(config.scene, num_teams))
     return TeamVecEnv(teaming, seat, partner, seed)
@@ -253,7 +253,7 @@ def test_the_partner_is_asked_once_a_step_for_all_teams():
         assert partner.reset_with == [None, crashed, crashed, [True, True, True]]
 
 
-def test_time_outs_are_told_apart_from_crashes_even_in_the_last_step():
+def test_time_outs_are_distinguished_from_crashes_even_in_the_last_step():
     env = standing(3, duration=0.4)
     env.teaming.world.crash_next[0] = True
     stay = torch.tensor([[1, 0]] * 3)
@@ -342,7 +342,7 @@ def test_each_seat_gets_its_own_reward_and_the_team_all_of_it(reward):
     assert tuple(rewards[seat] for seat in SEATS) == pytest.approx(expected)
 
 
-def test_with_both_seats_the_extras_tell_what_each_agent_gets():
+def test_with_both_seats_the_extras_hold_the_rewards_of_each_agent():
     env = standing(1, "team", reward="individual", driver=ATTENTIVE)
     _, reward, _, extras = env.step(torch.tensor([[3, 0]]))
     driving = 2.5 + 0.1 - 0.025
@@ -486,12 +486,12 @@ def test_the_configuration_is_fit_for_json():
     env = standing(
         2, "driver", make_hmi("never", TeamConfig()), seed=4, driver=TraitDistributions()
     )
-    told = json.loads(json.dumps(env.cfg))
-    assert (told["seat"], told["num_teams"], told["seed"]) == ("driver", 2, 4)
-    assert (told["partner"], told["world"]) == ("RandomAlert", "StandingWorld")
-    assert told["team"]["driver"]["beta"] == {"low": 0.0, "high": 1.0}
-    assert told["team"]["scene"]["vehicles"] == [1, 20]
-    assert told["team"]["weights"]["distraction"] == -10.0
+    described = json.loads(json.dumps(env.cfg))
+    assert (described["seat"], described["num_teams"], described["seed"]) == ("driver", 2, 4)
+    assert (described["partner"], described["world"]) == ("RandomAlert", "StandingWorld")
+    assert described["team"]["driver"]["beta"] == {"low": 0.0, "high": 1.0}
+    assert described["team"]["scene"]["vehicles"] == [1, 20]
+    assert described["team"]["weights"]["distraction"] == -10.0
     assert json_value({1: np.float64(2.5), "x": (None, True, int)}) == {
         "1": 2.5,
         "x": [None, True, "<class 'int'>"],

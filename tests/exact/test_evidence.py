@@ -60,49 +60,49 @@ def test_it_is_the_likelihood_over_all_hidden_sequences(who, candidates, window,
     intents, alerts = any_intents(steps, 1, seed), any_alerts(steps, 1, rate, seed + 1)
     drivers = [who, *candidates]
     evidence = ChainEvidence(drivers, teams.config)
-    told, applied = np.zeros(len(drivers)), []
+    found, applied = np.zeros(len(drivers)), []
     for t, seen in enumerate(turns(teams, intents, alerts)):
         if t:
             applied.append(int(teams.applied[0]))
         gains = evidence.observe(seen, EVERY)
         assert gains.shape == (1, len(drivers))
-        told += gains[0]
+        found += gains[0]
         for k, driver in enumerate(drivers if t else []):
             past = intents[:t, 0], applied, alerts[:t, 0]
             p, with_d = of_all_sequences(driver, window, *past)
             if p > 1e-200:
-                assert told[k] == pytest.approx(np.log(p), abs=1e-9)
+                assert found[k] == pytest.approx(np.log(p), abs=1e-9)
                 assert believed(evidence, driver) == pytest.approx(with_d / p, abs=1e-9)
             else:
-                assert told[k] < -400
-    assert told[0] > -np.inf, "who really drove is possible"
+                assert found[k] < -400
+    assert found[0] > -np.inf, "the true driver is possible"
 
 
 def test_a_step_that_shows_distraction_by_hand():
-    # v_0 tells nothing. In step 1 they want something else and v stays: d_1 = 1.
+    # v_0 shows nothing. In step 1 they want something else and v stays: d_1 = 1.
     teams = standing_teams(1, driver=Driver("asleep", 1.0, 0.0, 0.0, 1.0), ai_sees_attention=False)
     teams.reset(seeds(1))
     evidence = ChainEvidence(["lisa", "bart"], teams.config)
     intents, alerts = np.array([[1], [3], [3]]), np.zeros((3, 1), np.int64)
-    told = [evidence.observe(seen, EVERY)[0] for seen in turns(teams, intents, alerts)]
-    assert told[0].tolist() == [0, 0]
-    np.testing.assert_allclose(told[1], 0, atol=1e-12)
+    found = [evidence.observe(seen, EVERY)[0] for seen in turns(teams, intents, alerts)]
+    assert found[0].tolist() == [0, 0]
+    np.testing.assert_allclose(found[1], 0, atol=1e-12)
     lisa, bart = 0.2 * 0.2 + 0.8 * 0.2, 0.8 * 0.8 + 0.2 * 0.8
-    np.testing.assert_allclose(np.exp(told[2]), [lisa, bart])
+    np.testing.assert_allclose(np.exp(found[2]), [lisa, bart])
 
 
-def test_who_cannot_have_done_it_is_told_and_is_followed_on():
+def test_an_impossible_candidate_is_excluded_and_followed_on():
     teams = standing_teams(1, driver=Driver("asleep", 1.0, 0.0, 0.0, 1.0), ai_sees_attention=False)
     teams.reset(seeds(1))
     awake = Driver("awake", 0.0, 1.0, 0.0, 1.0)
     evidence = ChainEvidence([awake], teams.config)
     intents = np.array([[1], [3], [1], [1]])
-    told = []
+    found = []
     for seen in turns(teams, intents, np.zeros((4, 1), np.int64)):
-        told.append(evidence.observe(seen, EVERY)[0, 0])
-        if len(told) == 3:
+        found.append(evidence.observe(seen, EVERY)[0, 0])
+        if len(found) == 3:
             assert evidence.filter.distracted[0, 0] == 1.0, "which was plain"
-    assert told == [0.0, 0.0, -np.inf, 0.0]
+    assert found == [0.0, 0.0, -np.inf, 0.0]
 
 
 def test_drivers_who_differ_in_inflation_alone_are_one_chain():
@@ -115,10 +115,10 @@ def test_drivers_who_differ_in_inflation_alone_are_one_chain():
     ]
     teams = standing_teams(1, driver="bart", ai_sees_attention=False)
     teams.reset(seeds(1))
-    evidence, told = ChainEvidence([bart, lisa, calm, lisa], teams.config), np.zeros(4)
+    evidence, found = ChainEvidence([bart, lisa, calm, lisa], teams.config), np.zeros(4)
     for seen in turns(teams, any_intents(20, 1), any_alerts(20, 1)):
-        told += evidence.observe(seen, EVERY)[0]
-    assert told[0] == told[2] != told[1] == told[3]
+        found += evidence.observe(seen, EVERY)[0]
+    assert found[0] == found[2] != found[1] == found[3]
 
 
 def watched(evidence, teams, steps=12, seed=0):
@@ -166,7 +166,7 @@ def test_a_new_trip_begins_attention_anew_where_there_is_one():
     np.testing.assert_array_equal(watched(evidence, teams), first)
 
 
-def test_team_k_is_told_of_as_if_it_were_alone():
+def test_the_evidence_of_a_team_is_the_same_alone_and_among_many():
     teams, alone = (standing_teams(n, driver="homer", ai_sees_attention=False) for n in (5, 1))
     evidence, of_one = (ChainEvidence(FOUR, teams.config) for _ in range(2))
     evidence.reset(5)

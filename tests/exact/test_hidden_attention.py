@@ -185,8 +185,8 @@ def tree(rule, driver, t=0, d=0, i=0, c=0, b=0.0):
     for reveals, chance in ((True, share), (False, 1.0 - share)):
         if chance == 0.0:
             continue
-        told = (np.array([x]) for x in (t, reveals, b, i, c))
-        alert = int(rule.alert(*told)[0])
+        arguments = (np.array([x]) for x in (t, reveals, b, i, c))
+        alert = int(rule.alert(*arguments)[0])
         if alert:
             now = 1, 0
         elif i:
@@ -230,7 +230,7 @@ def test_with_the_driver_that_it_assumes_a_rule_earns_what_it_promises(name, rev
 
 @settings(max_examples=15)
 @given(driver=anybody, revealing=st.sampled_from([0.1, 0.5]))
-def test_a_promise_is_kept_but_for_the_grid_and_nobody_elses_rule_earns_more(driver, revealing):
+def test_a_promise_is_kept_but_for_the_grid_and_no_other_rule_earns_more(driver, revealing):
     # between grid points values are taken too high, since they are convex in the belief
     rule = solve_belief(driver, 3, 15, PAPER, revealing)
     own = rule_return(rule, driver, PAPER)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import LearnedPolicy, make_card
-from hmi_marl.agents.learned.policy_files import load_policy, save_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, load_policy, make_card, save_policy
 from hmi_marl.demonstrations.dataset import Observed, Truth
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs import attention
@@ -114,8 +113,8 @@ def test_the_evidence_of_all_that_could_be_applied_sums_to_one(
     alerts = data.draw(st.lists(st.integers(0, 1), min_size=3, max_size=3))
     bayes = BayesFilter(drivers, 2, len(every))
     for t in range(3):
-        told = np.repeat(policies[:, t][:, None], len(every), axis=1)
-        bayes.update(told, every[:, t], np.full(len(every), alerts[t]))
+        chances = np.repeat(policies[:, t][:, None], len(every), axis=1)
+        bayes.update(chances, every[:, t], np.full(len(every), alerts[t]))
     np.testing.assert_allclose(np.exp(bayes.log_evidence).sum(axis=0), 1.0)
 
 
@@ -124,14 +123,14 @@ def even(count: int, teams: int = 1) -> NDArray[np.float64]:
 
 
 def test_two_steps_by_hand() -> None:
-    # Bart: p(d_0) = 0.8 and tells nothing. Then without an alert p(d_1) = 0.8 * 0.8 + 0.2 * 0.8.
+    # Bart: p(d_0) = 0.8 and v_0 shows nothing. Then, not alerted, p(d_1) = 0.8 * 0.8 + 0.2 * 0.8.
     # Homer is alerted first: p(d_0) = 0, and i stays 1, so p(d_1) = 0.
     bayes = BayesFilter(["bart", "homer"], 7, 1)
     bayes.update(even(2), [1], [1])
     assert np.exp(bayes.log_evidence[0]) == pytest.approx([0.2, 0.2])
     assert bayes.distracted[0] == pytest.approx([0.79, 0.0])
-    told = np.array([[[0.1, 0.5, 0.1, 0.2, 0.1]], [[0.0, 0.25, 0.25, 0.25, 0.25]]])
-    bayes.update(told, [1], [0])
+    chances = np.array([[[0.1, 0.5, 0.1, 0.2, 0.1]], [[0.0, 0.25, 0.25, 0.25, 0.25]]])
+    bayes.update(chances, [1], [0])
     before = 0.79 * 0.79 + 0.21 * 0.79  # bart in effect of an alert: becomes 0.79, stays 0.79
     assert np.exp(bayes.log_evidence[0]) == pytest.approx([0.2 * (before + 0.21 * 0.5), 0.2 * 0.25])
     assert bayes.distracted[0] == pytest.approx([before / (before + 0.21 * 0.5), 0.0])
@@ -174,9 +173,9 @@ def test_teams_that_take_no_step_are_left_as_they_are() -> None:
 
 def test_a_candidate_who_cannot_have_done_it_is_out_for_good() -> None:
     bayes = BayesFilter(["lisa", "bart"], 7, 1)
-    told = even(2)
-    told[0, 0] = [1, 0, 0, 0, 0]
-    bayes.update(told, [2], [0])
+    chances = even(2)
+    chances[0, 0] = [1, 0, 0, 0, 0]
+    bayes.update(chances, [2], [0])
     assert bayes.log_evidence[0, 0] == -np.inf
     bayes.begin()
     bayes.update(even(2), [2], [0])
@@ -189,17 +188,17 @@ def test_a_candidate_who_cannot_have_done_it_still_sees_what_is_plain() -> None:
     # k never intends 1 nor is ever distracted, but v stays 1, and then is 2.
     awake = Driver("awake", 0.0, 1.0, 0.0, 1.0)
     bayes = BayesFilter([awake, "bart"], 7, 1)
-    told = even(2)
-    told[0, 0] = [0.5, 0, 0.5, 0, 0]
+    chances = even(2)
+    chances[0, 0] = [0.5, 0, 0.5, 0, 0]
     found = []
     for v in (1, 1, 2):
-        bayes.update(told, [v], [0])
+        bayes.update(chances, [v], [0])
         found.append(bayes.distracted[0, 0])
     assert found == [0.0, 1.0, 0.0]
     assert bayes.log_evidence[0, 0] == -np.inf
 
 
-def test_a_step_tells_what_it_adds_to_the_evidence() -> None:
+def test_a_step_returns_what_it_adds_to_the_evidence() -> None:
     bayes, before = BayesFilter(["bart", "homer"], 7, 2), np.zeros((2, 2))
     for v, alert, active in ((1, 1, True), (1, 0, False), (3, 0, True)):
         gain = bayes.update(even(2, 2), [v, 1], [alert, 0], np.array([active, True]))
@@ -303,7 +302,7 @@ def test_pools_and_labels_that_do_not_fit_are_refused() -> None:
         marginal(found.posterior(), ["a", "b"])
 
 
-def test_windows_that_exclude_each_others_drivers_are_of_nobody() -> None:
+def test_windows_that_exclude_each_others_drivers_are_of_no_driver() -> None:
     found = Identification(tuple(FOUR[:2]), np.array([[0.0, -np.inf], [-np.inf, 0.0]]))
     assert found.posterior().tolist() == [[1, 0], [0, 1]]
     with pytest.raises(ValueError, match="row 0 is impossible for every candidate"):
@@ -328,7 +327,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Data(NamedTuple):
-    """What was collected, and who drove it how."""
+    """Collected windows, their drivers, and the policy."""
 
     config: TeamConfig
     policy: LearnedPolicy
@@ -411,7 +410,7 @@ def test_a_window_is_what_the_filter_makes_of_the_policy_step_by_step(trained: P
         np.testing.assert_allclose(found.log_evidence[:, k], bayes.log_evidence[:, 0])
 
 
-def test_the_posterior_is_calibrated_and_windows_together_tell_more(trained: Path) -> None:
+def test_the_posterior_is_calibrated_and_sharper_with_more_windows(trained: Path) -> None:
     data = collected(trained, steps=200 * 10)
     found = data.identify()
     who = data.observed.driver
@@ -516,7 +515,7 @@ def test_a_greedy_driver_intends_the_likeliest_for_sure(trained: Path) -> None:
     assert (drawn.identify().log_evidence > -np.inf).all()
 
 
-def test_data_that_cannot_be_of_this_policy_are_told(trained: Path) -> None:
+def test_data_that_cannot_be_of_this_policy_are_refused(trained: Path) -> None:
     data = collected(trained, steps=100)
     data.policy.greedy = True
     with pytest.raises(ValueError, match=r"impossible for every candidate: the data are not"):
@@ -524,9 +523,9 @@ def test_data_that_cannot_be_of_this_policy_are_told(trained: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [RandomDriver, lambda: RuleBasedDriver(TeamConfig()), lambda: int])
-def test_a_policy_that_does_not_tell_its_probabilities_is_refused(trained: Path, make: Any) -> None:
+def test_a_policy_without_probabilities_is_refused(trained: Path, make: Any) -> None:
     data = collected(trained)
-    with pytest.raises(TypeError, match="policy must tell its probabilities: give an object"):
+    with pytest.raises(TypeError, match="policy must give its probabilities: pass an object"):
         data._replace(policy=make()).identify()
 
 

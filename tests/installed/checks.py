@@ -22,9 +22,9 @@ Check = Callable[[Environment, Path], None]
 
 def succeeded(run: CompletedProcess[str]) -> str:
     """What a command printed, which ended well."""
-    told = f"{shlex.join(map(str, run.args))}\n{run.stdout[-2000:]}\n{run.stderr[-6000:]}"
-    assert run.returncode == 0, told
-    assert "Traceback" not in run.stderr, told
+    details = f"{shlex.join(map(str, run.args))}\n{run.stdout[-2000:]}\n{run.stderr[-6000:]}"
+    assert run.returncode == 0, details
+    assert "Traceback" not in run.stderr, details
     return run.stdout
 
 
@@ -40,9 +40,9 @@ def check_origin(environment: Environment, folder: Path) -> None:
 
 
 def check_version(environment: Environment, folder: Path) -> None:
-    told = f"hmi-marl {hmi_marl.__version__}\n"
-    assert succeeded(environment.hmi_marl(["--version"], folder)) == told
-    assert succeeded(environment.python(["-m", "hmi_marl", "--version"], folder)) == told
+    version = f"hmi-marl {hmi_marl.__version__}\n"
+    assert succeeded(environment.hmi_marl(["--version"], folder)) == version
+    assert succeeded(environment.python(["-m", "hmi_marl", "--version"], folder)) == version
 
 
 def check_help(words: str) -> Check:

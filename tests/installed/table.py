@@ -1,4 +1,4 @@
-"""What the wheel promises to run, and the extras that each needs: a row for everything.
+"""Everything that the wheel promises to run, and the extras that each needs.
 
 The arguments are those of the cheapest real run. ``test_table.py`` holds the rows against the code:
 a new subcommand, option, example, block of the README or page without a row fails there.
@@ -27,17 +27,17 @@ class Row:
 
     kind: Kind
     name: str
-    """What is typed after hmi-marl, the example's stem, the page, or words in one README block."""
+    """Subcommand, stem of the example, page, or words in one README block."""
     needs: frozenset[str]
     """Extras without which it does not run, and with which alone it does."""
     arguments: str = ""
-    """Of its cheapest real run."""
+    """Arguments of its cheapest real run."""
     before: Sequence[str] = ()
-    """Commands that leave what it reads."""
+    """Commands that write what it reads."""
     prepared: Sequence[str] = ()
-    """The same of commands that need more than it does: the Python of the tests runs them."""
+    """The same for commands that need more than it does: the Python of the tests runs them."""
     dear: bool = False
-    """Takes long: really run only where nothing is installed beyond what it needs."""
+    """Takes long: run only where nothing is installed beyond what it needs."""
     not_run: str = ""
     """Why no real run is made."""
 
@@ -141,6 +141,10 @@ EXAMPLES = tuple(
     for name, needs in {
         "turn_taking": CORE,
         "new_driver": CORE,
+        "new_experiment": TRAIN,
+        "new_hmi": CORE,
+        "new_protocol": TRAIN,
+        "new_world": CORE,
         "unknown_driver": CORE,
         "policy_gradient_hmi": TRAIN,
         "latent_traits": TRAIN | DATA,
@@ -163,19 +167,19 @@ SITE_PAGES = tuple(
     Row("page", name, needs, prepared=prepared, dear=True)
     for name, (needs, *prepared) in {
         "adapting.md": (CORE,),
+        "custom-trainers.md": (TRAIN | INTEROP,),
         "demonstrations.md": (DATA, "collect --drivers homer --steps 4802 --duration 0.4"),
         "environment.md": (CORE,),
         "exact.md": (CORE,),
         "extending.md": (CORE,),
         "graded-alerts.md": (CORE,),
         "index.md": (CORE,),
-        "own-trainers.md": (TRAIN | INTEROP,),
         "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),
     }.items()
 )
-"""Every page with blocks of Python, which are one program from top to bottom, and the commands
-that leave what it reads."""
+"""Every page with blocks of Python, which are one program from top to bottom, and the commands that
+write what it reads."""
 
 ROWS = (
     *COMMANDS,

@@ -1,32 +1,32 @@
-r"""Learned evidence about who drives: what each turn tells, for any driver, known or not.
+r"""Learned evidence about the driver from each turn, for any candidate traits.
 
-An encoder reads the turns of a trip and gives in each a vector e_t; another network gives every
-driver θ = (β, α, η, inflation) a place w(θ) in the same latent space. The evidence is
+An encoder reads the turns of a trip and returns a vector e_t for each; another network maps every
+driver θ = (β, α, η, inflation) to a vector w(θ) in the same latent space. The evidence is
 
 .. math::
     \log p(\text{turn}_t | \text{turns before}, θ) \approx e_t \cdot w(θ) + \text{const}
 
-and that of a driver's windows together is their sum: windows are pooled by adding up e_t, since
-given the driver they are independent. The encoder's memory is emptied every ``segment`` turns, so
-that what it saw of somebody else is soon forgotten. For the chain alone such a sum is exact: e_t
-would count what happened and w(θ) hold logarithms of β, 1 - β, β - η ...
+and that of several windows of one driver is their sum: given the driver, windows are independent,
+so they are pooled by adding e_t. The encoder's recurrent state is reset every ``segment`` turns, so
+that a previous driver is soon forgotten. For the attention chain alone such a sum is exact: e_t
+would count events and w(θ) hold the logarithms of β, 1 - β, β - η ...
 
-It reads what the vehicle AI sees in its turn, a^H_t included, and learns from drives with known
-traits (:mod:`hmi_marl.training.evidence`). So it also goes by how somebody drives, which the exact
-evidence of the chain does not.
+It reads the vehicle AI's observation, including a^H_t, and learns from drives with known traits
+(:mod:`hmi_marl.training.evidence`). So it also uses driving style, which the exact evidence of the
+chain does not.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
 from hmi_marl.agents.learned.situations import LONG_AGO
 from hmi_marl.envs.config import TeamConfig
@@ -35,23 +35,24 @@ from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
 from hmi_marl.envs.teaming import NO_ACTION
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.bayes_filter import check_candidates
+from hmi_marl.files import sha256
 
 READS = ("intended_action", "previous_intended_action", "applied_action")
-"""Parts of the vehicle AI's observation that an encoder reads by default: what the driver wants and
-what the car does. With lidar and speed it tells inflation better, and all the rest worse."""
+"""Parts of the vehicle AI's observation that an encoder reads by default: intended and applied
+actions. Lidar and speed would improve the estimate of inflation and worsen those of β, α and η."""
 HIDDEN = ("traits", "distracted", "accepted", "counter", "fatigue")
-"""What nobody who has to find out who drives is shown."""
+"""Observation parts hidden from driver inference."""
 PARTS = ("encoder", "place")
 _ACTIONS = len(VEHICLE_ACTIONS)
 _SINCE = LONG_AGO + 1
 DERIVED = _ACTIONS + 3 * _SINCE
-"""Columns beside what is read: v_{t-2}, and, by the steps from the last alert to step t - 1, that
-number itself and whether the step showed the driver attentive or distracted."""
+"""Columns in addition to the read parts: one-hot v_{t-2}; one-hot steps from the last alert to step
+t - 1, and the same where that step revealed an attentive driver or a distracted one."""
 
 
 @dataclass(frozen=True)
 class EvidenceCard:
-    """What an evidence model is, apart from its weights.
+    """Description of an evidence model, without its weights.
 
     Raises:
         ValueError: sizes that make no model.
@@ -60,15 +61,15 @@ class EvidenceCard:
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of the vehicle AI's observation that it reads, in order."""
     latent: int = 16
-    """Z, the size of e_t and w(θ)."""
+    """Z, size of e_t and w(θ)."""
     segment: int = 25
-    """Turns after which the encoder's memory is emptied."""
+    """Turns after which the encoder's recurrent state is reset."""
     encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
-    """From turns to e_t."""
+    """Network from turns to e_t."""
     place: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
-    """From traits to w."""
+    """Network from traits to w."""
     training: dict[str, Any] = field(default_factory=dict)
-    """How it was made."""
+    """How it was trained."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
@@ -76,21 +77,23 @@ class EvidenceCard:
             raise ValueError("an evidence model reads parts of at least one column")
         for name, _ in self.reads:
             if name in HIDDEN:
-                raise ValueError(f"an evidence model may not read {name!r}: it is to be inferred")
+                raise ValueError(
+                    f"an evidence model may not read {name!r}: driver inference hides it"
+                )
         for name in ("latent", "segment"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
         if self.place.rnn_hidden_dim:
-            raise ValueError("a driver's place has no memory: set encoder.rnn_hidden_dim alone")
+            raise ValueError("only the encoder may be recurrent: set place.rnn_hidden_dim to 0")
 
     @classmethod
     def for_team(
         cls, config: TeamConfig, names: Sequence[str] = READS, **sizes: Any
     ) -> EvidenceCard:
-        """The card of a model that reads these parts in teams set up by ``config``.
+        """Make the card of a model that reads these parts in teams set up by ``config``.
 
         Raises:
-            ValueError: a part that the vehicle AI does not see there.
+            ValueError: a part that is not in the vehicle AI's observation.
         """
         layout = vehicle_ai_layout(config)
         unknown = [name for name in names if name not in layout]
@@ -102,7 +105,7 @@ class EvidenceCard:
 
     @property
     def read_size(self) -> int:
-        """Columns that it reads of an observation."""
+        """Number of columns of an observation that it reads."""
         return sum(size for _, size in self.reads)
 
     @property
@@ -120,12 +123,17 @@ class EvidenceCard:
         return shapes
 
 
+FORMAT = CardFormat("hmi-marl evidence 2", "evidence model", EvidenceCard)
+NAME = "evidence.json"
+"""File name of the card; the weights are in ``evidence.safetensors`` next to it."""
+
+
 class Turns:
-    """What is read of each turn of N trips, put together from the vehicle AI's observations.
+    """Build the encoder's inputs for N trips from the vehicle AI's observations.
 
     Args:
-        reads: names of the parts that are read as they are.
-        layout: of the observations.
+        reads: names of the parts that are read unchanged.
+        layout: layout of the observations.
     """
 
     def __init__(self, reads: Sequence[str], layout: Layout) -> None:
@@ -134,23 +142,23 @@ class Turns:
         self.reset(1)
 
     def reset(self, count: int) -> None:
-        """Trips of ``count`` teams begin."""
+        """Begin trips of ``count`` teams."""
         self._applied_before = np.full(count, NO_ACTION)
         self._since = np.full(count, LONG_AGO)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
-        """New trips begin where ``which``, shape (N,), is set."""
+        """Begin new trips where ``which``, shape (N,), is set."""
         self._applied_before = np.where(which, NO_ACTION, self._applied_before)
         self._since = np.where(which, LONG_AGO, self._since)
 
     def read(
         self, observations: NDArray[np.float32], new: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """What is known in this turn, shape (N, columns read + DERIVED).
+        """Return the inputs of this turn, shape (N, columns read + DERIVED).
 
         Args:
             observations: shape (N, D).
-            new: which turns are new; of others nothing is remembered. Shape (N,).
+            new: whether each turn is new, shape (N,); others are not remembered.
         """
         layout = self._layout
         applied = layout.chosen(observations, "applied_action")
@@ -172,56 +180,78 @@ class Turns:
 
 
 class EvidenceModel:
-    """Encoder and places, as they were learned.
+    """Learned encoder and network of latent vectors.
 
     Args:
-        card: what they are.
-        weights: by the names in ``card.shapes``.
+        card: description of the model.
+        weights: arrays by the names in ``card.shapes``.
 
     Raises:
         ValueError: weights that do not fit the card.
     """
 
     def __init__(self, card: EvidenceCard, weights: Weights) -> None:
-        check_shapes(card.shapes, weights, "evidence model")
+        FORMAT.check(card, weights)
         self.card = card
         self.weights = weights
         self._place = Network(card.place, part_of(weights, "place"))
 
     @property
     def digest(self) -> str:
-        """Tells this model from others, whose latent spaces have other units: a SHA-256."""
-        digest = hashlib.sha256()
-        for name in self.card.shapes:
-            digest.update(np.asarray(self.weights[name], np.float32, order="C").tobytes())
-        return digest.hexdigest()
+        """SHA-256 checksum of the weights, which identifies the latent space."""
+        arrays = (np.asarray(self.weights[n], np.float32, order="C") for n in self.card.shapes)
+        return sha256(b"".join(array.tobytes() for array in arrays))
 
     def encoder(self) -> Network:
-        """An encoder with a memory of its own."""
+        """Return an encoder with a separate recurrent state."""
         return Network(self.card.encoder, part_of(self.weights, "encoder"))
 
     def standardise(self, turns: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Turns (N, columns) with what is read as it is in units of the drives learned from."""
+        """Standardise the read columns of turns (N, columns) by the training drives."""
         out = turns.copy()
         size = self.card.read_size
         out[:, :size] = (out[:, :size] - self.weights["read.centre"]) / self.weights["read.scale"]
         return out
 
     def places(self, traits: Traits) -> NDArray[np.float64]:
-        """W of K drivers, shape (K, Z)."""
+        """Return w of K drivers, shape (K, Z)."""
         return self._place(traits_part(traits).astype(np.float32))
+
+
+def save_evidence(folder: Path, card: EvidenceCard, weights: Weights) -> Path:
+    """Write an evidence model into ``folder``; return the path of its card.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+    return FORMAT.save(folder / NAME, card, weights)
+
+
+def load_evidence(place: str | Path) -> EvidenceModel:
+    """Load the evidence model of a training run.
+
+    Args:
+        place: folder of the run, the ``.json`` itself, or ``trained:NAME``.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_card` and :meth:`CardFormat.read`.
+    """
+    path = find_card(
+        place, "evidence", "evidence model", "; learn one with hmi-marl reproduce adapt"
+    )
+    return EvidenceModel(*FORMAT.read(path))
 
 
 class LearnedEvidence:
     """Evidence for K candidates by a learned model; see :class:`Evidence`.
 
     Args:
-        model: what was learned.
+        model: the learned model.
         drivers: the candidates.
-        config: of the teams.
+        config: configuration of the teams.
 
     Raises:
-        ValueError: no candidates, or teams whose observations are not what the model reads.
+        ValueError: no candidates, or teams with other observations than the model reads.
     """
 
     def __init__(
@@ -234,19 +264,19 @@ class LearnedEvidence:
         if EvidenceCard.for_team(config, names).reads != model.card.reads:
             raise ValueError(
                 "this evidence model reads other columns than these teams show; use the scene that "
-                "it was learned in"
+                "it was trained in"
             )
         self._turns = Turns(names, layout)
         self._encoder = model.encoder()
         self.places = model.places(Traits.of(self.drivers))
-        """w of the candidates, shape (K, Z)."""
+        """Vectors w of the candidates, shape (K, Z)."""
         self.reset(1)
 
     def reset(self, count: int) -> None:
         """See :meth:`Evidence.reset`."""
         self._turns.reset(count)
         self._encoder.forget(count)
-        self._read = np.zeros(count, np.int64)  # turns of the present trip
+        self._read = np.zeros(count, np.int64)  # turns of the current trip
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`Evidence.begin`."""

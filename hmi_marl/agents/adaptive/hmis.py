@@ -1,15 +1,15 @@
-"""HMIs that get to know their driver: ordinary policies for the vehicle AI's seat.
+"""HMIs that infer their driver's traits while driving.
 
-Each holds a :class:`TraitEstimator` and acts on its belief:
+Each is a policy that holds a :class:`TraitEstimator` and acts on its belief:
 
-- :class:`ChoosingHMI` lets the HMI of the likeliest type act;
+- :class:`ChoosingHMI` acts as the HMI of the likeliest type;
 - :class:`ConditionedHMI` is one learned policy π(a^A | a^H, s, z), whose z is expected under the
   belief;
-- :class:`ExpectedValueHMI` alerts where that is worth more on average over the belief, so that
-  doubt costs little: what is at stake for each candidate counts, not only who is likeliest.
+- :class:`ExpectedValueHMI` alerts where that is worth more on average over the belief, which
+  weighs the gain or loss for each candidate.
 
-:meth:`~AdaptiveHMI.reset` begins an episode of a driver who is not known; ``next_trip`` one of the
-same driver as before.
+:meth:`~AdaptiveHMI.reset` begins an episode of an unknown driver, ``next_trip`` one of the same
+driver as before.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
-from hmi_marl.agents.attention_watch import AttentionWatch
 from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.agents.memory import AttentionWatch
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.seats import Policy, moves_sequentially
@@ -31,27 +31,27 @@ from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, look_up, solve_be
 from hmi_marl.exact.trait_posterior import TraitBelief
 
 CAUTION = 0.5
-"""κ of :class:`ExpectedValueHMI`: in full doubt it follows AvgHMI unless deviating is expected to
-gain more than this many standard deviations of what it may gain."""
+"""κ of :class:`ExpectedValueHMI`: at maximum entropy it follows AvgHMI unless the expected gain
+from deviating exceeds this many standard deviations of the gain."""
 
 
 class AdaptiveHMI:
-    """What adaptive HMIs have in common: an estimator that watches every turn.
+    """Base class of adaptive HMIs: an estimator observes every turn.
 
     Args:
-        estimator: of the driver's traits.
+        estimator: estimator of the driver's traits.
     """
 
     def __init__(self, estimator: TraitEstimator) -> None:
         self.estimator = estimator
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
-        """See :meth:`Policy.reset`: nothing is known of who drives."""
+        """See :meth:`Policy.reset`; the drivers are unknown."""
         self.estimator.reset(len(seeds), which)
         self._begin(seeds, which)
 
     def next_trip(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
-        """Begin episodes of the same drivers as before, who are known by now."""
+        """Begin episodes of the same drivers as before and keep the belief about them."""
         self.estimator.next_trip(which)
         self._begin(seeds, which)
 
@@ -67,15 +67,15 @@ class AdaptiveHMI:
 
 
 class ChoosingHMI(AdaptiveHMI):
-    """Lets the HMI of the likeliest candidate act; all of them watch.
+    """Act as the HMI of the likeliest candidate; the HMIs of all candidates observe.
 
     Args:
-        estimator: of the driver's traits.
-        hmis: one for each of its candidates, each an object of its own.
+        estimator: estimator of the driver's traits.
+        hmis: one object for each of its candidates.
 
     Raises:
-        ValueError: not as many HMIs as candidates, one of them twice, or one that has learned to
-            act at once with the driver.
+        ValueError: another number of HMIs than candidates, the same object twice, or an HMI
+            trained with simultaneous moves.
     """
 
     def __init__(self, estimator: TraitEstimator, hmis: Sequence[Policy]) -> None:
@@ -84,10 +84,12 @@ class ChoosingHMI(AdaptiveHMI):
         if len(hmis) != len(drivers):
             raise ValueError(f"{len(drivers)} candidates need an HMI each, but got {len(hmis)}")
         if len({id(hmi) for hmi in hmis}) < len(hmis):
-            raise ValueError("every candidate's HMI is an object of its own: it remembers")
+            raise ValueError(
+                "every candidate needs a separate HMI object, since HMIs have a memory"
+            )
         if not all(moves_sequentially(hmi) for hmi in hmis):
             raise ValueError(
-                "the HMIs to choose among are to see a^H_t: all take turns, or none can"
+                "the HMIs to choose among must see a^H_t: use HMIs trained with sequential moves"
             )
         self.hmis = tuple(hmis)
 
@@ -101,15 +103,15 @@ class ChoosingHMI(AdaptiveHMI):
 
 
 class ConditionedHMI(AdaptiveHMI):
-    """One learned HMI conditioned on z, the place in latent space expected under the belief.
+    """One learned HMI conditioned on z, the expected latent vector under the belief.
 
     Args:
-        estimator: of the driver's traits.
+        estimator: estimator of the driver's traits.
         policy: π(a^A | a^H, s, z).
         places: z of each candidate, shape (K, Z).
 
     Raises:
-        ValueError: places of another shape, or a policy that is not conditioned on such a z.
+        ValueError: places of another shape, or a policy that takes no such z.
     """
 
     def __init__(
@@ -134,26 +136,26 @@ class ConditionedHMI(AdaptiveHMI):
 
 
 class ExpectedValueHMI(AdaptiveHMI):
-    r"""Does what AvgHMI does, unless the belief speaks clearly enough for the opposite.
+    r"""Act like AvgHMI unless the belief is clear enough for the opposite.
 
-    For every candidate k the rule that is optimal on b_k = p_k(d = 1) knows what alerting now is
-    worth more than not alerting, A_k(t, b_k, i, c); see :func:`solve_belief`. With g_k = ± A_k,
-    what deviating from AvgHMI's choice would gain if k drove, it deviates where
+    For every candidate k the rule that is optimal on b_k = p_k(d = 1) gives the advantage of
+    alerting now over not alerting, A_k(t, b_k, i, c); see :func:`solve_belief`. With g_k = ± A_k,
+    the gain from deviating from AvgHMI's choice if k drives, it deviates where
 
     .. math:: E[g] > \kappa\, H\, \mathrm{sd}[g]
 
-    over the belief p(k), H being its entropy as a share of the most there can be. With caution
-    κ = 0 this is the highest expected value (and would be optimal if it were told who drives in the
-    next step). With more, doubt makes it stay with AvgHMI, so that no driver pays at the start for
-    what others would have gained; as the belief settles, H falls and caution with it. Once one
-    candidate is sure it is :class:`BeliefAlert` for them, whatever κ.
+    over the belief p(k), where H is its entropy as a share of the maximum. With κ = 0 this has the
+    highest expected value (and would be optimal if the driver were revealed in the next step). With
+    κ > 0 an uncertain belief follows AvgHMI, so that no driver loses at the start what others would
+    have gained; H falls as the belief becomes certain. Once one candidate is certain it acts as
+    :class:`BeliefAlert` for that driver, for any κ.
 
     Args:
-        estimator: of the driver's traits.
-        config: of the teams.
+        estimator: estimator of the driver's traits.
+        config: configuration of the teams.
         revealing: assumed share of steps in which a^H differs from the last applied action.
         caution: κ.
-        default: the driver model of AvgHMI.
+        default: driver model of AvgHMI.
 
     Raises:
         ValueError: caution below 0.
@@ -197,7 +199,7 @@ class ExpectedValueHMI(AdaptiveHMI):
         return np.where(mean > self.caution * _doubt(p) * spread, 1 - usual, usual)
 
     def _advantages(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        """A_k of every different chain, shape (N, K)."""
+        """Return A_k of every different chain, shape (N, K)."""
         step = self._attention.observe(observations)
         reveals = self._attention.reveals(observations).astype(np.int64)
         now = self._attention.filter
@@ -207,7 +209,7 @@ class ExpectedValueHMI(AdaptiveHMI):
 
 
 def _doubt(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Entropy of each row of (N, K) as a share of log K, in [0, 1]; 0 if K is 1."""
+    """Return the entropy of each row of (N, K) as a share of log K, in [0, 1]; 0 if K is 1."""
     logs = np.log(probabilities, out=np.zeros_like(probabilities), where=probabilities > 0)
     most = np.log(probabilities.shape[1])
     entropy: NDArray[np.float64] = -(probabilities * logs).sum(axis=1)

@@ -1,14 +1,14 @@
-r"""Who is at the wheel, step by step through a trip and from trip to trip.
+r"""Estimate the driver's traits step by step, within a trip and from trip to trip.
 
 With p the belief before a step and g_k the step's evidence for candidate k,
 
 .. math::
     p'_k \propto \big( (1 - h) p_k + h\, p^0_k \big) \exp g_k
 
-where p^0 is the prior, and h the probability that somebody else has taken the wheel since the last
-step. So a belief never becomes so certain that a change of driver could not be seen. With exact
-evidence and h = 0 it is the exact posterior. With h > 0 it is close to it: what is told about a new
-driver's d, i and c is what it would be if they had driven all along, for a window or so.
+where p^0 is the prior, and h the probability that another driver has taken over since the last
+step. So a belief never becomes so certain that a change of driver goes unnoticed. With exact
+evidence and h = 0 it is the exact posterior. With h > 0 it is an approximation: for about a window
+after a change the evidence assumes d, i and c as if the new driver had driven from the start.
 """
 
 from __future__ import annotations
@@ -23,21 +23,20 @@ from hmi_marl.exact.evidence import Evidence
 from hmi_marl.exact.trait_posterior import TraitBelief
 
 CHANGE_RATE = 1 / 2000
-"""By default a change of driver is expected once in 2000 steps, 400 s at 5 Hz."""
+"""Default rate of driver changes per step: one in 2000 steps, 400 s at 5 Hz."""
 
 
 class TraitEstimator:
-    """Keeps a belief about each team's driver from what the vehicle AI observes.
+    """Keep a belief about each team's driver from the vehicle AI's observations.
 
     Args:
         evidence: exact or learned.
-        config: of the teams.
-        prior: how frequent the candidates are, up to a factor, shape (K,); evenly by default.
-        change_rate: h, the probability per step that another driver takes over unannounced; 0 if
-            that cannot happen.
+        config: configuration of the teams.
+        prior: relative frequencies of the candidates, shape (K,); equal by default.
+        change_rate: h, the probability per step that another driver takes over unannounced.
 
     Raises:
-        ValueError: numbers that are no prior, or a rate outside [0, 1].
+        ValueError: an invalid prior, or a rate outside [0, 1].
     """
 
     def __init__(
@@ -52,22 +51,22 @@ class TraitEstimator:
         self.evidence = evidence
         self.change_rate = float(change_rate)
         self.prior = posterior(np.zeros((1, len(evidence.drivers))), prior)[0]
-        """Belief about a driver of whom nothing was seen, shape (K,)."""
+        """Belief before the first observation, shape (K,)."""
         self._layout = vehicle_ai_layout(config)
         self._horizon = config.horizon
         self.reset(1)
 
     @property
     def belief(self) -> TraitBelief:
-        """What is believed now."""
+        """Current belief."""
         return TraitBelief(self.evidence.drivers, self._probabilities)
 
     def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
-        """Unknown drivers get in and begin a trip.
+        """Begin a trip of unknown drivers.
 
         Args:
-            count: N.
-            which: the teams in which they do, shape (N,); all by default, when N may change.
+            count: N, which may change if ``which`` is None.
+            which: the teams concerned, shape (N,); all by default.
         """
         if which is None:
             self._probabilities = np.tile(self.prior, (count, 1))
@@ -78,23 +77,23 @@ class TraitEstimator:
         self.next_trip(which)
 
     def next_trip(self, which: NDArray[np.bool_] | None = None) -> None:
-        """The same drivers begin another trip: what is believed of them stays.
+        """Begin another trip of the same drivers and keep the belief about them.
 
         Args:
-            which: the teams in which they do, shape (N,); all by default.
+            which: the teams concerned, shape (N,); all by default.
         """
         fresh = np.ones(len(self._seen), np.bool_) if which is None else which
         self._seen = np.where(fresh, -1, self._seen)
         self.evidence.begin(fresh)
 
     def observe(self, observations: NDArray[np.float32]) -> TraitBelief:
-        """Take in what the vehicle AI sees in its turn, shape (N, D); returns the belief.
+        """Update the belief with the vehicle AI's observations, shape (N, D), and return it.
 
-        A turn that was observed already changes nothing, so that teams whose trip is over may go
-        on being shown.
+        A turn that was observed already changes nothing, so observations may go on after the end
+        of a team's trip.
 
         Raises:
-            RuntimeError: observations of another number of teams than was told to :meth:`reset`.
+            RuntimeError: observations of another number of teams than passed to :meth:`reset`.
             ValueError: observations of another width, or numbers that are not finite.
         """
         if len(observations) != len(self._seen):
@@ -118,9 +117,9 @@ class TraitEstimator:
 
 
 def _updated(before: NDArray[np.float64], gains: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bayes' rule in every row; where no candidate is possible, the belief stays as it was.
+    """Apply Bayes' rule in every row; where no candidate is possible, keep the belief.
 
-    That is so where the driver is none of the candidates, but one between them.
+    No candidate may be possible if the driver is none of them.
     """
     with np.errstate(divide="ignore"):
         joint = np.log(before) + gains

@@ -1,1 +1,1 @@
-"""."""
+"""Learned policies and trait models: networks, cards, files and export."""

@@ -1,12 +1,16 @@
-"""What was learned, in files: a JSON card beside safetensors weights. Nothing is ever unpickled."""
+"""Learned models in files: a JSON card and, next to it, safetensors weights with a checksum.
+
+The card is a dataclass that describes the model; see :class:`CardFormat`. Nothing is ever
+unpickled.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import Field, asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,99 +18,139 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from hmi_marl.agents.learned.network import Weights
+from hmi_marl.agents.learned.network import NetworkConfig, Weights
 from hmi_marl.agents.learned.shipped import find_shipped, is_shipped
-from hmi_marl.files import write_bytes, write_json
+from hmi_marl.files import sha256, write_bytes, write_json
 
 Shapes = Mapping[str, tuple[int, ...]]
 
 
-def check_shapes(shapes: Shapes, weights: Weights, what: str) -> None:
-    """Raise ``ValueError`` unless these are weights of these names and shapes, all finite."""
-    if set(weights) != set(shapes):
-        odd = sorted(set(weights) ^ set(shapes))
-        raise ValueError(f"the weights do not fit the {what}'s card: {', '.join(odd)}")
-    for name, shape in shapes.items():
-        if weights[name].shape != shape:
-            raise ValueError(f"{name} has shape {weights[name].shape}, but the card says {shape}")
-        if not np.isfinite(weights[name]).all():
-            raise ValueError(f"{name} is not finite everywhere")
+class Card(Protocol):
+    """A frozen dataclass that describes a model except for its weights."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def shapes(self) -> Shapes:
+        """Names and shapes of the weights."""
+        ...
 
 
-def write_card(path: Path, form: str, card: dict[str, Any], weights: Weights) -> Path:
-    """Write the weights beside ``path``, and there the card with their checksum.
+C = TypeVar("C", bound=Card)
+
+
+@dataclass(frozen=True)
+class CardFormat(Generic[C]):
+    """Write and read the files of one kind of model."""
+
+    name: str
+    """Name and version of the format, kept in the card."""
+    model: str
+    """Name of the model for error messages: "policy", "trait model", ..."""
+    card: type[C]
+    """Class of the card. Its fields of type :class:`NetworkConfig` become mappings in JSON."""
+
+    def check(self, card: C, weights: Weights) -> None:
+        """Raise ``ValueError`` unless the weights fit the card and are finite."""
+        shapes = card.shapes
+        if set(weights) != set(shapes):
+            odd = sorted(set(weights) ^ set(shapes))
+            raise ValueError(f"the weights do not fit the {self.model}'s card: {', '.join(odd)}")
+        for name, shape in shapes.items():
+            if weights[name].shape != shape:
+                raise ValueError(
+                    f"{name} has shape {weights[name].shape}, but the card says {shape}"
+                )
+            if not np.isfinite(weights[name]).all():
+                raise ValueError(f"{name} is not finite everywhere")
+
+    def save(self, path: Path, card: C, weights: Weights) -> Path:
+        """Write the card to ``path`` and the weights next to it; return ``path``.
+
+        Args:
+            path: path of the card, a ``.json``.
+            card: description of the model.
+            weights: kept in single precision.
+
+        Raises:
+            ValueError: weights that do not fit the card.
+        """
+        self.check(card, weights)
+        content = save_tensors(
+            {name: np.asarray(weights[name], np.float32, order="C") for name in card.shapes}
+        )
+        write_bytes(path.with_suffix(".safetensors"), content)
+        stamp = {"format": self.name, "sha256": sha256(content)}
+        write_json(path, stamp | asdict(card))
+        return path
+
+    def read(self, path: Path) -> tuple[C, dict[str, NDArray[np.float32]]]:
+        """Return the card at ``path`` and the weights next to it.
+
+        Raises:
+            FileNotFoundError: a file is missing.
+            ValueError: another kind of file, another version of the format, or files that are
+                damaged or were altered; the message says which.
+        """
+        card, checksum = self._read_card(path)
+        weights = _read_weights(path, checksum)
+        try:
+            self.check(card, weights)
+        except ValueError as error:
+            raise ValueError(f"{path.with_suffix('.safetensors')}: {error}") from None
+        return card, weights
+
+    def _read_card(self, path: Path) -> tuple[C, str]:
+        try:
+            content: Any = json.loads(path.read_text(encoding="utf-8"))
+        except (UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ValueError(f"{path} is no JSON file: {error}") from None
+        found = content.get("format") if isinstance(content, dict) else None
+        if found != self.name:
+            raise ValueError(f"{path} is no {self.model} that can be read here: format {found!r}")
+        try:
+            fields = {name: content[name] for name in self.card.__dataclass_fields__}
+            for name, kind in get_type_hints(self.card).items():
+                if kind is NetworkConfig:
+                    fields[name] = NetworkConfig(**fields[name])
+            return self.card(**fields), str(content["sha256"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is a damaged {self.model} card: {error}") from None
+
+
+def find_card(place: str | Path, kind: str, model: str, hint: str = "") -> Path:
+    """Return the path of a model's card.
 
     Args:
-        path: of the card, a ``.json``.
-        form: the format's name, which :func:`read_card` asks for.
-        card: what the weights are, as JSON has it.
-        weights: kept in single precision.
-    """
-    content = save_tensors(
-        {name: np.asarray(values, np.float32, order="C") for name, values in weights.items()}
-    )
-    write_bytes(path.with_suffix(".safetensors"), content)
-    about = {"format": form, "sha256": hashlib.sha256(content).hexdigest()}
-    write_json(path, about | card)
-    return path
-
-
-def read_card(path: Path, form: str, what: str) -> dict[str, Any]:
-    """A card as it was written, with ``sha256`` of its weights; nothing else in it is checked.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: no card of this format.
-    """
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is no JSON file: {error}") from None
-    found = content.get("format") if isinstance(content, dict) else None
-    if found != form:
-        raise ValueError(f"{path} is not a {what} that can be read here: format {found!r}")
-    return dict(content)
-
-
-def find_card(place: str | Path, kind: str, what: str, remedy: str) -> Path:
-    """The card of a model: in a run's folder, the file itself, or one that comes with the package.
-
-    Args:
-        place: the run's folder, the ``.json`` itself, or ``trained:NAME``.
-        kind: the card's name without its suffix.
-        what: the model is.
-        remedy: the command that learns one.
+        place: folder of the training run, path of the card or the weights, or ``trained:NAME``.
+        kind: file name of the card without its suffix.
+        model: name of the model for error messages.
+        hint: end of the message if there is no such card.
 
     Raises:
         FileNotFoundError: there is none.
         ValueError: see :func:`hmi_marl.agents.learned.shipped.find_shipped`.
     """
-    path = find_shipped(place, kind) if is_shipped(place) else Path(place)
+    if is_shipped(place):
+        return find_shipped(place, kind)
+    path = Path(place)
     path = path / f"{kind}.json" if path.is_dir() else path
+    path = path.with_suffix(".json") if path.suffix == ".safetensors" else path
     if not path.is_file():
-        raise FileNotFoundError(f"no {what} at {place}; learn one with {remedy}")
+        raise FileNotFoundError(f"no {model} at {place}{hint}")
     return path
 
 
-def read_weights(path: Path, digest: str) -> dict[str, NDArray[np.float32]]:
-    """The weights beside a card.
-
-    Args:
-        path: of the card.
-        digest: the checksum that it tells.
-
-    Raises:
-        FileNotFoundError: they are not there.
-        ValueError: other weights than the card was written with, or damaged ones.
-    """
+def _read_weights(path: Path, checksum: str) -> dict[str, NDArray[np.float32]]:
+    """The weights next to the card at ``path``, whose SHA-256 is known."""
     weights_path = path.with_suffix(".safetensors")
     try:
         content = weights_path.read_bytes()
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} has lost its weights, {weights_path.name}") from None
-    if hashlib.sha256(content).hexdigest() != digest:
+    if sha256(content) != checksum:
         raise ValueError(f"{weights_path} is not the file that {path.name} was written with")
     try:
         return load_tensors(content)
-    except (SafetensorError, KeyError) as error:  # KeyError: of numbers that NumPy does not know
+    except (SafetensorError, KeyError) as error:  # KeyError: number types unknown to NumPy
         raise ValueError(f"{weights_path} is no safetensors file: {error}") from None

@@ -1,7 +1,7 @@
-"""The networks of learned policies, as they act: NumPy alone, so that playing needs no torch.
+"""Networks of learned policies for acting, in NumPy alone, so that playing needs no torch.
 
-Training builds the same network in torch (:mod:`hmi_marl.training.ppo.models`) and hands its weights
-over. They act in double precision, so that what a policy does cannot depend on how many teams
+Training builds the same network in torch (:mod:`hmi_marl.training.ppo.models`) and passes on its
+weights. Here they act in double precision, so that an action does not depend on how many teams
 share a batch.
 """
 
@@ -30,9 +30,9 @@ class NetworkConfig:
     hidden_dims: tuple[int, ...] = (64, 64)
     """Units of each hidden layer."""
     activation: Activation = "relu"
-    """After each hidden layer: relu, elu or tanh."""
+    """Activation after each hidden layer: relu, elu or tanh."""
     rnn_hidden_dim: int = 0
-    """Units of a recurrent layer (GRU), which the others read beside the inputs; 0 for none."""
+    """Units of a recurrent layer (GRU), whose state is an additional input; 0 for none."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hidden_dims", tuple(self.hidden_dims))
@@ -41,7 +41,7 @@ class NetworkConfig:
                 raise ValueError(f"sizes of layers are whole numbers, not {size!r}")
         if not self.hidden_dims or min(self.hidden_dims) < 1 or self.rnn_hidden_dim < 0:
             raise ValueError(
-                "a network has hidden layers of at least one unit and a memory of at least none, "
+                "a network has hidden layers of at least one unit and no or some recurrent units, "
                 f"but got hidden_dims = {self.hidden_dims}, rnn_hidden_dim = {self.rnn_hidden_dim}"
             )
         if self.activation not in get_args(Activation):
@@ -50,10 +50,10 @@ class NetworkConfig:
             )
 
     def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
-        """Names and shapes of the weights of a network with so many inputs and outputs.
+        """Return names and shapes of the weights for these numbers of inputs and outputs.
 
-        Layers map x to W x + b, W of shape (out, in). The three gates of the memory, reset,
-        update and new, lie below each other in this order.
+        Layers map x to W x + b, W of shape (out, in). The three gates of the GRU, reset, update
+        and new, are stacked in this order.
         """
         shapes: dict[str, tuple[int, ...]] = {}
         if self.rnn_hidden_dim:
@@ -70,11 +70,11 @@ class NetworkConfig:
 
 
 class Network:
-    """One network, with the memory of N teams if it is recurrent.
+    """One network, with the recurrent state of N teams if it is recurrent.
 
     Args:
-        config: its sizes.
-        weights: by the names of :meth:`NetworkConfig.shapes`.
+        config: sizes of the network.
+        weights: arrays by the names of :meth:`NetworkConfig.shapes`.
     """
 
     def __init__(self, config: NetworkConfig, weights: Weights) -> None:
@@ -83,7 +83,7 @@ class Network:
         self._memory = np.zeros((0, config.rnn_hidden_dim))
 
     def forget(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
-        """Empty the memory of the marked teams out of ``count``; of all by default."""
+        """Reset the recurrent state of the marked teams out of ``count``; of all by default."""
         if which is None:
             self._memory = np.zeros((count, self.config.rnn_hidden_dim))
         else:
@@ -92,14 +92,14 @@ class Network:
     def __call__(
         self, inputs: NDArray[np.float32], which: NDArray[np.bool_] | None = None
     ) -> NDArray[np.float64]:
-        """Outputs of shape (N, outputs) for inputs of shape (N, inputs); remembers them.
+        """Return outputs of shape (N, outputs) and update the recurrent state.
 
         Args:
-            inputs: of N teams.
-            which: the teams whose inputs are remembered, shape (N,); all by default.
+            inputs: inputs of N teams, shape (N, inputs).
+            which: teams to update the recurrent state of, shape (N,); all by default.
 
         Raises:
-            RuntimeError: a memory of another number of teams.
+            RuntimeError: a recurrent state of another number of teams.
         """
         x = inputs.astype(np.float64)
         if self.config.rnn_hidden_dim:
@@ -119,7 +119,7 @@ class Network:
         w, old = self._weights, self._memory
         if len(old) != len(x):
             raise RuntimeError(
-                "a policy with a memory needs to know when episodes begin: call reset(seeds) for "
+                "a recurrent policy needs to know when episodes begin: call reset(seeds) for "
                 f"{len(x)} teams first"
             )
         seen = x @ w["memory.input_weight"].T + w["memory.input_bias"]
@@ -132,13 +132,13 @@ class Network:
 
 
 def part_of(weights: Weights, part: str) -> Weights:
-    """The weights of one network among several, whose names begin with its own and a dot."""
+    """Return the weights of one network among several, named ``part.NAME``, by NAME."""
     start = f"{part}."
     return {n.removeprefix(start): values for n, values in weights.items() if n.startswith(start)}
 
 
 def sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1 / (1 + e^-x), which does not overflow."""
+    """Return 1 / (1 + e^-x) without overflow."""
     return 0.5 + 0.5 * np.tanh(0.5 * x)
 
 

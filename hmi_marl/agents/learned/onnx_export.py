@@ -1,22 +1,22 @@
-"""Learned policies as ONNX models, which other programs can run: in C++, in a car, in a page.
+"""Export learned policies as ONNX models for other programs and languages.
 
-The graph is built from a policy's card and weights alone, in single precision. For N teams:
+The graph is built from a policy's card and weights, in single precision. For N teams:
 
 ====================  ====================  ======================================================
 name                  type and shape        meaning
 ====================  ====================  ======================================================
 ``observation``       float32 (N, columns)  the parts in ``card.reads``, in their order; after them
                                             one-hot a^H (5 columns) if the policy is ``by_intent``
-``context``           float32 (N, Z)        z, only if the policy is conditioned on one
-``memory_in``         float32 (N, H)        only with a memory: zeros as an episode begins, and
-                                            from then on what ``memory_out`` gave in the last step
+``context``           float32 (N, Z)        z, only if the policy is conditioned on it
+``memory_in``         float32 (N, H)        only of a recurrent policy: zeros at the start of an
+                                            episode, later ``memory_out`` of the last step
 ``probabilities``     float32 (N, actions)  π(a | observation)
 ``action``            int64 (N,)            the likeliest action
-``memory_out``        float32 (N, H)        only with a memory
+``memory_out``        float32 (N, H)        only of a recurrent policy
 ====================  ====================  ======================================================
 
 The model's metadata holds ``observation``, the names and sizes of its columns in order, and
-``card``, all that the policy's card says, both as JSON.
+``card``, the policy's card, both as JSON.
 
 Needs onnx, which comes with the ``train`` extra.
 """
@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.learned.network import Weights
-from hmi_marl.agents.learned.policy import INTENT, INTENTS, LearnedPolicy, PolicyCard, check_weights
+from hmi_marl.agents.learned.policy import FORMAT, INTENT, INTENTS, LearnedPolicy, PolicyCard
 from hmi_marl.extras import needing
 from hmi_marl.files import write_bytes
 
@@ -41,7 +41,7 @@ with needing("exporting to ONNX"):
     from onnx import TensorProto, helper, numpy_helper
 
 OPSET, IR_VERSION = 18, 9
-"""Old enough for runtimes of 2023."""
+"""Versions that runtimes of 2023 support."""
 _ACTIVATIONS = {"relu": "Relu", "elu": "Elu", "tanh": "Tanh"}
 _GRU = ("input_weight", "hidden_weight", "input_bias", "hidden_bias")
 
@@ -50,25 +50,25 @@ def export_onnx(policy: LearnedPolicy | tuple[PolicyCard, Weights], path: Path) 
     """Write a policy to ``path`` as an ONNX model, atomically.
 
     Args:
-        policy: as it acts, or its card and weights, as
-            :func:`hmi_marl.agents.learned.policy_files.read_policy` gives them.
-        path: of the new file, by custom ``.onnx``.
+        policy: the policy, or its card and weights from
+            :func:`hmi_marl.agents.learned.policy.read_policy`.
+        path: path of the new file, usually ``.onnx``.
 
     Raises:
         ValueError: weights that do not fit the card.
     """
     card, weights = (policy.card, policy.weights) if isinstance(policy, LearnedPolicy) else policy
-    check_weights(card, weights)
+    FORMAT.check(card, weights)
     write_bytes(path, _model(card, weights).SerializeToString())
 
 
 def observed_columns(card: PolicyCard) -> tuple[tuple[str, int], ...]:
-    """Names and sizes of the parts of the model's ``observation``, in their order."""
+    """Return names and sizes of the parts of the model's ``observation``, in order."""
     return (*card.reads, (INTENT, INTENTS)) if card.by_intent else card.reads
 
 
 def _model(card: PolicyCard, weights: Weights) -> onnx.ModelProto:
-    """The model; see the top of this page."""
+    """Build the model; see the module's docstring."""
     columns = observed_columns(card)
     inputs = {"observation": sum(size for _, size in columns)}
     if card.context:
@@ -109,7 +109,7 @@ def _model(card: PolicyCard, weights: Weights) -> onnx.ModelProto:
 
 
 class _Nodes:
-    """A graph as it grows."""
+    """Nodes and constants of a graph under construction."""
 
     def __init__(self, weights: Weights) -> None:
         self.nodes: list[onnx.NodeProto] = []
@@ -120,13 +120,13 @@ class _Nodes:
         }
 
     def add(self, operator: str, *inputs: str, to: str | tuple[str, ...], **attributes: Any) -> str:
-        """A node; returns the name of its last output."""
+        """Add a node; return the name of its last output."""
         outputs = (to,) if isinstance(to, str) else to
         self.nodes.append(helper.make_node(operator, inputs, outputs, outputs[-1], **attributes))
         return outputs[-1]
 
     def constant(self, name: str, values: ArrayLike, kind: type = np.int64) -> str:
-        """A constant, indices unless told otherwise; returns its name."""
+        """Add a constant, by default of indices; return its name."""
         self.constants[name] = np.asarray(values, kind)
         return name
 
@@ -136,7 +136,7 @@ def _value(name: str, kind: int, *size: int) -> onnx.ValueInfoProto:
 
 
 def _read(nodes: _Nodes, card: PolicyCard) -> str:
-    """What the network takes: the observation but for a^H apart, and z."""
+    """Add the network's inputs: the observation, with a^H split off, and z."""
     x = "observation"
     if card.by_intent:
         sizes = nodes.constant("split_sizes", [card.inputs - card.context, INTENTS])
@@ -146,7 +146,7 @@ def _read(nodes: _Nodes, card: PolicyCard) -> str:
 
 
 def _remember(nodes: _Nodes, card: PolicyCard, weights: Weights, x: str) -> str:
-    """The recurrent layer; what it now remembers."""
+    """Add the recurrent layer; return its new state."""
     gates = {name: _reordered(weights[f"memory.{name}"]) for name in _GRU}
     biases = np.concatenate([gates["input_bias"], gates["hidden_bias"]])
     kernels = [
@@ -171,13 +171,13 @@ def _remember(nodes: _Nodes, card: PolicyCard, weights: Weights, x: str) -> str:
 
 
 def _reordered(gates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Gates as ONNX orders them, update, reset, new, from ours, reset, update, new."""
+    """Reorder gates from (reset, update, new) to ONNX's (update, reset, new)."""
     reset, update, new = np.split(gates, 3)
     return np.concatenate([update, reset, new])
 
 
 def _layers(nodes: _Nodes, card: PolicyCard, x: str) -> str:
-    """Logits of the seat's actions."""
+    """Add the layers; return the logits of the seat's actions."""
     last = len(card.network.hidden_dims)
     for layer in range(last + 1):
         name = f"layer{layer}"

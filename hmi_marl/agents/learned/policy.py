@@ -1,24 +1,25 @@
-r"""Policies that were learned, as ordinary policies in either seat.
+r"""Learned policies for either seat, and their files.
 
-A :class:`PolicyCard` says everything about one but its weights: which parts of its seat's
-observation it reads, by name; what it is conditioned on; how its network is made; and what it was
-trained on. So a policy that reads no attention sits as well in an environment that shows it.
+A :class:`PolicyCard` describes a policy except for its weights: the parts of its seat's observation
+that it reads, by name; its conditioning; its network; and its training. So a policy that reads no
+attention also works in an environment that shows it.
 
-A vehicle AI's network either reads a^H_t with the rest and gives the logits of a^A, or, where
-both seats were learned as one composite policy, gives the logits of a^A for every a^H at once
-(``by_intent``), π(a^A | a^H, s), of which the row of the a^H_t that it sees is taken.
+A vehicle AI's network either reads a^H_t and returns the logits of a^A, or, if both seats were
+learned as one composite policy, returns the logits of a^A for every a^H (``by_intent``),
+π(a^A | a^H, s), from which the row of the observed a^H_t is taken.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights
 from hmi_marl.agents.memory import Draws
 from hmi_marl.envs.alerts import FULL, check_strengths
@@ -29,21 +30,21 @@ from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 INTENT = "intended_action"
 CONTEXT_OF = "context_of"
-"""In a card's training: the digest of what gave z, where the policy is conditioned on one."""
+"""Key in a card's training: digest of the model that z comes from."""
 INTENTS = len(VEHICLE_ACTIONS)
-"""How many actions the driver has."""
+"""Number of the driver's actions."""
 _LAYOUTS = {DRIVER: driver_layout, VEHICLE_AI: vehicle_ai_layout}
 _STREAMS = {DRIVER: Stream.DRIVER_POLICY, VEHICLE_AI: Stream.HMI_POLICY}
 
 
 def seat_layout(seat: str, config: TeamConfig) -> Layout:
-    """What the seat sees in teams set up by ``config``."""
+    """Return the layout of the seat's observation in teams set up by ``config``."""
     return _LAYOUTS[seat](config)
 
 
 @dataclass(frozen=True)
 class PolicyCard:
-    """What a learned policy is, apart from its weights.
+    """Description of a learned policy, without its weights.
 
     Raises:
         ValueError: an unknown seat, or parts and sizes that make no policy.
@@ -56,15 +57,15 @@ class PolicyCard:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Sizes of its network."""
     context: int = 0
-    """Size of the vector z that it is conditioned on, read after the observation; 0 for none."""
+    """Z, size of the vector z that the policy is conditioned on; 0 for none."""
     by_intent: bool = False
-    """Of the vehicle AI: logits for each a^H instead of reading a^H."""
+    """Whether a vehicle AI's network returns logits for each a^H instead of reading a^H."""
     sequential: bool = True
-    """Whether it learned taking turns; if not, a^H_t was not known to the vehicle AI."""
+    """Whether it was trained with sequential moves, so that the vehicle AI sees a^H_t."""
     alert_strengths: tuple[float, ...] = FULL
-    """Of the vehicle AI: the alerts that it can give. (1.0,) is alert or not."""
+    """Alerts that a vehicle AI can give; (1.0,) is alert or no alert."""
     training: dict[str, Any] = field(default_factory=dict)
-    """How it was made: the environment's version and configuration, protocol, seed, steps."""
+    """How it was trained: version, configuration, protocol, seed, steps."""
 
     def __post_init__(self) -> None:
         if self.seat not in AGENTS:
@@ -72,23 +73,25 @@ class PolicyCard:
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
         object.__setattr__(self, "alert_strengths", check_strengths(self.alert_strengths))
         if not self.reads or min(size for _, size in self.reads) < 1 or self.context < 0:
-            raise ValueError("a policy reads parts of at least one column, and z has no size < 0")
+            raise ValueError(
+                "a policy reads parts of at least one column, and context is at least 0"
+            )
         if self.by_intent and (self.seat == DRIVER or INTENT in dict(self.reads)):
             raise ValueError("by_intent is for a vehicle AI that does not read intended_action")
 
     @property
     def inputs(self) -> int:
-        """Columns that the network takes."""
+        """Number of input columns of the network."""
         return sum(size for _, size in self.reads) + self.context
 
     @property
     def actions(self) -> int:
-        """How many actions it chooses from."""
+        """Number of actions."""
         return INTENTS if self.seat == DRIVER else len(self.alert_strengths) + 1
 
     @property
     def outputs(self) -> int:
-        """Logits that the network gives."""
+        """Number of logits of the network."""
         return self.actions * (INTENTS if self.by_intent else 1)
 
     @property
@@ -97,10 +100,10 @@ class PolicyCard:
         return self.network.shapes(self.inputs, self.outputs)
 
     def reading(self, names: Sequence[str]) -> PolicyCard:
-        """The same for a policy that reads these parts alone.
+        """Return the card of a policy that reads only these parts.
 
         Raises:
-            ValueError: it does not read one of them as it is; the message lists those it does.
+            ValueError: this one does not read one of them; the message lists those it reads.
         """
         known = dict(self.reads)
         unknown = [name for name in names if name not in known]
@@ -109,14 +112,14 @@ class PolicyCard:
         return replace(self, reads=tuple(read for read in self.reads if read[0] in names))
 
     def with_context(self, size: int) -> PolicyCard:
-        """The same for a vehicle AI conditioned on z of this size instead of the traits."""
+        """Return the card of a vehicle AI conditioned on z of this size instead of the traits."""
         if self.seat == DRIVER:
             return self
         reads = tuple((name, columns) for name, columns in self.reads if name != "traits")
         return replace(self, reads=reads, context=size)
 
     def columns(self, layout: Layout) -> NDArray[np.int64]:
-        """Where what it reads lies in an observation.
+        """Return the indices of the read columns in an observation.
 
         Raises:
             ValueError: the observation lacks a part, or has it in another size.
@@ -145,7 +148,7 @@ def make_card(
     by_intent: bool = False,
     sequential: bool = True,
 ) -> PolicyCard:
-    """The card of a policy that reads all that its seat sees, but for what it is not to know."""
+    """Make the card of a policy that reads its seat's observation, with or without the traits."""
     left_out = set() if knows_traits else {"traits"}
     if by_intent:
         left_out.add(INTENT)
@@ -162,19 +165,18 @@ _HINTS = {
 }
 
 
-def check_weights(card: PolicyCard, weights: Weights) -> None:
-    """Raise ``ValueError`` unless these are the weights that the card tells, all finite."""
-    check_shapes(card.shapes, weights, "policy")
+FORMAT = CardFormat("hmi-marl policy 2", "policy", PolicyCard)
+"""Files of a policy: a card and weights for each seat."""
 
 
 class LearnedPolicy:
-    """A learned policy in its seat.
+    """A learned policy.
 
     Args:
-        card: what it is.
-        weights: of its network, by the names in ``card.shapes``.
-        config: of the teams it acts in, which says where in the observation things are.
-        greedy: take the likeliest action; otherwise draw it, from the episode's seed and the step.
+        card: description of the policy.
+        weights: arrays by the names in ``card.shapes``.
+        config: configuration of the teams in which it acts.
+        greedy: take the likeliest action; otherwise draw it from the episode's seed and the step.
 
     Raises:
         ValueError: weights that do not fit the card, or observations that lack what it reads.
@@ -183,7 +185,7 @@ class LearnedPolicy:
     def __init__(
         self, card: PolicyCard, weights: Weights, config: TeamConfig, greedy: bool = True
     ) -> None:
-        check_weights(card, weights)
+        FORMAT.check(card, weights)
         if card.seat == VEHICLE_AI and card.alert_strengths != config.alert_strengths:
             raise ValueError(
                 f"this vehicle_ai policy gives alerts of strengths {card.alert_strengths}, but "
@@ -200,15 +202,15 @@ class LearnedPolicy:
 
     @property
     def sequential(self) -> bool:
-        """Whether a vehicle AI that acts so expects to see a^H_t, not a^H_{t-1}."""
+        """Whether a vehicle AI expects to see a^H_t rather than a^H_{t-1}."""
         return self.card.sequential
 
     @property
     def context(self) -> NDArray[np.float32] | None:
-        """The vector z, shape (Z,) for all teams or (N, Z); to be set if the policy reads one.
+        """Vector z, shape (Z,) for all teams or (N, Z); must be set if the policy reads it.
 
         Raises:
-            ValueError: on assigning another shape, or numbers that are not finite.
+            ValueError: another shape, or numbers that are not finite.
         """
         return self._context
 
@@ -238,7 +240,7 @@ class LearnedPolicy:
         return (self._draws.next()[:, None] >= below).sum(axis=1)
 
     def probabilities(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        """π(a | observation) of every action, shape (N, actions); moves the memory on.
+        """Return π(a | observation), shape (N, actions), and update the recurrent state.
 
         Raises:
             RuntimeError: the policy is conditioned on z, and none has been set.
@@ -251,9 +253,59 @@ class LearnedPolicy:
             inputs = np.concatenate([inputs, z], axis=1)
         logits = self._network(inputs)
         if self.card.by_intent:
-            intent = self._layout.get(observations, INTENT)  # one-hot; zeros, so even odds, if none
+            intent = self._layout.get(observations, INTENT)  # one-hot; zeros (equal odds) if none
             logits = logits.reshape(len(logits), INTENTS, -1)
             logits = (logits * intent[:, :, None]).sum(axis=1)
         logits = logits - logits.max(axis=1, keepdims=True)
         odds = np.exp(logits)
         return odds / odds.sum(axis=1, keepdims=True)
+
+
+def save_policy(folder: Path, card: PolicyCard, weights: Weights) -> Path:
+    """Write ``<seat>.safetensors`` and ``<seat>.json`` into ``folder``; return the latter.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+    return FORMAT.save(folder / f"{card.seat}.json", card, weights)
+
+
+def find_policy(place: str | Path, seat: str) -> Path:
+    """Return the path of the card of a seat's policy; see :func:`find_card`.
+
+    Raises:
+        FileNotFoundError: there is none; the message says for which seats there is one.
+    """
+    there = [agent for agent in AGENTS if (Path(place) / f"{agent}.json").is_file()]
+    hint = f"; it holds one for {' and '.join(there)}" if there else ""
+    return find_card(place, seat, f"policy for the seat of {seat}", hint)
+
+
+def read_policy(path: Path) -> tuple[PolicyCard, dict[str, NDArray[np.float32]]]:
+    """Return a policy's card and weights; see :meth:`CardFormat.read`."""
+    return FORMAT.read(path)
+
+
+def load_policy(
+    place: str | Path, seat: str, config: TeamConfig, greedy: bool = True
+) -> LearnedPolicy:
+    """Load the policy that a training run learned for a seat.
+
+    Args:
+        place: folder of the run, a policy's ``.json``, or ``trained:NAME``.
+        seat: "driver" or "vehicle_ai".
+        config: configuration of the teams in which it acts.
+        greedy: take the likeliest action, else draw.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_policy` and :meth:`CardFormat.read`; also a
+            policy for the other seat, or one that reads what is not shown here.
+    """
+    path = find_policy(place, seat)
+    card, weights = read_policy(path)
+    if card.seat != seat:
+        raise ValueError(f"{path} is a policy for the seat of {card.seat}, not of {seat}")
+    try:
+        return LearnedPolicy(card, weights, config, greedy)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None

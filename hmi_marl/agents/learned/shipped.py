@@ -1,38 +1,38 @@
 """Trained agents that come with the package, by name: ``trained:homer``, ``trained:driver``.
 
-They lie in ``hmi_marl/trained``, a folder each with a card and its weights; ``INDEX.json`` there
-holds the checksum of every file. Only what it lists is loaded, and only if it is as it was shipped.
+Each has a folder in ``hmi_marl/trained`` with a card and its weights; ``INDEX.json`` there holds
+the checksum of every file. Only unaltered files that it lists are loaded.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hmi_marl.files import sha256_of
 from hmi_marl.names import HELP, suggest, unknown
 
 FORMAT = "hmi-marl trained 1"
 PREFIX = "trained:"
 INDEX = "INDEX.json"
 FOLDER = Path(__file__).parents[2] / "trained"
-_REMEDY = "install hmi-marl again, or name a run of your own by its folder"
+_REMEDY = "install hmi-marl again, or name the folder of a training run"
 
 
 @dataclass(frozen=True)
 class Shipped:
-    """One agent."""
+    """One trained agent."""
 
     name: str
     what: str
-    """What it is, in a line."""
+    """Description in one line."""
     kind: str
-    """Its card's name without the suffix: driver, vehicle_ai, traits, ..."""
+    """File name of its card without the suffix: driver, vehicle_ai, traits, ..."""
     files: Mapping[str, str]
-    """Paths in the folder of all agents, with their SHA-256; the card is the ``.json``."""
+    """SHA-256 of each file by its path in the folder of all agents; the card is the ``.json``."""
 
     @property
     def card(self) -> str:
@@ -41,16 +41,16 @@ class Shipped:
 
 
 def is_shipped(name: str | Path) -> bool:
-    """Whether a name means an agent that comes with the package."""
+    """Return whether a name stands for an agent that comes with the package."""
     return str(name).lower().startswith(PREFIX)
 
 
 def shipped_agents(folder: Path = FOLDER) -> dict[str, Shipped]:
-    """All of them, by name.
+    """Return all trained agents by name.
 
     Raises:
         FileNotFoundError: there is no index.
-        ValueError: it is no index of ours.
+        ValueError: the index has another format, or is damaged.
     """
     path = folder / INDEX
     try:
@@ -74,7 +74,7 @@ def shipped_agents(folder: Path = FOLDER) -> dict[str, Shipped]:
 
 
 def shipped_names(kind: str) -> tuple[str, ...]:
-    """Names of the agents of one kind; none if the index cannot be read, which loading tells."""
+    """Return the names of the agents of one kind; none if the index cannot be read."""
     try:
         agents = shipped_agents()
     except (OSError, ValueError):
@@ -83,12 +83,12 @@ def shipped_names(kind: str) -> tuple[str, ...]:
 
 
 def find_shipped(name: str | Path, kind: str, folder: Path = FOLDER) -> Path:
-    """The card of a shipped agent, it and its weights being what was shipped.
+    """Return the path of a trained agent's card after checking all of its files.
 
     Args:
-        name: with its prefix, whatever the case.
-        kind: of the agent: driver, vehicle_ai, traits, ...
-        folder: of all agents.
+        name: name with its prefix; case does not matter.
+        kind: kind of the agent: driver, vehicle_ai, traits, ...
+        folder: folder of all agents.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -109,10 +109,10 @@ def find_shipped(name: str | Path, kind: str, folder: Path = FOLDER) -> Path:
         )
     for path, digest in agent.files.items():
         try:
-            content = (folder / path).read_bytes()
+            found = sha256_of(folder / path)
         except FileNotFoundError:
             raise FileNotFoundError(f"{folder / path} is missing; {_REMEDY}") from None
-        if hashlib.sha256(content).hexdigest() != digest:
+        if found != digest:
             raise ValueError(
                 f"{folder / path} is not the file that came with the package (its checksum "
                 f"differs from that in {INDEX}); {_REMEDY}"

@@ -1,9 +1,9 @@
-"""What latent-trait models know of a step before the car acts: the situation x_t.
+"""Situations x_t: the inputs of latent-trait models before the car acts.
 
-A car's action v_t depends on more than what is seen of the road. A distracted driver repeats
-v_{t-1}, and an alert acts on the step in which it sounds and on those after it. So a situation is
-the observed state s_t, and beside it v_{t-1} and how long ago the last alert was, both one-hot. All
-of it can be observed of a person; nothing of it is d, i, c, a^H, a trait or the inflated lidar.
+The car's action v_t depends on more than the road: a distracted driver repeats v_{t-1}, and an
+alert has effects in its own step and in later ones. So a situation holds the observed state s_t,
+v_{t-1} and the steps since the last alert, the latter two one-hot. All of it can be observed; it
+holds neither d, i, c, a^H, traits nor the inflated lidar.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ ACTIONS = len(VEHICLE_ACTIONS)
 LONG_AGO = 10
 """Steps after which an alert counts as long ago: 2 s at 5 Hz."""
 EXTRA = ACTIONS + LONG_AGO + 1
-"""Columns of a situation beside the observed state: v_{t-1}, and the steps since the last alert."""
+"""Columns of a situation after the observed state: v_{t-1} and the steps since the last alert."""
 
 
 @dataclass
 class Recent:
-    """What situations remember of N drives: v_{t-1} and the time since the last alert."""
+    """Memory of N drives for situations: v_{t-1} and the steps since the last alert."""
 
     count: int
     """N."""
     applied: NDArray[np.int64] = field(init=False)
     """v_{t-1}, shape (N,); -1 before the first step."""
     since_alert: NDArray[np.int64] = field(init=False)
-    """Steps since the last alert, shape (N,): 0 if it sounds now, ``LONG_AGO`` if none did."""
+    """Steps since the last alert, shape (N,): 0 if it is given now, ``LONG_AGO`` if none was."""
 
     def __post_init__(self) -> None:
         self.applied = np.full(self.count, -1)
         self.since_alert = np.full(self.count, LONG_AGO)
 
     def forget(self, which: NDArray[np.bool_]) -> None:
-        """New drives begin where ``which``, shape (N,), is set."""
+        """Begin new drives where ``which``, shape (N,), is set."""
         self.applied = np.where(which, -1, self.applied)
         self.since_alert = np.where(which, LONG_AGO, self.since_alert)
 
     def situation(
         self, states: NDArray[np.float32], alerts: NDArray[np.int64]
     ) -> NDArray[np.float32]:
-        """x_t of shape (N, D + EXTRA) from s_t of shape (N, D) and a^A_t of shape (N,).
+        """Return x_t, shape (N, D + EXTRA), from s_t, shape (N, D), and a^A_t, shape (N,).
 
-        The alert is remembered; :meth:`acted` tells what the car then did.
+        The alert is remembered; pass the following v_t to :meth:`acted`.
         """
         self.since_alert = np.where(alerts == 1, 0, np.minimum(self.since_alert + 1, LONG_AGO))
         width = states.shape[1]
@@ -58,14 +58,14 @@ class Recent:
         return x
 
     def acted(self, applied: NDArray[np.int64]) -> None:
-        """The car did v_t, shape (N,)."""
+        """Remember the applied actions v_t, shape (N,)."""
         self.applied = applied
 
 
 def situations(
     states: NDArray[np.float32], actions: NDArray[np.int64], alerts: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """x_0 to x_{T-1} of E drives, shape (E, T, D + EXTRA).
+    """Return x_0 to x_{T-1} of E drives, shape (E, T, D + EXTRA).
 
     Args:
         states: s_t before step t, shape (E, T, D).

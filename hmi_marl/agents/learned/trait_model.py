@@ -1,10 +1,10 @@
-r"""What was learned of drivers' traits, ready for use: NumPy alone, so that it needs no torch.
+r"""Learned models of latent driver traits, in NumPy alone, so that using them needs no torch.
 
 A :class:`TraitModel` holds the three parts of the paper's latent model, in double precision:
 
-- the context encoder :math:`q(z | τ)`: a long short-term memory reads a window of driving, its
-  last hidden states are averaged over a pool of windows of one driver, and two linear layers give
-  mean and log-variance of z;
+- the context encoder :math:`q(z | τ)`: an LSTM reads a window of driving, its last hidden states
+  are averaged over a pool of windows of one driver, and two linear layers return mean and
+  log-variance of z;
 - the reward :math:`f(s, a, s', z) = g(s, a, z) + γ h(s', z) - h(s, z)`;
 - the policy :math:`π(a | s, z)`.
 
@@ -15,24 +15,25 @@ demonstrations, and a the applied action v_t.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import check_shapes
+from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
 from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
 
 PARTS = ("reward", "potential", "policy")
-"""The networks beside the encoder: g, h and π."""
-_AT_ONCE = 512
-"""Windows encoded at once; bounds memory."""
+"""Networks besides the encoder: g, h and π."""
+_CHUNK = 512
+"""Windows encoded together; bounds memory."""
 
 
 @dataclass(frozen=True)
 class TraitCard:
-    """What a trait model is, apart from its weights.
+    """Description of a trait model, without its weights.
 
     Raises:
         ValueError: sizes that make no model.
@@ -41,21 +42,21 @@ class TraitCard:
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of an observed state, in their order."""
     latent: int = 2
-    """Z, the size of z."""
+    """Z, size of z."""
     encoder_units: int = 128
     """H, units of the recurrent layer."""
     pool: int = 8
-    """Windows of one driver that are averaged over in training."""
+    """Windows of one driver that training averages over."""
     gamma: float = 0.98
     """γ of the reward's shaping."""
     reward: NetworkConfig = field(default_factory=lambda: NetworkConfig((32, 32)))
-    """Of g."""
+    """Network g."""
     potential: NetworkConfig = field(default_factory=lambda: NetworkConfig((32,)))
-    """Of h."""
+    """Network h."""
     policy: NetworkConfig = field(default_factory=lambda: NetworkConfig((32,)))
-    """Of π."""
+    """Network π."""
     training: dict[str, Any] = field(default_factory=dict)
-    """How it was made."""
+    """How it was trained."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
@@ -67,32 +68,32 @@ class TraitCard:
         if not 0.0 <= self.gamma <= 1.0:
             raise ValueError(f"gamma lies in [0, 1], but got {self.gamma}")
         if any(getattr(self, part).rnn_hidden_dim for part in PARTS):
-            raise ValueError("only the encoder has a memory: set encoder_units")
+            raise ValueError("only the encoder is recurrent: set encoder_units")
 
     @property
     def state_size(self) -> int:
-        """Columns of an observed state."""
+        """Number of columns of an observed state."""
         return sum(size for _, size in self.reads)
 
     @property
     def situation_size(self) -> int:
-        """Columns of a situation."""
+        """Number of columns of a situation."""
         return self.state_size + EXTRA
 
     def inputs(self, part: str) -> int:
-        """Columns that one of ``PARTS`` takes: a situation, the action too for g, and z."""
+        """Return the input columns of one of ``PARTS``: a situation, the action for g, and z."""
         return self.situation_size + (ACTIONS if part == "reward" else 0) + self.latent
 
     @property
     def encoder_inputs(self) -> int:
-        """Columns that the encoder takes; see :func:`encoder_inputs`."""
+        """Number of input columns of the encoder; see :func:`encoder_inputs`."""
         return self.situation_size + ACTIONS + LONG_AGO + 1
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the weights.
 
-        The four gates of the encoder lie below each other: input, forget, cell, output.
+        The four gates of the encoder are stacked: input, forget, cell, output.
         """
         gates = 4 * self.encoder_units
         shapes: dict[str, tuple[int, ...]] = {
@@ -114,6 +115,11 @@ class TraitCard:
         return shapes
 
 
+FORMAT = CardFormat("hmi-marl traits 2", "trait model", TraitCard)
+NAME = "traits.json"
+"""File name of the card; the weights are in ``traits.safetensors`` next to it."""
+
+
 class Latent(NamedTuple):
     """q(z | τ) of P pools, a Gaussian with independent components."""
 
@@ -124,27 +130,27 @@ class Latent(NamedTuple):
 
 
 class EncoderState(NamedTuple):
-    """Where the encoder stands in N windows. Arrays have shape (N, H)."""
+    """State of the encoder in N windows. Arrays have shape (N, H)."""
 
     hidden: NDArray[np.float64]
-    """What the encoder makes of the window so far."""
+    """Hidden state of the LSTM."""
     cell: NDArray[np.float64]
-    """What it remembers."""
+    """Cell state of the LSTM."""
 
 
 class TraitModel:
-    """Encoder, reward and trait-conditioned policy, as they were learned.
+    """Learned encoder, reward and trait-conditioned policy.
 
     Args:
-        card: what they are.
-        weights: by the names in ``card.shapes``.
+        card: description of the model.
+        weights: arrays by the names in ``card.shapes``.
 
     Raises:
         ValueError: weights that do not fit the card.
     """
 
     def __init__(self, card: TraitCard, weights: Weights) -> None:
-        check_shapes(card.shapes, weights, "trait model")
+        FORMAT.check(card, weights)
         self.card = card
         self.weights = weights
         self._weights = {name: values.astype(np.float64) for name, values in weights.items()}
@@ -153,14 +159,14 @@ class TraitModel:
         }
 
     def begin(self, count: int) -> EncoderState:
-        """The encoder at the start of ``count`` windows."""
+        """Return the encoder's state at the start of ``count`` windows."""
         nothing = np.zeros((count, self.card.encoder_units))
         return EncoderState(nothing, nothing)
 
     def read(
         self, state: EncoderState, x: NDArray[np.float32], actions: NDArray[np.int64]
     ) -> EncoderState:
-        """The encoder after one more step: situations (N, D + EXTRA), actions v_t (N,)."""
+        """Return the encoder's state after a step: situations (N, D + EXTRA), actions v_t (N,)."""
         w = self._weights
         inputs = encoder_inputs(self.standardise(x), actions)
         gates = inputs @ w["encoder.input_weight"].T + w["encoder.input_bias"]
@@ -170,7 +176,7 @@ class TraitModel:
         return EncoderState(sigmoid(show) * np.tanh(cell), cell)
 
     def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Situations (..., D + EXTRA) with their states in units of the demonstrations."""
+        """Standardise the states of situations (..., D + EXTRA) by the demonstrations."""
         return standardise(x, self.weights["state.centre"], self.weights["state.scale"])
 
     def encode(
@@ -180,16 +186,16 @@ class TraitModel:
         alerts: NDArray[np.int64],
         length: NDArray[np.int64],
     ) -> NDArray[np.float64]:
-        """The encoder's hidden state at the end of each of E windows, shape (E, H).
+        """Return the encoder's hidden state at the end of each of E windows, shape (E, H).
 
         Args:
             states: s_t before step t, shape (E, T, D).
-            actions: v_t as applied, shape (E, T).
+            actions: applied actions v_t, shape (E, T).
             alerts: a^A_t, shape (E, T).
-            length: steps of each, shape (E,); later ones are not read.
+            length: steps of each window, shape (E,); later ones are ignored.
 
         Raises:
-            ValueError: states of another size than the card says.
+            ValueError: states of another size than in the card.
         """
         if states.shape[2] != self.card.state_size:
             raise ValueError(
@@ -198,7 +204,7 @@ class TraitModel:
             )
         chunks = [
             self._encode(states[part], actions[part], alerts[part], length[part])
-            for part in (slice(k, k + _AT_ONCE) for k in range(0, len(states), _AT_ONCE))
+            for part in (slice(k, k + _CHUNK) for k in range(0, len(states), _CHUNK))
         ]
         return np.concatenate(chunks)
 
@@ -218,25 +224,25 @@ class TraitModel:
         return last
 
     def latent(self, pooled: NDArray[np.float64]) -> Latent:
-        """q(z | τ) from the average hidden state of a driver's windows, shape (P, H)."""
+        """Return q(z | τ) for hidden states averaged over a driver's windows, shape (P, H)."""
         w = self._weights
         mean = pooled @ w["mean.weight"].T + w["mean.bias"]
         log_variance = pooled @ w["log_variance.weight"].T + w["log_variance.bias"]
         return Latent(mean, np.exp(log_variance))
 
     def policy(self, x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Log π(a | s, z) of every action, shape (N, 5), in situations (N, D + EXTRA)."""
-        logits = self._networks["policy"](_beside(self.standardise(x), z))
+        """Return log π(a | s, z), shape (N, 5), in situations (N, D + EXTRA)."""
+        logits = self._networks["policy"](_with_z(self.standardise(x), z))
         logits = logits - logits.max(axis=1, keepdims=True)
         return logits - np.log(np.exp(logits).sum(axis=1, keepdims=True))
 
     def base_reward(
         self, x: NDArray[np.float32], actions: NDArray[np.int64], z: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """g(s, a, z), shape (N,): the reward without its shaping."""
+        """Return g(s, a, z), shape (N,), the reward without its shaping."""
         done = (actions[:, None] == np.arange(ACTIONS)).astype(np.float32)
         seen = np.concatenate([self.standardise(x), done], axis=1)
-        return self._networks["reward"](_beside(seen, z))[:, 0]
+        return self._networks["reward"](_with_z(seen, z))[:, 0]
 
     def reward(
         self,
@@ -245,17 +251,39 @@ class TraitModel:
         after: NDArray[np.float32],
         z: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """f(s, a, s', z), shape (N,), for steps from situations ``x`` to ``after``."""
+        """Return f(s, a, s', z), shape (N,), for steps from situations ``x`` to ``after``."""
         before, later = (
-            self._networks["potential"](_beside(self.standardise(s), z))[:, 0] for s in (x, after)
+            self._networks["potential"](_with_z(self.standardise(s), z))[:, 0] for s in (x, after)
         )
         return self.base_reward(x, actions, z) + self.card.gamma * later - before
+
+
+def save_traits(folder: Path, card: TraitCard, weights: Weights) -> Path:
+    """Write a trait model into ``folder``; return the path of its card.
+
+    Raises:
+        ValueError: weights that do not fit the card.
+    """
+    return FORMAT.save(folder / NAME, card, weights)
+
+
+def load_traits(place: str | Path) -> TraitModel:
+    """Load the trait model of a training run.
+
+    Args:
+        place: folder of the run, the ``.json`` itself, or ``trained:NAME``.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_card` and :meth:`CardFormat.read`.
+    """
+    path = find_card(place, "traits", "trait model", "; learn one with hmi-marl traits train")
+    return TraitModel(*FORMAT.read(path))
 
 
 def standardise(
     x: NDArray[np.float32], centre: NDArray[np.floating], scale: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    """Situations (..., D + EXTRA) with their states less ``centre`` over ``scale``, both (D,)."""
+    """Replace the states s of situations (..., D + EXTRA) by (s - centre) / scale, both (D,)."""
     out = x.astype(np.float32, copy=True)
     out[..., : len(centre)] -= centre.astype(np.float32)
     out[..., : len(centre)] /= scale.astype(np.float32)
@@ -263,10 +291,10 @@ def standardise(
 
 
 def encoder_inputs(x: NDArray[np.float32], actions: NDArray[np.int64]) -> NDArray[np.float64]:
-    """What the encoder reads of standardised situations (N, D + EXTRA) and actions v_t (N,).
+    """Return the encoder's inputs for standardised situations (N, D + EXTRA), actions v_t (N,).
 
-    The situation, the action, and, by the steps since the last alert, whether the action is that
-    of the step before: how a driver's lapses depend on alerts is then a matter of averages.
+    They are the situation, the action and, for each number of steps since the last alert, whether
+    the action repeats the last one, so that averages show how a driver's lapses depend on alerts.
     """
     done = actions[:, None] == np.arange(ACTIONS)
     before, since = x[:, -EXTRA : ACTIONS - EXTRA], x[:, ACTIONS - EXTRA :]
@@ -274,6 +302,6 @@ def encoder_inputs(x: NDArray[np.float32], actions: NDArray[np.int64]) -> NDArra
     return np.concatenate([x, done, repeated * since], axis=1, dtype=np.float64)
 
 
-def _beside(x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float32]:
+def _with_z(x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float32]:
     rows = np.broadcast_to(z, (len(x), z.shape[-1])).astype(np.float32)
     return np.concatenate([x, rows], axis=1)

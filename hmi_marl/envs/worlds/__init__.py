@@ -1,6 +1,7 @@
-"""Worlds: where the cars drive.
+"""Worlds: roads, traffic and lidar.
 
-``highway`` is highway-env itself, the reference; ``batched`` the same, compiled, for thousands.
+``highway`` is highway-env itself, the reference; ``batched`` the same, compiled, for thousands of
+teams. A custom world is an object with the methods of :class:`World`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,15 @@
-"""What a world is: N copies of the merge scene, side by side, each with one driven car.
+"""The interface of a world: N roads side by side, each with one driven car.
 
-A world knows roads and vehicles and nothing of attention, rewards or agents. Every
-implementation starts from the same scene for the same seed and reports the same quantities, so
-that the teaming code above does not know which one it drives.
+A world knows roads and vehicles and nothing of attention, rewards or agents. ``highway`` and
+``batched`` are the same merge: for the same seed they start from the same scene and report the same
+quantities.
+
+A custom world is any object with the methods of :class:`World`, given as ``world=`` to every
+environment in place of a name; ``examples/new_world.py`` is a complete one. Its road has
+``scene.lanes`` main lanes in the x direction. From :class:`Scene` it takes the lanes, the length,
+the frequencies, the lidar and the target speeds; it need not read the lengths that describe the
+merge (``before``, ``converge``, ``parallel``). Pictures show the merge's road, with this world's
+vehicles on it.
 """
 
 from __future__ import annotations
@@ -21,7 +28,7 @@ VEHICLE_ACTIONS = ("move_left", "keep_speed", "move_right", "speed_up", "slow_do
 
 @dataclass(frozen=True)
 class Ego:
-    """The driven cars of N worlds. Each field has shape (N,), float64 unless said otherwise."""
+    """The driven cars of N worlds. Each field has shape (N,), float64 unless noted."""
 
     x: NDArray[np.float64]
     """Along the road [m]."""
@@ -34,7 +41,8 @@ class Ego:
     target_speed: NDArray[np.float64]
     """The speed that the car is being brought to [m/s]."""
     lane: NDArray[np.int64]
-    """int64: 0 (left) to lanes - 1 (right) for a main lane, ``lanes`` on the ramp."""
+    """int64: 0 (left) to lanes - 1 (right) for a main lane, ``lanes`` on any other, such as the
+    ramp of the merge."""
     lateral: NDArray[np.float64]
     """Distance from the middle of that lane [m]."""
     crashed: NDArray[np.bool_]
@@ -42,7 +50,8 @@ class Ego:
     gap: NDArray[np.float64]
     """Bumper to bumper to the next vehicle or obstacle ahead in the lane [m], inf if none."""
     merging_slowness: NDArray[np.float64]
-    """Sum of (target - current) / target speed over vehicles in the merging lane."""
+    """Sum of (target - current) / target speed over vehicles in a lane that merges into the main
+    lanes; 0 where no lane does."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,7 @@ class Snapshot:
     """One world at one moment, for pictures. The driven car is vehicle 0."""
 
     time: float
-    """Since the start of the episode [s]."""
+    """Time since the start of the episode [s]."""
     position: NDArray[np.float64]
     """Shape (V, 2) [m]."""
     heading: NDArray[np.float64]
@@ -60,17 +69,19 @@ class Snapshot:
     crashed: NDArray[np.bool_]
     """Shape (V,)."""
     obstacles: NDArray[np.float64]
-    """Middles of the fixed obstacles, shape (O, 2) [m]."""
+    """Middles of the fixed obstacles, shape (O, 2) [m]; O = 0 where there are none."""
 
 
 class World(Protocol):
-    """N merge scenes. Team k's episode depends on seed k alone.
+    """N roads with traffic. World k's episode depends on seed k and its car's actions alone.
 
-    What is handed out stays as it is: later calls do not write into it.
+    Arrays that were returned stay as they are: later calls do not write into them.
     """
 
     scene: Scene
+    """Equal to :attr:`TeamConfig.scene` of the teams that drive here."""
     num_worlds: int
+    """N."""
 
     def reset(
         self,
@@ -84,21 +95,22 @@ class World(Protocol):
         """Move the marked worlds by one policy step; ``actions`` index ``VEHICLE_ACTIONS``."""
 
     def halt(self, which: NDArray[np.bool_]) -> None:
-        """Bring the driven car of the marked worlds to a stand, after a crash."""
+        """Stop the driven car of the marked worlds, after a crash."""
 
     def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
-        """Other eyes look out of the marked worlds' cars; both arguments have shape (N,)."""
+        """Change the marked worlds' inflation to another driver's; both have shape (N,)."""
 
     def ego(self) -> Ego:
-        """The driven cars."""
+        """Return the state of the driven cars."""
 
     def lidar(self, inflated: bool) -> NDArray[np.float32]:
         """Distance [m] and relative radial speed [m/s] per ray, shape (N, cells, 2).
 
-        Ray k looks into the direction 2πk / cells from the x axis. ``inflated``: as the driver
+        Ray k has the direction 2πk / cells from the x axis. A ray that hits nothing within
+        ``scene.lidar_range`` reads that number in both columns. ``inflated``: as the driver
         perceives it, with every other object longer and wider by the world's inflation factor;
         inside an inflated object every ray reads 0 m.
         """
 
     def snapshot(self, world: int) -> Snapshot:
-        """World number ``world`` as it stands."""
+        """Return the present state of world number ``world``."""

@@ -1,7 +1,7 @@
 """The reference world: highway-env's own ``merge-generic-v1``, N of them in a loop.
 
-Physics, traffic and steering are highway-env's, untouched. Ours is where everybody starts (so
-that a scene is a pure function of its seed, in this world and in any other) and what is read off.
+Physics, traffic and steering are highway-env's, untouched. Added are the vehicles' starts (so that
+a scene is a pure function of its seed, in every world) and the readings.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def highway_config(scene: Scene) -> dict[str, object]:
 
 
 class MergeScene(ConnectedLaneMergeGenericEnv):  # type: ignore[misc]
-    """``merge-generic-v1`` with the traffic placed where a :class:`Start` says."""
+    """``merge-generic-v1`` with the traffic placed by a :class:`Start`."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -71,7 +71,7 @@ class MergeScene(ConnectedLaneMergeGenericEnv):  # type: ignore[misc]
         road.vehicles.append(merging)
 
     def drive(self, action: int) -> None:
-        """One policy step with this vehicle action."""
+        """Take one policy step with this vehicle action."""
         self._simulate(action)
 
     def lane_number(self) -> int:
@@ -80,7 +80,7 @@ class MergeScene(ConnectedLaneMergeGenericEnv):  # type: ignore[misc]
         return self.scene.lanes if origin in ("j", "k") else int(lane)
 
     def gap(self) -> float:
-        """Bumper to bumper to whatever is ahead in the lane [m]."""
+        """Bumper to bumper to the next object ahead in the lane [m]."""
         front, _ = self.road.neighbour_vehicles(self.vehicle)
         if front is None:
             return float("inf")
@@ -91,7 +91,7 @@ class MergeScene(ConnectedLaneMergeGenericEnv):  # type: ignore[misc]
         """Sum of (target - current) / target speed over vehicles in the lane that merges.
 
         highway-env's merge reward names lane ("b", "c", 2), which with more than two main lanes
-        is one of them; the lane meant is the one beside them all.
+        is one of them; the lane meant is the one to the right of them all.
         """
         merging_lane = ("b", "c", self.scene.lanes)
         return float(

@@ -1,7 +1,7 @@
-"""highway-env's lidar, looking at a road whose other objects appear larger than they are.
+"""highway-env's lidar on a road where other objects appear larger than they are.
 
-The rays are traced by highway-env's own observation class. Only what it looks at is ours:
-stand-ins for the other objects, at their true places, with their perceived sizes.
+The rays are traced by highway-env's own observation class, on stand-ins for the other objects at
+their true places with their perceived sizes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class PerceivedObject:
         )
 
     def contains(self, point: NDArray[np.float64]) -> bool:
-        """Is a point (shape (2,), m) inside the perceived rectangle?"""
+        """Whether a point (shape (2,), m) is inside the perceived rectangle."""
         dx, dy = point - self.position
         cosine, sine = np.cos(self.heading), np.sin(self.heading)
         along, across = cosine * dx + sine * dy, cosine * dy - sine * dx
@@ -55,8 +55,8 @@ def trace(
 ) -> NDArray[np.float32]:
     """Distance [m] and relative radial speed [m/s] per ray, shape (cells, 2).
 
-    Equal to highway-env's lidar on a road whose other objects really have the inflated size, but
-    for an observer inside such an object, to whom every ray reads 0 m.
+    Equal to highway-env's lidar on a road where the other objects really have the inflated size;
+    but for an observer inside such an object every ray reads 0 m.
     """
     perceived = [PerceivedObject.of(other, inflation) for other in others if other.solid]
     road = SimpleNamespace(vehicles=perceived, objects=[])

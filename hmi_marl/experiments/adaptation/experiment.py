@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from hmi_marl.agents.adaptive.catalogue import EXPECTED, Trained, make_adaptive
-from hmi_marl.agents.adaptive.evidence_files import NAME
+from hmi_marl.agents.adaptive.evidence_model import NAME
+from hmi_marl.agents.adaptive.factory import EXPECTED, Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import begin
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI

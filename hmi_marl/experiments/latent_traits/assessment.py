@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.demonstrations.dataset import NOBODY, Demonstrations, Observed, Truth
-from hmi_marl.demonstrations.windows import held_out, team_of
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth, held_out
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits.ceiling import LIKES_HELP, Ceilings, ceilings
@@ -158,7 +158,7 @@ def disjoint_pools(driver: NDArray[np.int64], size: int) -> NDArray[np.int64]:
         Indices of windows, shape (P, size).
     """
     pools = [np.zeros((0, size), np.int64)]
-    for who in np.unique(driver[driver != NOBODY]):
+    for who in np.unique(driver[driver != MISSING]):
         own = np.flatnonzero(driver == who)
         whole = len(own) // size * size
         pools.append(own[:whole].reshape(-1, size))
@@ -183,7 +183,7 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
     if len(names) < 2:
         raise ValueError("identifying drivers takes two or more who are known by name")
     sides = (split.learned.observed.driver, split.unseen.observed.driver)
-    counts = np.minimum(*(np.bincount(of[of != NOBODY], minlength=len(names)) for of in sides))
+    counts = np.minimum(*(np.bincount(of[of != MISSING], minlength=len(names)) for of in sides))
     least = (latent + 2) * pool
     if counts.min() < least:
         raise ValueError(

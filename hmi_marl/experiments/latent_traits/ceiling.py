@@ -8,7 +8,6 @@ higher except by chance.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hmi_marl.agents.learned.policy import LearnedPolicy
-from hmi_marl.agents.learned.policy_files import find_policy, load_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
 from hmi_marl.demonstrations.dataset import Demonstrations, Observed
-from hmi_marl.demonstrations.windows import team_of
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver
 from hmi_marl.exact.identify import Identification, marginal
 from hmi_marl.exact.oracle import identify
+from hmi_marl.files import sha256_of
 from hmi_marl.reporting.statistics import Estimate, accuracy
 
 LIKES_HELP = 0.5
@@ -70,13 +69,13 @@ def driver_policy_of(observed: Observed, given: str | None, config: TeamConfig) 
         )
     place = str(recorded["name"]) if given is None else given
     try:
-        weights = find_policy(Path(place), DRIVER).with_suffix(".safetensors").read_bytes()
+        digest = sha256_of(find_policy(Path(place), DRIVER).with_suffix(".safetensors"))
     except FileNotFoundError as error:
         raise FileNotFoundError(
             f"{_NO_CEILING}: {error}; give the folder of the driver policy that the demonstrations "
             "were made with"
         ) from None
-    if hashlib.sha256(weights).hexdigest() != recorded["sha256"]:
+    if digest != recorded["sha256"]:
         raise ValueError(
             f"{_NO_CEILING}: {place} holds another driver policy than the one that the "
             f"demonstrations were made with, whose weights have the sha256 {recorded['sha256']}"

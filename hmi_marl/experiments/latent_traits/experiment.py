@@ -16,7 +16,7 @@ from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, driver_weights
 from hmi_marl.experiments.policies import driver_job
-from hmi_marl.files import json_value, make_folder
+from hmi_marl.files import json_value, make_folder, sha256_of
 from hmi_marl.reporting.blocks import Block
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.runs.folder import FREE as MACHINE
@@ -119,8 +119,8 @@ class TraitEvaluation(_Judged):
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
                 other demonstrations or that pool or hold out differently.
         """
-        from hmi_marl.agents.learned.trait_files import load_traits
-        from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, sha256_of
+        from hmi_marl.agents.learned.trait_model import load_traits
+        from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations
         from hmi_marl.experiments.latent_traits import assessment
         from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, exact_evidence
         from hmi_marl.experiments.latent_traits.imitation import check_fits
@@ -282,7 +282,6 @@ class LatentTraits(_Judged):
             TRUTH,
             read_about,
             read_demonstrations,
-            sha256_of,
             write_demonstrations,
         )
         from hmi_marl.demonstrations.recording import collect

@@ -26,8 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from hmi_marl.agents.learned.situations import EXTRA, LONG_AGO, situations
 from hmi_marl.agents.learned.trait_model import Latent, TraitModel
 from hmi_marl.agents.memory import Draws
-from hmi_marl.demonstrations.dataset import NOBODY, Observed
-from hmi_marl.demonstrations.windows import alert_rate, team_of
+from hmi_marl.demonstrations.dataset import MISSING, Observed, alert_rate
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
@@ -78,7 +78,7 @@ def driver_latents(model: TraitModel, observed: Observed) -> dict[str, NDArray[n
     """Return the posterior mean of z, shape (Z,), given all windows of each known driver."""
     windows = {
         observed.names[who]: np.flatnonzero(observed.driver == who)
-        for who in np.unique(observed.driver[observed.driver != NOBODY])
+        for who in np.unique(observed.driver[observed.driver != MISSING])
     }
     return {name: pool_latents(model, observed, own[None]).mean[0] for name, own in windows.items()}
 
@@ -100,7 +100,7 @@ def checked_pools(
     if places.min() < 0 or places.max() >= len(observed):
         raise ValueError(f"indices of windows lie in 0 to {len(observed) - 1}")
     drivers = observed.driver[places]
-    if (drivers != drivers[:, :1]).any() or (drivers == NOBODY).any():
+    if (drivers != drivers[:, :1]).any() or (drivers == MISSING).any():
         raise ValueError("all windows of a pool are of one driver who is known")
     return places.astype(np.int64), drivers[:, 0]
 

@@ -24,8 +24,8 @@ from scipy import stats
 
 from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.agents.memory import Draws
-from hmi_marl.demonstrations.dataset import Observed
-from hmi_marl.demonstrations.windows import alert_rate, team_of
+from hmi_marl.demonstrations.dataset import Observed, alert_rate
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.experiments.latent_traits.imitation import (

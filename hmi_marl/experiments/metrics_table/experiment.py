@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hmi_marl.agents.adaptive.evidence_files import load_evidence
-from hmi_marl.agents.adaptive.evidence_model import EvidenceModel
+from hmi_marl.agents.adaptive.evidence_model import EvidenceModel, load_evidence
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TraitDistributions, Traits
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.training.ppo.settings import PPOSettings

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.evidence_files import save_evidence
+from hmi_marl.agents.adaptive.evidence_model import save_evidence
 from hmi_marl.envs.observations import traits_part
 from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing

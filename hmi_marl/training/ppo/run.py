@@ -15,9 +15,14 @@ from typing import Any
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.network import NetworkConfig, Weights
-from hmi_marl.agents.learned.policy import CONTEXT_OF, LearnedPolicy, PolicyCard
-from hmi_marl.agents.learned.policy_files import load_policy, save_policy
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.learned.policy import (
+    CONTEXT_OF,
+    LearnedPolicy,
+    PolicyCard,
+    load_policy,
+    save_policy,
+)
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream

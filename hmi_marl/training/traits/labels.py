@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.demonstrations.dataset import NOBODY, Demonstrations
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.training.traits.settings import Supervision
 
@@ -30,7 +30,7 @@ def choose_labelled(
         rng: random generator.
     """
     marked = np.zeros(len(driver), np.bool_)
-    for number in np.unique(driver[driver != NOBODY]):
+    for number in np.unique(driver[driver != MISSING]):
         windows = np.flatnonzero(driver == number)
         marked[rng.permutation(windows)[: max(1, round(share * len(windows)))]] = True
     return marked

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.situations import situations
 from hmi_marl.agents.learned.trait_model import standardise
-from hmi_marl.demonstrations.dataset import NOBODY, Observed
+from hmi_marl.demonstrations.dataset import MISSING, Observed
 
 SMALLEST_SPREAD = 1e-6
 
@@ -89,7 +89,7 @@ class Windows:
     def __init__(self, observed: Observed, labels: NDArray[np.float64], units: Units) -> None:
         if labels.shape != (len(observed),):
             raise ValueError(f"labels have shape ({len(observed)},), not {labels.shape}")
-        self._known = observed.driver != NOBODY
+        self._known = observed.driver != MISSING
         if not self._known.any():
             raise ValueError("no window's driver is known, so none can be pooled with another")
         if observed.length.max() < 2:

@@ -19,18 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from hmi_marl.agents.learned.trait_files import save_traits
-from hmi_marl.demonstrations.dataset import Demonstrations
-from hmi_marl.demonstrations.parquet import (
-    OBSERVED,
-    read_demonstrations,
-    read_observed,
-    sha256_of,
-)
-from hmi_marl.demonstrations.windows import alert_rate, held_out, team_of
+from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.demonstrations.dataset import Demonstrations, alert_rate, held_out
+from hmi_marl.demonstrations.env import team_of
+from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_observed
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
-from hmi_marl.files import json_value
+from hmi_marl.files import json_value, sha256_of
 from hmi_marl.training.runs.progress import Progress
 from hmi_marl.training.traits.labels import make_labels
 from hmi_marl.training.traits.settings import TraitSettings

@@ -7,8 +7,7 @@ import pytest
 from evidence_models import HIDDEN, SMALL, evidence_weights, untrained_evidence
 from safetensors.numpy import save as save_tensors
 
-from hmi_marl.agents.adaptive.evidence_files import load_evidence, save_evidence
-from hmi_marl.agents.adaptive.evidence_model import EvidenceCard
+from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, load_evidence, save_evidence
 from hmi_marl.envs.drivers import DRIVERS, Traits
 
 CARD = EvidenceCard.for_team(
@@ -59,7 +58,7 @@ def test_weights_that_do_not_fit_are_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_not_there_is_told(tmp_path):
+def test_what_is_not_there_is_reported(tmp_path):
     for place in (tmp_path, tmp_path / "nowhere", tmp_path / "evidence.json"):
         with pytest.raises(
             FileNotFoundError, match=r"no evidence model at .*hmi-marl reproduce ad"
@@ -81,28 +80,28 @@ def test_a_changed_byte_is_noticed(tmp_path, place):
         load_evidence(tmp_path)
 
 
-def test_weights_that_are_gone_are_told(tmp_path):
+def test_weights_that_are_gone_are_reported(tmp_path):
     saved(tmp_path).with_suffix(".safetensors").unlink()
     with pytest.raises(FileNotFoundError, match=r"has lost its weights, evidence\.safetensors"):
         load_evidence(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl evidence 2"}', "is not a evidence model .* 'hmi-marl evidence 2'"),
-        (b'{"format": "hmi-marl policy 2"}', "is not a evidence model .* 'hmi-marl policy 1'"),
+        (b'{"format": "hmi-marl evidence 1"}', "is no evidence model .* 'hmi-marl evidence 1'"),
+        (b'{"format": "hmi-marl policy 1"}', "is no evidence model .* 'hmi-marl policy 1'"),
         (b"[]", "format None"),
-        (b'{"format": "hmi-marl evidence 2"}', "is a damaged evidence card: 'reads'"),
+        (b'{"format": "hmi-marl evidence 2"}', "is a damaged evidence model card: 'reads'"),
     ],
     ids=str,
 )
-def test_other_files_are_no_evidence_models(tmp_path, content, told):
+def test_other_files_are_no_evidence_models(tmp_path, content, message):
     path = tmp_path / "evidence.json"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         load_evidence(path)
 
 
@@ -122,9 +121,9 @@ def test_other_files_are_no_evidence_models(tmp_path, content, told):
     ],
     ids=str,
 )
-def test_a_damaged_card_is_told(tmp_path, changed):
+def test_a_damaged_card_is_reported(tmp_path, changed):
     with_card(saved(tmp_path), **changed)
-    with pytest.raises(ValueError, match=r"evidence\.json is a damaged evidence card: "):
+    with pytest.raises(ValueError, match=r"evidence\.json is a damaged evidence model card: "):
         load_evidence(tmp_path)
 
 

@@ -57,7 +57,7 @@ def test_by_default_it_reads_what_everybody_may_see():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "found"),
     [
         ({"reads": ()}, "reads parts of at least one column"),
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
@@ -65,13 +65,13 @@ def test_by_default_it_reads_what_everybody_may_see():
         ({"segment": 0}, "segment is at least 1, but got 0"),
         (
             {"place": NetworkConfig((4,), rnn_hidden_dim=2)},
-            "place has no memory: set encoder.rnn_hidden_dim alone",
+            "only the encoder may be recurrent: set place",
         ),
     ],
     ids=str,
 )
-def test_impossible_cards_are_refused(changes, told):
-    with pytest.raises(ValueError, match=told):
+def test_impossible_cards_are_refused(changes, found):
+    with pytest.raises(ValueError, match=found):
         EvidenceCard(**({"reads": (("speed", 1),)} | changes))
 
 
@@ -116,44 +116,44 @@ def scripted(config=HIDDEN, reads=("speed",)):
     # v      1  3  3  4  4
     teams = standing_teams(1, driver="bart", ai_sees_attention=False, duration=4.0)
     teams.reset(seeds(1))
-    reader, told = Turns(reads, teams.layouts["vehicle_ai"]), []
+    reader, found = Turns(reads, teams.layouts["vehicle_ai"]), []
     for t, (intended, d, alert) in enumerate([(1, 0, 0), (3, 0, 1), (4, 1, 0), (4, 0, 0)]):
         asleep = Driver("any", float(d), 1.0 - d, 0.0, 1.0)
         teams.traits = Traits.of([asleep])
         teams.intend([intended])
-        told.append(reader.read(teams.observe("vehicle_ai"), np.ones(1, np.bool_))[0])
+        found.append(reader.read(teams.observe("vehicle_ai"), np.ones(1, np.bool_))[0])
         teams.step([alert])
         assert teams.attention.distracted[0] == d, t
     for _ in range(15):
         teams.intend([4])
-        told.append(reader.read(teams.observe("vehicle_ai"), np.ones(1, np.bool_))[0])
+        found.append(reader.read(teams.observe("vehicle_ai"), np.ones(1, np.bool_))[0])
         teams.step([0])
-    return teams, told
+    return teams, found
 
 
-def test_what_turns_tell_by_hand():
-    teams, told = scripted()
+def test_what_turns_show_by_hand():
+    teams, found = scripted()
     assert teams.over.all() or teams.steps[0] == 19
-    assert [features(turn) for turn in told[:6]] == [
+    assert [features(turn) for turn in found[:6]] == [
         (None, LONG_AGO, None),  # nothing yet
         (None, LONG_AGO, None),  # v_0 = 1 shows nothing
-        (1, 0, "attentive"),  # a^H_1 = 3 after v_0 = 1 was applied, beside an alert
+        (1, 0, "attentive"),  # a^H_1 = 3 after v_0 = 1 was applied, during an alert
         (3, 1, "distracted"),  # a^H_2 = 4 after v_1 = 3 was not
         (3, 2, "attentive"),
         (4, 3, None),  # they wanted the same again
     ]
-    since = [features(turn)[1] for turn in told[6:]]
+    since = [features(turn)[1] for turn in found[6:]]
     assert since == [min(steps, LONG_AGO) for steps in range(4, 17)]
 
 
 def test_the_rest_is_read_as_it_is_shown_in_the_order_asked_for():
-    teams, told = scripted(reads=("lane", "intended_action", "speed"))
+    teams, found = scripted(reads=("lane", "intended_action", "speed"))
     teams.intend([4])
     seen = teams.observe("vehicle_ai")[0]
     shown = [seen[LAYOUT[name]] for name in ("lane", "intended_action", "speed")]
-    np.testing.assert_array_equal(told[-1][:-DERIVED], np.concatenate(shown))
-    assert told[-1].dtype == np.float32
-    assert len(told[-1]) == 10 + DERIVED
+    np.testing.assert_array_equal(found[-1][:-DERIVED], np.concatenate(shown))
+    assert found[-1].dtype == np.float32
+    assert len(found[-1]) == 10 + DERIVED
 
 
 def test_turns_that_are_not_new_are_read_alike_and_not_remembered():
@@ -162,11 +162,11 @@ def test_turns_that_are_not_new_are_read_alike_and_not_remembered():
     reader, once = (Turns(("speed",), LAYOUT) for _ in range(2))
     for each in (reader, once):
         each.reset(2)
-    every, nobody = np.ones(2, np.bool_), np.zeros(2, np.bool_)
+    every, none = np.ones(2, np.bool_), np.zeros(2, np.bool_)
     for seen in turns(teams, any_intents(10, 2), any_alerts(10, 2)):
         expected = once.read(seen, every)
         for _ in range(2):
-            np.testing.assert_array_equal(reader.read(seen, nobody), expected)
+            np.testing.assert_array_equal(reader.read(seen, none), expected)
         np.testing.assert_array_equal(reader.read(seen, every), expected)
 
 
@@ -176,14 +176,14 @@ def test_a_new_trip_has_no_turns_before_it():
     reader.reset(2)
     teams.reset(seeds(2))
     for seen in turns(teams, any_intents(5, 2), np.ones((5, 2), np.int64)):
-        told = reader.read(seen, every)
-    assert [features(turn)[1] for turn in told] == [0, 0]
+        found = reader.read(seen, every)
+    assert [features(turn)[1] for turn in found] == [0, 0]
     reader.begin(np.array([False, True]))
     teams.reset(seeds(2), np.array([False, True]))
     teams.intend([1, 1])
-    told = reader.read(teams.observe("vehicle_ai"), every)
-    assert features(told[0])[0] is not None
-    assert features(told[1]) == (None, LONG_AGO, None)
+    found = reader.read(teams.observe("vehicle_ai"), every)
+    assert features(found[0])[0] is not None
+    assert features(found[1]) == (None, LONG_AGO, None)
 
 
 # The model.
@@ -247,7 +247,7 @@ def test_memory_is_emptied_every_segment(segment):
     assert gains.shape == (20, 3, 4)
 
 
-def test_a_memory_that_is_kept_longer_tells_something_else():
+def test_a_memory_that_is_kept_longer_gives_something_else():
     found = []
     for segment in (5, 6):
         evidence = LearnedEvidence(untrained_evidence(segment=segment), FOUR, HIDDEN)
@@ -273,7 +273,7 @@ def test_windows_are_pooled_by_adding_up():
     np.testing.assert_allclose(pooled, each[0] + each[1], atol=1e-9)
 
 
-def test_only_new_turns_are_told_of_and_remembered():
+def test_only_new_turns_count_and_are_remembered():
     model = untrained_evidence(segment=4)
     evidence, once = (LearnedEvidence(model, FOUR, HIDDEN) for _ in range(2))
     for each in (evidence, once):
@@ -310,7 +310,7 @@ def test_teams_of_another_scene_are_refused():
     with pytest.raises(ValueError, match=r"reads other columns .* use the scene that"):
         LearnedEvidence(model, FOUR, other)
     for hidden in ("traits", "distracted"):
-        with pytest.raises(ValueError, match=f"may not read '{hidden}': it is to be inferred"):
+        with pytest.raises(ValueError, match=f"may not read '{hidden}': driver inference hides it"):
             EvidenceCard.for_team(TeamConfig(), ("speed", hidden), **SMALL)
 
 
@@ -325,5 +325,5 @@ def test_it_reads_neither_attention_nor_traits_by_default():
     seen = teams.observe("vehicle_ai")
     for name in ("distracted", "accepted", "counter", "traits"):
         seen[1, layout[name]] = 0.7
-    told = evidence.observe(seen, np.ones(2, np.bool_))
-    np.testing.assert_allclose(told[0], told[1], rtol=1e-12)
+    found = evidence.observe(seen, np.ones(2, np.bool_))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-12)

@@ -220,7 +220,7 @@ def test_asking_twice_in_a_turn_changes_nothing(kind):
 
 
 @KINDS
-def test_a_trip_that_is_over_tells_nothing_more(kind):
+def test_a_trip_that_is_over_shows_nothing_more(kind):
     teams = standing_teams(2, driver="bart", ai_sees_attention=False, duration=6.0)
     estimator = TraitEstimator(evidence_of(kind, teams.config), teams.config)
     estimator.reset(2)
@@ -295,9 +295,9 @@ def test_probabilities_are_right_as_often_as_they_say():
             excess = (who == k) - p[:, k]
             assert mean_is_0(excess)
             for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.6), (0.6, 1.01)):
-                told = (p[:, k] >= low) & (p[:, k] < high)
-                deviation = np.sqrt((p[told, k] * (1 - p[told, k])).sum())
-                assert abs(excess[told].sum()) < 4 * deviation + 1
+                inside = (p[:, k] >= low) & (p[:, k] < high)
+                deviation = np.sqrt((p[inside, k] * (1 - p[inside, k])).sum())
+                assert abs(excess[inside].sum()) < 4 * deviation + 1
         shares.append((belief.most_likely == who).mean())
     assert shares[-1] > shares[0] + 0.1
     assert shares[-1] > 0.6

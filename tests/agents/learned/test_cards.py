@@ -1,20 +1,31 @@
-"""What test_policy_files.py does not show: other formats, and how numbers are kept."""
+"""Cards of any format; test_policy_files.py tests those of policies."""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
-from hmi_marl.agents.learned.cards import check_shapes, read_card, read_weights, write_card
+from hmi_marl.agents.learned.cards import CardFormat, find_card
 
-FORM = "hmi-marl something 1"
 WEIGHTS = {"wide": np.arange(6.0).reshape(2, 3).T, "one": np.array(1 / 3)}
 
 
+@dataclass(frozen=True)
+class Thing:
+    size: list[int] = field(default_factory=lambda: [3, 2])
+
+    @property
+    def shapes(self):
+        return {"wide": tuple(self.size), "one": ()}
+
+
+THINGS = CardFormat("hmi-marl something 1", "thing", Thing)
+
+
 def test_weights_come_back_in_single_precision_with_their_card(tmp_path):
-    path = write_card(tmp_path / "deep" / "thing.json", FORM, {"size": [3, 2]}, WEIGHTS)
-    card = read_card(path, FORM, "thing")
-    assert card.pop("format") == FORM
-    back = read_weights(path, card.pop("sha256"))
-    assert card == {"size": [3, 2]}
+    path = THINGS.save(tmp_path / "deep" / "thing.json", Thing(), WEIGHTS)
+    card, back = THINGS.read(path)
+    assert card == Thing([3, 2])
     assert set(back) == set(WEIGHTS)
     for name, values in WEIGHTS.items():  # one of them lies the other way round in memory
         np.testing.assert_array_equal(back[name], values.astype(np.float32))
@@ -22,23 +33,31 @@ def test_weights_come_back_in_single_precision_with_their_card(tmp_path):
         assert back[name].shape == values.shape
 
 
-def test_a_card_of_another_format_is_told_by_what_was_asked_for(tmp_path):
-    path = write_card(tmp_path / "thing.json", FORM, {}, WEIGHTS)
+def test_a_card_of_another_format_is_refused(tmp_path):
+    path = THINGS.save(tmp_path / "thing.json", Thing(), WEIGHTS)
+    other = CardFormat("hmi-marl trait model 1", "trait model", Thing)
     with pytest.raises(
         ValueError,
-        match=r"thing\.json is not a trait model that can be read here: format 'hmi-marl so",
+        match=r"thing\.json is no trait model that can be read here: format 'hmi-marl so",
     ):
-        read_card(path, "hmi-marl trait model 1", "trait model")
+        other.read(path)
     with pytest.raises(FileNotFoundError):
-        read_card(tmp_path / "nothing.json", FORM, "thing")
+        THINGS.read(tmp_path / "nothing.json")
+
+
+def test_a_card_is_found_by_folder_card_or_weights(tmp_path):
+    path = THINGS.save(tmp_path / "thing.json", Thing(), WEIGHTS)
+    for place in (tmp_path, str(path), path.with_suffix(".safetensors")):
+        assert find_card(place, "thing", "thing") == path
+    with pytest.raises(FileNotFoundError, match=r"no thing at .*; make one$"):
+        find_card(tmp_path / "nowhere", "thing", "thing", "; make one")
 
 
 def test_shapes_are_checked_by_name():
-    shapes = {"wide": (3, 2), "one": ()}
-    check_shapes(shapes, WEIGHTS, "thing")
+    THINGS.check(Thing(), WEIGHTS)
     with pytest.raises(ValueError, match="the weights do not fit the thing's card: other, wide"):
-        check_shapes({"other": (1,), "one": ()}, WEIGHTS, "thing")
+        THINGS.check(Thing(), {"other": np.zeros(1), "one": WEIGHTS["one"]})
     with pytest.raises(ValueError, match=r"wide has shape \(3, 2\), but the card says \(2, 3\)"):
-        check_shapes(shapes | {"wide": (2, 3)}, WEIGHTS, "thing")
+        THINGS.check(Thing([2, 3]), WEIGHTS)
     with pytest.raises(ValueError, match="one is not finite everywhere"):
-        check_shapes(shapes, WEIGHTS | {"one": np.array(np.nan)}, "thing")
+        THINGS.check(Thing(), WEIGHTS | {"one": np.array(np.nan)})

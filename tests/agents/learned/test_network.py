@@ -132,7 +132,7 @@ def test_a_memory_is_that_of_marked_teams_alone_after_forgetting():
 
 
 @pytest.mark.parametrize("teams", [1, 2])
-def test_a_memory_needs_to_be_told_for_how_many_teams(teams):
+def test_a_memory_needs_to_know_for_how_many_teams(teams):
     config = NetworkConfig((4,), rnn_hidden_dim=3)
     network = Network(config, drawn_weights(config, 2, 5))
     with pytest.raises(RuntimeError, match=rf"call reset\(seeds\) for {teams} teams first"):
@@ -169,19 +169,19 @@ def test_the_shapes_of_the_weights():
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
-        ({"hidden": ()}, r"hidden layers of at least one unit .* got hidden = \(\), memory = 0"),
-        ({"hidden": (64, 0)}, r"hidden = \(64, 0\)"),
-        ({"memory": -1}, "memory = -1"),
-        ({"hidden": (64.0,)}, "sizes of layers are whole numbers, not 64.0"),
-        ({"memory": True}, "sizes of layers are whole numbers, not True"),
+        ({"hidden_dims": ()}, r"layers of at least one unit .* got hidden_dims = \(\), rnn_.*= 0"),
+        ({"hidden_dims": (64, 0)}, r"hidden_dims = \(64, 0\)"),
+        ({"rnn_hidden_dim": -1}, "rnn_hidden_dim = -1"),
+        ({"hidden_dims": (64.0,)}, "sizes of layers are whole numbers, not 64.0"),
+        ({"rnn_hidden_dim": True}, "sizes of layers are whole numbers, not True"),
         ({"activation": "gelu"}, "activation is one of relu, elu, tanh, not 'gelu'"),
     ],
     ids=str,
 )
-def test_impossible_networks_are_refused(settings, told):
-    with pytest.raises(ValueError, match=told):
+def test_impossible_networks_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
         NetworkConfig(**settings)
 
 

@@ -10,8 +10,7 @@ from onnx.reference import ReferenceEvaluator
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.onnx_export import export_onnx, observed_columns
-from hmi_marl.agents.learned.policy import LearnedPolicy, make_card
-from hmi_marl.agents.learned.policy_files import read_policy, save_policy
+from hmi_marl.agents.learned.policy import LearnedPolicy, make_card, read_policy, save_policy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout
 
@@ -45,7 +44,7 @@ def exported(policy, tmp_path):
 
 
 def fed(policy, seen):
-    """What the model is to be given of an observation, by the names that it tells."""
+    """Return the inputs of the model from an observation, by their names."""
     layout = LAYOUTS[policy.card.seat]
     parts = [seen[:, layout[name]] for name, _ in observed_columns(policy.card)]
     return {"observation": np.concatenate(parts, axis=1)}
@@ -103,7 +102,7 @@ def test_a_memory_goes_from_step_to_step(tmp_path):
         assert action.tolist() == expected.argmax(1).tolist()
 
 
-def test_the_model_tells_its_columns_and_its_card(tmp_path):
+def test_the_model_names_its_columns_and_its_card(tmp_path):
     policy = policy_for("vehicle_ai", by_intent=True, knows_traits=False, context=2)
     model = exported(policy, tmp_path)
     about = {prop.key: json.loads(prop.value) for prop in model.metadata_props}
@@ -138,7 +137,7 @@ def test_weights_that_do_not_fit_are_refused_and_leave_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_onnx_one_is_told_what_to_install(monkeypatch):
+def test_without_onnx_the_error_says_what_to_install(monkeypatch):
     name = "hmi_marl.agents.learned.onnx_export"
     importing = builtins.__import__
 
@@ -163,8 +162,8 @@ def test_a_model_of_graded_alerts_gives_the_policys_probabilities(tmp_path, by_i
     weights = {n: rng.standard_normal(shape).astype("f4") for n, shape in card.shapes.items()}
     policy = LearnedPolicy(card, weights, config)
     seen = observations("vehicle_ai")  # laid out as without grades
-    told, action = ReferenceEvaluator(exported(policy, tmp_path)).run(None, fed(policy, seen))
+    found, action = ReferenceEvaluator(exported(policy, tmp_path)).run(None, fed(policy, seen))
     expected = policy.probabilities(seen)
     assert expected.shape == (7, 4)
-    np.testing.assert_allclose(told, expected, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
     assert action.tolist() == expected.argmax(axis=1).tolist()

@@ -4,8 +4,8 @@ import pytest
 
 from hmi_marl import Scene, merge_v0
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, check_weights, make_card
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.learned.policy import FORMAT, LearnedPolicy, PolicyCard, make_card
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout
@@ -43,7 +43,7 @@ def softmax(logits):
 
 
 def chosen(cumulated, draws):
-    """The action in whose share of [0, 1] each draw falls."""
+    """Return the action with each draw in its share of [0, 1]."""
     return [int((row[:-1] <= draw).sum()) for row, draw in zip(cumulated, draws, strict=True)]
 
 
@@ -92,7 +92,7 @@ def test_it_reads_in_the_order_of_its_card():
 
 
 @pytest.mark.parametrize(
-    ("hidden", "told"),
+    ("hidden", "message"),
     [
         (
             {"ai_sees_attention": False},
@@ -110,25 +110,25 @@ def test_it_reads_in_the_order_of_its_card():
     ],
     ids=str,
 )
-def test_a_seat_that_lacks_what_it_reads_is_refused(hidden, told):
+def test_a_seat_that_lacks_what_it_reads_is_refused(hidden, message):
     card = policy_for("vehicle_ai").card
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         LearnedPolicy(card, weights_for(card), TeamConfig(**hidden))
 
 
-def test_an_unknown_part_is_told_without_a_hint():
+def test_an_unknown_part_is_reported_without_a_hint():
     card = PolicyCard("driver", (("weather", 1),))
     with pytest.raises(ValueError, match=r"reads 'weather', .* does not show here$"):
         card.columns(driver_layout(CONFIG))
 
 
 @pytest.mark.parametrize(
-    ("card", "told"),
+    ("card", "message"),
     [
         ({"seat": "passenger"}, "seat is one of driver, vehicle_ai, not 'passenger'"),
         ({"reads": ()}, "reads parts of at least one column"),
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
-        ({"context": -1}, "z has no size < 0"),
+        ({"context": -1}, "context is at least 0"),
         ({"seat": "driver", "by_intent": True}, "by_intent is for a vehicle AI"),
         (
             {"by_intent": True, "reads": (("speed", 1), ("intended_action", 5))},
@@ -137,8 +137,8 @@ def test_an_unknown_part_is_told_without_a_hint():
     ],
     ids=str,
 )
-def test_impossible_cards_are_refused(card, told):
-    with pytest.raises(ValueError, match=told):
+def test_impossible_cards_are_refused(card, message):
+    with pytest.raises(ValueError, match=message):
         PolicyCard(**({"seat": "vehicle_ai", "reads": (("speed", 1),)} | card))
 
 
@@ -174,19 +174,19 @@ def test_a_policy_may_read_some_parts_alone():
 def test_weights_are_checked_against_the_card():
     card = PolicyCard("driver", (("speed", 1),), TINY)
     weights = weights_for(card)
-    check_weights(card, weights)
+    FORMAT.check(card, weights)
     lost = {name: values for name, values in weights.items() if name != "layer1.bias"}
     with pytest.raises(ValueError, match=r"do not fit the policy's card: layer1\.bias"):
-        check_weights(card, lost)
+        FORMAT.check(card, lost)
     with pytest.raises(ValueError, match="do not fit the policy's card: odd"):
-        check_weights(card, weights | {"odd": np.zeros(1)})
+        FORMAT.check(card, weights | {"odd": np.zeros(1)})
     with pytest.raises(
         ValueError, match=r"layer1\.bias has shape \(4,\), but the card says \(5,\)"
     ):
-        check_weights(card, weights | {"layer1.bias": np.zeros(4)})
+        FORMAT.check(card, weights | {"layer1.bias": np.zeros(4)})
     for bad in (np.nan, np.inf):
         with pytest.raises(ValueError, match=r"layer1\.bias is not finite everywhere"):
-            check_weights(card, weights | {"layer1.bias": np.full(5, bad)})
+            FORMAT.check(card, weights | {"layer1.bias": np.full(5, bad)})
 
 
 def test_a_context_is_read_after_the_observation():

@@ -12,8 +12,14 @@ from safetensors.numpy import save as save_tensors
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import PolicyCard, make_card
-from hmi_marl.agents.learned.policy_files import find_policy, load_policy, read_policy, save_policy
+from hmi_marl.agents.learned.policy import (
+    PolicyCard,
+    find_policy,
+    load_policy,
+    make_card,
+    read_policy,
+    save_policy,
+)
 from hmi_marl.envs.config import TeamConfig
 
 CONFIG = TeamConfig()
@@ -32,7 +38,7 @@ def saved(folder, card=CARD, seed=0):
 
 
 def with_weights(path, content):
-    """Put other weights beside a card, and into it that they belong there."""
+    """Put other weights next to a card, with their checksum in the card."""
     path.with_suffix(".safetensors").write_bytes(content)
     return with_card(path, sha256=hashlib.sha256(content).hexdigest())
 
@@ -94,7 +100,7 @@ def test_a_policy_is_found_by_folder_card_or_weights(tmp_path):
         assert find_policy(place, "vehicle_ai") == path
 
 
-def test_a_policy_that_is_not_there_is_told_with_what_is(tmp_path):
+def test_a_policy_that_is_not_there_is_reported_with_what_is(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no policy for the seat of driver at .*[^v]$"):
         find_policy(tmp_path, "driver")
     with pytest.raises(FileNotFoundError, match=r"no policy for the seat of driver at .*nowhere"):
@@ -122,7 +128,7 @@ def test_names_of_the_catalogue_lead_here(tmp_path):
         make_hmi("runs/that/never/were", CONFIG)
 
 
-def test_a_policy_that_cannot_sit_there_is_told_with_its_file(tmp_path):
+def test_a_policy_that_cannot_sit_there_is_reported_with_its_file(tmp_path):
     path = saved(tmp_path)
     blind = TeamConfig(ai_sees_attention=False)
     with pytest.raises(ValueError, match=r"vehicle_ai\.json: this vehicle_ai policy reads 'distr"):
@@ -151,7 +157,7 @@ def test_a_file_cut_short_is_noticed(tmp_path, kept):
         read_policy(with_weights(path, content))
 
 
-def test_weights_that_are_gone_are_told(tmp_path):
+def test_weights_that_are_gone_are_reported(tmp_path):
     path = saved(tmp_path)
     path.with_suffix(".safetensors").unlink()
     with pytest.raises(FileNotFoundError, match=r"has lost its weights, vehicle_ai\.safetensors"):
@@ -159,22 +165,22 @@ def test_weights_that_are_gone_are_told(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
         (b'{"format": "hmi-marl policy 2"', "is no JSON file"),
-        (b"[1, 2]", "is not a policy that can be read here: format None"),
-        (b'{"format": "hmi-marl policy 2"}', "is not a policy .* format 'hmi-marl policy 2'"),
-        (b'{"layers": 3}', "is not a policy that can be read here: format None"),
+        (b"[1, 2]", "is no policy that can be read here: format None"),
+        (b'{"format": "hmi-marl policy 1"}', "is no policy .* format 'hmi-marl policy 1'"),
+        (b'{"layers": 3}', "is no policy that can be read here: format None"),
         (b'{"format": "hmi-marl policy 2"}', "is a damaged policy card: 'seat'"),
     ],
     ids=str,
 )
-def test_other_files_are_no_policies(tmp_path, content, told):
+def test_other_files_are_no_policies(tmp_path, content, message):
     path = tmp_path / "driver.json"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=rf"driver\.json {told}"):
+    with pytest.raises(ValueError, match=rf"driver\.json {message}"):
         load_policy(path, "driver", CONFIG)
 
 
@@ -197,7 +203,7 @@ def test_other_files_are_no_policies(tmp_path, content, told):
     ],
     ids=str,
 )
-def test_a_damaged_card_is_told(tmp_path, changed):
+def test_a_damaged_card_is_reported(tmp_path, changed):
     path = with_card(saved(tmp_path), **changed)
     with pytest.raises(ValueError, match=r"vehicle_ai\.json is a damaged policy card: "):
         read_policy(path)
@@ -206,12 +212,12 @@ def test_a_damaged_card_is_told(tmp_path, changed):
 def test_the_weights_of_another_policy_are_refused(tmp_path):
     card = PolicyCard("driver", (("speed", 1),), NetworkConfig((3,)))
     path = saved(tmp_path, card)
-    for other, told in (
+    for other, message in (
         (replace(card, reads=(("traits", 4),)), r"layer0\.weight has shape \(3, 4\), but"),
         (replace(card, network=NetworkConfig((3, 3))), r"do not fit the policy's card: layer2\."),
     ):
         with_weights(path, save_tensors(weights_for(other)))
-        with pytest.raises(ValueError, match=rf"driver\.safetensors: .*{told}"):
+        with pytest.raises(ValueError, match=rf"driver\.safetensors: .*{message}"):
             read_policy(path)
 
 
@@ -295,15 +301,16 @@ def test_a_kill_between_the_two_files_is_noticed_and_mended_by_the_next_write(
     np.testing.assert_array_equal(weights["layer0.bias"], weights_for(CARD, 1)["layer0.bias"])
 
 
-def test_a_card_from_before_there_were_strengths_is_of_the_papers_bit(tmp_path):
+def test_a_card_without_alert_strengths_is_refused(tmp_path):
     path = saved(tmp_path)
     content = json.loads(path.read_text("utf-8"))
     assert content.pop("alert_strengths") == [1.0]
     path.write_text(json.dumps(content), "utf-8")
-    assert read_policy(path)[0] == CARD
+    with pytest.raises(ValueError, match="is a damaged policy card: 'alert_strengths'"):
+        read_policy(path)
 
 
-def test_a_card_tells_the_strengths_of_its_alerts(tmp_path):
+def test_a_card_holds_the_strengths_of_its_alerts(tmp_path):
     config = TeamConfig(alert_strengths=(0.25, 0.5, 1.0))
     card = make_card("vehicle_ai", config, NetworkConfig((4,)), True)
     assert read_policy(saved(tmp_path, card))[0] == card

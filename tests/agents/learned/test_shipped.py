@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from hmi_marl.agents import DRIVER_POLICY_NAMES, HMI_NAMES, make_driver_policy, make_hmi
+from hmi_marl.agents import make_driver_policy, make_hmi
+from hmi_marl.agents.catalogue import known_names
 from hmi_marl.agents.learned.shipped import (
     FOLDER,
     INDEX,
@@ -17,8 +18,8 @@ from hmi_marl.agents.learned.shipped import (
     shipped_agents,
     shipped_names,
 )
-from hmi_marl.agents.learned.trait_files import load_traits
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.learned.trait_model import load_traits
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import TeamConfig, as_fatigue
 
@@ -35,7 +36,7 @@ SEATED = [
     for name, agent in AGENTS.items()
     if agent.kind in ("driver", "vehicle_ai") and not card_of(name)["context"]
 ]
-"""Those that take a seat by themselves; one with a context is told z."""
+"""Those that take a seat by themselves; one with a context needs z."""
 
 
 def team_of(name: str) -> TeamConfig:
@@ -78,7 +79,7 @@ def test_the_papers_agents_are_there() -> None:
 
 
 @pytest.mark.parametrize("name", AGENTS)
-def test_cards_tell_how_they_were_made_and_name_no_places(name: str) -> None:
+def test_cards_say_how_they_were_made_and_name_no_places(name: str) -> None:
     card = card_of(name)
     training = card["training"]
     assert training["command"].startswith("hmi-marl reproduce")
@@ -117,15 +118,15 @@ def test_each_encoder_encodes(name: str) -> None:
 
 
 def test_names_are_listed_and_case_does_not_matter() -> None:
-    assert "homer" in HMI_NAMES["trained:NAME"]
-    assert "driver" in DRIVER_POLICY_NAMES["trained:NAME"]
+    assert "homer" in known_names("vehicle_ai")["trained:NAME"]
+    assert "attentive-driver" in known_names("driver")["trained:NAME"]
     assert is_shipped("Trained:Homer")
     assert find_shipped("Trained:Homer", "vehicle_ai") == FOLDER / "homer" / "vehicle_ai.json"
     assert not is_shipped("runs/trained")
 
 
 @pytest.mark.parametrize("make", [make_hmi, make_driver_policy])
-def test_an_unknown_name_is_told_what_there_is(make) -> None:
+def test_an_unknown_name_names_what_there_is(make) -> None:
     known = "trained:homer" if make is make_hmi else "trained:driver"
     with pytest.raises(ValueError, match=f"unknown trained agent 'trained:nobody'.*{known}"):
         make("trained:nobody", TeamConfig(driver="homer"))
@@ -167,7 +168,7 @@ def test_a_foreign_agent_is_refused(copied: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("{", "is damaged"),
         ("[]", "is no index of trained agents"),
@@ -175,11 +176,11 @@ def test_a_foreign_agent_is_refused(copied: Path) -> None:
         ('{"format": "hmi-marl trained 1", "agents": {"homer": {}}}', "is damaged"),
     ],
 )
-def test_an_index_that_is_none_is_refused(content: str, told: str, tmp_path: Path) -> None:
+def test_an_index_that_is_none_is_refused(content: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no trained agents came with this package"):
         shipped_agents(tmp_path)
     (tmp_path / INDEX).write_text(content)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         shipped_agents(tmp_path)
 
 

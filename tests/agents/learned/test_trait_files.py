@@ -14,8 +14,13 @@ from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.trait_files import FORMAT, load_traits, save_traits
-from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
+from hmi_marl.agents.learned.trait_model import (
+    FORMAT,
+    TraitCard,
+    TraitModel,
+    load_traits,
+    save_traits,
+)
 
 READS = tuple((part.name, part.size) for part in LAYOUT.parts)
 CARD = TraitCard(
@@ -41,7 +46,7 @@ def saved(folder: Path, card: TraitCard = CARD, seed: int = 0) -> Path:
 
 
 def with_weights(path: Path, content: bytes) -> Path:
-    """Put other weights beside a card, and into it that they belong there."""
+    """Put other weights next to a card, with their checksum in the card."""
     path.with_suffix(".safetensors").write_bytes(content)
     return with_card(path, sha256=hashlib.sha256(content).hexdigest())
 
@@ -52,7 +57,7 @@ def with_card(path: Path, **changed: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("card", [CARD, TraitCard((("speed", 1),))], ids=["all told", "defaults"])
+@pytest.mark.parametrize("card", [CARD, TraitCard((("speed", 1),))], ids=["all set", "defaults"])
 def test_a_trait_model_comes_back_as_it_was(tmp_path: Path, card: TraitCard) -> None:
     path = saved(tmp_path / "run", card)
     assert path == tmp_path / "run" / "traits.json"
@@ -85,17 +90,17 @@ def test_the_same_model_makes_the_same_bytes(tmp_path: Path) -> None:
 
 def test_weights_that_do_not_fit_are_not_written(tmp_path: Path) -> None:
     weights = weights_for(CARD)
-    for change, told in (
+    for change, message in (
         ({"mean.bias": np.full(3, np.nan, np.float32)}, r"mean\.bias is not finite everywhere"),
         ({"mean.bias": np.zeros(2, np.float32)}, r"mean\.bias has shape \(2,\), but the card"),
         ({"extra": np.zeros(2, np.float32)}, "do not fit the trait model's card: extra"),
     ):
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             save_traits(tmp_path, CARD, weights | change)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_model_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_model_that_is_not_there_is_reported(tmp_path: Path) -> None:
     for place in (tmp_path, tmp_path / "nowhere", tmp_path / "traits.json"):
         with pytest.raises(
             FileNotFoundError, match=r"no trait model at .*; learn one with hmi-marl"
@@ -124,28 +129,28 @@ def test_a_file_cut_short_is_noticed(tmp_path: Path, kept: int) -> None:
         load_traits(with_weights(path, content))
 
 
-def test_weights_that_are_gone_are_told(tmp_path: Path) -> None:
+def test_weights_that_are_gone_are_reported(tmp_path: Path) -> None:
     saved(tmp_path).with_suffix(".safetensors").unlink()
     with pytest.raises(FileNotFoundError, match=r"has lost its weights, traits\.safetensors"):
         load_traits(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
         (b'{"format": "hmi-marl traits 2"', "is no JSON file"),
-        (b"[1, 2]", "is not a trait model that can be read here: format None"),
-        (b'{"format": "hmi-marl policy 2"}', "is not a trait model .* 'hmi-marl policy 1'"),
-        (b'{"format": "hmi-marl traits 2"}', "is not a trait model .* 'hmi-marl traits 2'"),
+        (b"[1, 2]", "is no trait model that can be read here: format None"),
+        (b'{"format": "hmi-marl policy 1"}', "is no trait model .* 'hmi-marl policy 1'"),
+        (b'{"format": "hmi-marl traits 1"}', "is no trait model .* 'hmi-marl traits 1'"),
         (b'{"format": "hmi-marl traits 2"}', "is a damaged trait model card: 'reads'"),
     ],
     ids=str,
 )
-def test_other_files_are_no_trait_models(tmp_path: Path, content: bytes, told: str) -> None:
+def test_other_files_are_no_trait_models(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "traits.json").write_bytes(content)
-    with pytest.raises(ValueError, match=rf"traits\.json {told}"):
+    with pytest.raises(ValueError, match=rf"traits\.json {message}"):
         load_traits(tmp_path)
 
 
@@ -171,7 +176,7 @@ def test_other_files_are_no_trait_models(tmp_path: Path, content: bytes, told: s
     ],
     ids=str,
 )
-def test_a_damaged_card_is_told(tmp_path: Path, changed: dict[str, Any]) -> None:
+def test_a_damaged_card_is_reported(tmp_path: Path, changed: dict[str, Any]) -> None:
     path = with_card(saved(tmp_path), **changed)
     with pytest.raises(ValueError, match=r"traits\.json is a damaged trait model card: "):
         load_traits(path)
@@ -179,12 +184,12 @@ def test_a_damaged_card_is_told(tmp_path: Path, changed: dict[str, Any]) -> None
 
 def test_the_weights_of_another_model_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path)
-    for other, told in (
+    for other, message in (
         (replace(CARD, latent=2), r"mean\.weight has shape \(2, 4\), but the card says \(3, 4\)"),
         (replace(CARD, policy=NetworkConfig((5, 5))), r"trait model's card: policy\.layer2\."),
     ):
         with_weights(path, save_tensors(weights_for(other)))
-        with pytest.raises(ValueError, match=rf"traits\.safetensors: .*{told}"):
+        with pytest.raises(ValueError, match=rf"traits\.safetensors: .*{message}"):
             load_traits(path)
 
 
@@ -249,7 +254,7 @@ def test_a_kill_between_the_two_files_is_noticed_and_mended_by_the_next_write(
     np.testing.assert_array_equal(load_traits(tmp_path).weights["mean.bias"], expected)
 
 
-def test_the_card_tells_its_format_and_how_it_was_made(tmp_path: Path) -> None:
+def test_the_card_holds_its_format_and_how_it_was_made(tmp_path: Path) -> None:
     content = json.loads(saved(tmp_path).read_text("utf-8"))
-    assert content["format"] == FORMAT
+    assert content["format"] == FORMAT.name
     assert content["training"] == CARD.training

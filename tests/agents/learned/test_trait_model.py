@@ -37,7 +37,7 @@ def weights_for(card=CARD, seed=0):
 
 
 def silent(card=CARD, **last):
-    """Weights of zero, but those told, by name with __ for the dot."""
+    """Weights of zero except for those given by name, with __ for the dot."""
     weights = {name: np.zeros(size, np.float32) for name, size in card.shapes.items()}
     weights["state.scale"] += 1.0
     for name, value in last.items():
@@ -61,7 +61,7 @@ def windows(seed=0, length=(6, 2, 4, 1)):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"reads": ()}, "reads parts of at least one column"),
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
@@ -73,15 +73,15 @@ def windows(seed=0, length=(6, 2, 4, 1)):
         *(
             (
                 {part: NetworkConfig(rnn_hidden_dim=2)},
-                "only the encoder has a memory: set encoder_units",
+                "only the encoder is recurrent: set encoder_units",
             )
             for part in PARTS
         ),
     ],
     ids=str,
 )
-def test_a_card_that_makes_no_model_is_refused(changed, told):
-    with pytest.raises(ValueError, match=told):
+def test_a_card_that_makes_no_model_is_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
         replace(CARD, **changed)
 
 
@@ -208,7 +208,7 @@ def test_what_comes_after_a_windows_end_is_not_read():
 @pytest.mark.parametrize("at_once", [1, 3, 4])
 def test_how_many_are_encoded_at_once_does_not_matter(monkeypatch, at_once):
     expected = MODEL.encode(*windows())
-    monkeypatch.setattr(trait_model, "_AT_ONCE", at_once)
+    monkeypatch.setattr(trait_model, "_CHUNK", at_once)
     np.testing.assert_allclose(MODEL.encode(*windows()), expected, rtol=1e-12)
 
 
@@ -271,5 +271,7 @@ def test_rewards_and_policies_depend_on_z_and_all_rows_may_share_one():
 
 def test_using_a_trait_model_needs_no_torch():
     code = "import sys, hmi_marl.agents.learned.trait_model; print('torch' in sys.modules)"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "False"
+    message = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert message.stdout.strip() == "False"

@@ -23,7 +23,7 @@ SETTINGS = [
 """Settings that make NumPy, BLAS and the C library take the loops of other processors."""
 NEEDS = {"Haswell": "avx2", "SkylakeX": "avx512f", "Sandybridge": "avx", "haswell": "avx2"}
 NEEDS |= {"skylake-avx512": "avx512vl"}
-"""What the processor must have to take another one's loops."""
+"""Features that the processor needs to run another one's loops."""
 COMPILED_FOR = ["nehalem", "haswell", "skylake-avx512"]
 """Processors that the compiler can be asked to write for: without and with fused multiply-add."""
 

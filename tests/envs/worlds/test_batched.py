@@ -116,9 +116,9 @@ def test_it_starts_from_the_scene_of_the_seed():
 def test_resetting_and_stepping_some_leaves_the_others_alone():
     scene = Scene().fitted(4.0)
     world = BatchedWorld(scene, 6)
-    everybody, some = np.ones(6, np.bool_), np.array([True, False] * 3)
-    world.reset(seeds(6), np.full(6, 3.0), everybody)
-    world.step(np.full(6, 3), everybody)
+    everywhere, some = np.ones(6, np.bool_), np.array([True, False] * 3)
+    world.reset(seeds(6), np.full(6, 3.0), everywhere)
+    world.step(np.full(6, 3), everywhere)
     before = [world.snapshot(k) for k in range(6)]
     lidar = world.lidar(inflated=True)
     kept = lidar.copy()
@@ -135,10 +135,10 @@ def test_resetting_and_stepping_some_leaves_the_others_alone():
 def test_what_is_handed_out_is_not_overwritten():
     scene = Scene().fitted(4.0)
     world = BatchedWorld(scene, 2)
-    everybody = np.ones(2, np.bool_)
+    everywhere = np.ones(2, np.bool_)
     ego, snapshot, lidar = world.ego(), world.snapshot(1), world.lidar(False)
     kept = ego.x.copy(), snapshot.position.copy(), lidar.copy()
-    world.step(np.array([3, 3]), everybody)
+    world.step(np.array([3, 3]), everywhere)
     for shown, copy in zip((ego.x, snapshot.position, lidar), kept, strict=True):
         np.testing.assert_array_equal(shown, copy)
 
@@ -146,11 +146,11 @@ def test_what_is_handed_out_is_not_overwritten():
 def test_the_memory_of_a_team_is_small_and_constant():
     world = BatchedWorld(Scene(vehicles=20).fitted(20.0), 64)
     first = world.bytes_per_world
-    everybody = np.ones(64, np.bool_)
+    everywhere = np.ones(64, np.bool_)
     for step in range(30):
-        world.step(np.full(64, 3), everybody)
+        world.step(np.full(64, 3), everywhere)
         world.lidar(inflated=True)
-        world.reset(seeds(64, step), np.ones(64), everybody)
+        world.reset(seeds(64, step), np.ones(64), everywhere)
     assert world.bytes_per_world == first < 16_000
 
 

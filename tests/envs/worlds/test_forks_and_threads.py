@@ -83,7 +83,7 @@ def test_gymnasiums_asynchronous_vectors_with_their_default_context():
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
-def test_a_pool_whose_workers_drive_many_teams_after_their_parent_did(method, tmp_path):
+def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(method, tmp_path):
     printed = run_file(
         "if __name__ == '__main__':\n"
         "    import multiprocessing\n"

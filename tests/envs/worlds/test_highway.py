@@ -43,7 +43,7 @@ def unmodified(scene, seed):
     return env, observation
 
 
-def everybody(road):
+def all_vehicles(road):
     return np.array([[*v.position, v.heading, v.speed, v.crashed] for v in road.vehicles], float)
 
 
@@ -64,8 +64,8 @@ def test_it_follows_an_unmodified_merge_generic_v1_exactly(scene, seed):
     reference, observation = unmodified(scene, seed)
     actions = np.random.default_rng(seed).integers(0, 5, 8 * scene.policy_frequency)
     for action in actions:
-        ours = everybody(world.merges[0].road)
-        np.testing.assert_array_equal(ours, everybody(reference.road))
+        ours = all_vehicles(world.merges[0].road)
+        np.testing.assert_array_equal(ours, all_vehicles(reference.road))
         np.testing.assert_array_equal(
             world.lidar(inflated=False)[0] / np.float32(scene.lidar_range), observation
         )
@@ -139,7 +139,7 @@ def test_halting_stops_the_driven_car_alone():
     np.testing.assert_array_equal(before.speed[1:], after.speed[1:])
 
 
-def test_a_snapshot_shows_everybody_and_the_end_of_the_ramp():
+def test_a_snapshot_shows_all_vehicles_and_the_end_of_the_ramp():
     world = HighwayWorld(Scene(vehicles=4).fitted(2.0), 1)
     world.reset(np.zeros(1, np.uint64), np.ones(1), ALL)
     world.step(np.array([1]), ALL)
@@ -150,6 +150,6 @@ def test_a_snapshot_shows_everybody_and_the_end_of_the_ramp():
     np.testing.assert_allclose(snapshot.obstacles, [[310.0, 12.0]])
 
 
-def test_an_unknown_world_is_told_the_known_ones():
+def test_the_error_for_an_unknown_world_names_the_known_ones():
     with pytest.raises(ValueError, match="unknown world 'moon'; known: highway"):
         make_world("moon", Scene().fitted(2.0), 1)

@@ -8,7 +8,7 @@ from trait_models import untrained
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
-from hmi_marl.demonstrations.dataset import NOBODY, Demonstrations
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits import assessment as traits
@@ -70,13 +70,13 @@ def driven(
 
 
 def test_pools_by_hand() -> None:
-    driver = np.array([1, 0, 1, NOBODY, 1, 0, 1, 1, 0, NOBODY])
+    driver = np.array([1, 0, 1, MISSING, 1, 0, 1, 1, 0, MISSING])
     # 0 drove 1, 5, 8 and 1 drove 0, 2, 4, 6, 7.
     np.testing.assert_array_equal(disjoint_pools(driver, 2), [[1, 5], [0, 2], [4, 6]])
     np.testing.assert_array_equal(disjoint_pools(driver, 3), [[1, 5, 8], [0, 2, 4]])
     np.testing.assert_array_equal(disjoint_pools(driver, 4), [[0, 2, 4, 6]])
     assert disjoint_pools(driver, 6).shape == (0, 6)
-    assert disjoint_pools(np.full(3, NOBODY), 2).shape == (0, 2)
+    assert disjoint_pools(np.full(3, MISSING), 2).shape == (0, 2)
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
@@ -85,7 +85,7 @@ def test_pools_share_no_window_and_have_one_driver(size: int) -> None:
     pools = disjoint_pools(driver, size)
     assert len(np.unique(pools)) == pools.size
     assert (driver[pools] == driver[pools[:, :1]]).all()
-    assert (driver[pools] != NOBODY).all()
+    assert (driver[pools] != MISSING).all()
     assert len(pools) == sum((driver == who).sum() // size for who in range(4))
 
 
@@ -249,8 +249,8 @@ def test_preferences_are_asked_where_they_are_known_and_differ() -> None:
 
 def test_windows_of_nobody_are_not_judged() -> None:
     data = driven({"lisa": 8, "marge": 8})
-    nobody = np.where(np.arange(16) % 8 < 1, NOBODY, data.observed.driver)
-    nobody[[7, 15]] = NOBODY
+    nobody = np.where(np.arange(16) % 8 < 1, MISSING, data.observed.driver)
+    nobody[[7, 15]] = MISSING
     some = Demonstrations(replace(data.observed, driver=nobody), data.truth)
     rows, _ = identify_drivers(untrained(LAYOUT, latent=1), Split.of(some, 0.5, 100), None, (1,))
     assert rows[0].pools == 6

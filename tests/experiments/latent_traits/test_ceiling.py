@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from trait_models import save_driver
 
-from hmi_marl.agents.learned.policy_files import load_policy
+from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.demonstrations.dataset import Observed
+from hmi_marl.demonstrations.env import team_of
 from hmi_marl.demonstrations.recording import CollectSettings, collect
-from hmi_marl.demonstrations.windows import team_of
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.exact.identify import Identification, identify
 from hmi_marl.experiments.latent_traits.ceiling import ceiling, ceilings, driver_policy_of, evidence

@@ -7,13 +7,12 @@ import pytest
 from demonstrations import made_up
 from trait_models import save_driver, untrained
 
-from hmi_marl.agents.learned.trait_files import save_traits
+from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,
     TRUTH,
     read_demonstrations,
     read_observed,
-    sha256_of,
     write_demonstrations,
 )
 from hmi_marl.demonstrations.recording import CollectSettings, collect
@@ -29,6 +28,7 @@ from hmi_marl.experiments.latent_traits.experiment import (
     LatentTraits,
     TraitEvaluation,
 )
+from hmi_marl.files import sha256_of
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.training.traits.settings import TraitSettings
 

@@ -8,8 +8,7 @@ from demonstrations import made_up
 from trait_models import untrained
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import make_card
-from hmi_marl.agents.learned.policy_files import save_policy
+from hmi_marl.agents.learned.policy import make_card, save_policy
 from hmi_marl.agents.learned.situations import situations
 from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.demonstrations.dataset import Observed

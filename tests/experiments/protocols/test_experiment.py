@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.policy_files import read_policy
+from hmi_marl.agents.learned.policy import read_policy
 from hmi_marl.cli import main
 from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.experiments.episodes import Episodes, play_episodes

@@ -3,7 +3,7 @@ import pytest
 import torch
 from evidence_models import untrained_evidence
 
-from hmi_marl.agents.learned.policy_files import load_policy
+from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Traits, get_driver
 from hmi_marl.training.evidence.conditioned import HMI_READS, Places, conditioned_hmi, strangers

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from hmi_marl.agents.adaptive.evidence_files import load_evidence
+from hmi_marl.agents.adaptive.evidence_model import load_evidence
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.training.evidence import run

@@ -123,7 +123,7 @@ def test_what_it_learns_from_falls_along_lines():
 @pytest.mark.parametrize("memory", [0, 3])
 def test_what_was_saved_goes_on_as_if_nothing_had_happened(memory):
     env = env_for("vehicle_ai")
-    cards = (card_for(env, "vehicle_ai", NetworkConfig((8,), memory=memory)),)
+    cards = (card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=memory)),)
     first, second = learner_for(env, cards), learner_for(env, cards, seed=1)
     for seed in range(2):
         learn_from(env, first, seed)

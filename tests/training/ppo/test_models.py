@@ -5,7 +5,7 @@ from standing_world import standing_teams
 from tensordict import TensorDict
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import LearnedPolicy, check_weights, make_card
+from hmi_marl.agents.learned.policy import FORMAT, LearnedPolicy, make_card
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
@@ -43,11 +43,11 @@ def group(name, values):
 @pytest.mark.parametrize("memory", [0, 4])
 @pytest.mark.parametrize("seat", ["driver", "vehicle_ai"])
 def test_an_actors_weights_fit_its_card(seat, memory):
-    card = make_card(seat, CONFIG, NetworkConfig((7, 6), memory=memory), knows_traits=True)
+    card = make_card(seat, CONFIG, NetworkConfig((7, 6), rnn_hidden_dim=memory), knows_traits=True)
     actor = make_actor(card)
     assert actor.is_recurrent == bool(memory)
     assert isinstance(actor.distribution, OneAction)
-    check_weights(card, weights_of(actor))
+    FORMAT.check(card, weights_of(actor))
 
 
 def test_weights_are_copies():
@@ -134,15 +134,17 @@ def test_each_half_reads_its_own_seat_alone():
 def test_the_weights_of_both_halves_fit_their_cards():
     both = cards()
     for card, weights in zip(both, weights_of_both(make_joint_actor(*both)), strict=True):
-        check_weights(card, weights)
+        FORMAT.check(card, weights)
 
 
 def test_a_composite_policy_that_cannot_be_is_refused():
     driver, _ = cards()
-    with pytest.raises(ValueError, match="composite policy has no memory; choose memory = 0"):
+    with pytest.raises(
+        ValueError, match="composite policy has no recurrent units; choose rnn_hidden_dim = 0"
+    ):
         make_joint_actor(*cards(NetworkConfig((7,), rnn_hidden_dim=2)))
     reads_intent = make_card("vehicle_ai", CONFIG, SMALL, knows_traits=True)
-    with pytest.raises(ValueError, match="the vehicle AI gives logits by intent"):
+    with pytest.raises(ValueError, match="needs a vehicle AI with logits by intent"):
         make_joint_actor(driver, reads_intent)
 
 

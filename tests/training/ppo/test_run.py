@@ -14,8 +14,8 @@ import hmi_marl
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy_files import load_policy, read_policy
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.learned.policy import load_policy, read_policy
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.scene import Scene
 from hmi_marl.training.ppo.run import train

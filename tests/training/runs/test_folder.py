@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from trait_models import save_driver
 
-from hmi_marl.demonstrations.parquet import sha256_of
+from hmi_marl.files import sha256_of
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import check_same, run_settings
 

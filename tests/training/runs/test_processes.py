@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from hmi_marl.agents.learned.policy_files import read_policy
+from hmi_marl.agents.learned.policy import read_policy
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.simultaneous import Simultaneous

@@ -61,7 +61,7 @@ def test_which_windows_are_labelled_follows_from_the_generator():
 @pytest.mark.parametrize(
     ("answers", "message"),
     [
-        (None, "give their answers with --preferences"),
+        (None, "give the drivers' answers with --preferences"),
         ({"ada": 0.5}, "preferences lack bob"),
         ({"ada": 0.5, "bob": 1.5}, r"lies in \[0, 1\]"),
         ({"ada": 0.5, "bob": float("nan")}, r"lies in \[0, 1\]"),

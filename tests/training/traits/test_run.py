@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.trait_files import load_traits
-from hmi_marl.agents.learned.trait_model import TraitModel
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.demonstrations.dataset import Demonstrations, Truth
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,

@@ -1,8 +1,8 @@
 """The compiled world: thousands of merges at once, equal to highway-env.
 
-One file per physical idea, each function beside the highway-env rule that it restates: ``lanes``,
+One file per physical idea; each function names the highway-env rule that it restates: ``lanes``,
 ``neighbours``, ``idm``, ``mobil``, ``control``, ``motion``, ``collisions``, ``lidar``, ``spawn``.
-``memory`` says where the numbers lie, ``kernels`` loops over worlds, ``world`` is the outside.
+``memory`` is the layout of the numbers, ``kernels`` loops over worlds, ``world`` is the interface.
 """
 
 from hmi_marl.envs.worlds.batched.world import BatchedWorld

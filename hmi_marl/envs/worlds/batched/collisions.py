@@ -46,7 +46,7 @@ def _half_sizes(world, thing):
 
 @compiled
 def _surely_apart(f, world, a, b, dt):
-    """Does one of the axes of object a separate it from b, now and within the next step?"""
+    """Whether one of the axes of object a separates it from b, now and within the next step."""
     half_length, half_width, _ = _half_sizes(world, a)
     other_length, other_width, _ = _half_sizes(world, b)
     cosine, sine = f[COS, a], f[SIN, a]
@@ -143,7 +143,7 @@ def _collide_all(f, i, world, dt):
 
 @compiled
 def collide(f, i, world, dt):
-    """All collisions after everybody has moved; ORDER must be up to date."""
+    """Handle all collisions after all vehicles have moved; ORDER must be up to date."""
     objects = world[VEHICLES] + 1
     reach = _CAR_DIAGONAL + (MAX_SPEED + 1) * dt
     for place in range(objects - 1):

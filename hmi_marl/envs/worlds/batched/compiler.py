@@ -33,7 +33,7 @@ def kernel(loop: Callable[..., None]) -> Any:
 def prepare(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
     """Compile kernels for the types of the arguments that they will be called with.
 
-    All of them at once, so that a user waits for the compiler, and reads about it, only once.
+    Compiles all of them together, so that a user waits, and reads about it, only once.
 
     Args:
         calls: pairs of a kernel and an example of its arguments.

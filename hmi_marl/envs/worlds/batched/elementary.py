@@ -1,4 +1,4 @@
-"""Elementary functions whose every bit is the same on every processor.
+"""Elementary functions with the same result to the bit on every processor.
 
 NumPy, BLAS and the C library choose their loops by the processor, with and without fused
 multiply-add, AVX2 or AVX-512, and the loops differ in the last bit. A car that has nearly stopped
@@ -82,7 +82,7 @@ _ANGLES = np.array(
 )
 """Arctangents of 0, 1/8, ..., 1: the double, and what it leaves out."""
 _SMALL = 1 / 32
-"""Up to here the arcsine's series does without a division."""
+"""Largest argument at which the arcsine's series needs no division."""
 
 
 @inlined

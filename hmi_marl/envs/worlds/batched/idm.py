@@ -17,7 +17,7 @@ from hmi_marl.envs.worlds.batched.memory import (
     TARGET_SPEED,
     X,
 )
-from hmi_marl.envs.worlds.batched.neighbours import NOBODY
+from hmi_marl.envs.worlds.batched.neighbours import NO_OBJECT
 
 COMFORT_ACC_MAX = 3.0
 ACC_MAX = 6.0
@@ -29,7 +29,7 @@ _TWICE_ROOT_AB = 2 * math.sqrt(3.0 * 5.0)
 
 @compiled
 def desired_gap(f, v, front):
-    """How far to stay behind ``front`` [m]."""
+    """Gap that vehicle v wants to ``front`` [m]."""
     dvx = f[SPEED, v] * f[COS, v] - f[SPEED, front] * f[COS, front]
     dvy = f[SPEED, v] * f[SIN, v] - f[SPEED, front] * f[SIN, front]
     dv = fma(dvy, f[SIN, v], dvx * f[COS, v])
@@ -39,17 +39,17 @@ def desired_gap(f, v, front):
 
 @inlined
 def every_bit_counts(f, i, table, v):
-    """Might the vehicle come to a stand, where errors in rounding grow? On the ramp, or slow."""
+    """Whether the vehicle might stop, where rounding errors grow: on the ramp, or slow."""
     return table[i[LANE, v], ROW] < 0 or f[SPEED, v] < SLOW
 
 
 @compiled
 def acceleration(f, i, lanes, table, v, front):
-    """What vehicle v would do behind ``front`` (or NOBODY) [m/s²]."""
+    """Acceleration of vehicle v behind ``front`` (or NO_OBJECT) [m/s²]."""
     wanted = clip(f[TARGET_SPEED, v], 0.0, lanes[i[LANE, v], SPEED_LIMIT])
     ratio = max(f[SPEED, v], 0.0) / abs(not_zero(wanted))
     result = COMFORT_ACC_MAX * (1 - fourth_power(ratio))
-    if front != NOBODY:
+    if front != NO_OBJECT:
         closeness = desired_gap(f, v, front) / not_zero(f[X, front] - f[X, v])
         result -= COMFORT_ACC_MAX * (closeness * closeness)
     return result

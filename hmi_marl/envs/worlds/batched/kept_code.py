@@ -42,7 +42,7 @@ _ABANDONED = 3600.0
 def one_process_at_a_time() -> Iterator[None]:
     """Wait while another process compiles, so that what it has kept can be taken.
 
-    The lock ends with its process. Where files cannot be locked, nobody waits.
+    The lock ends with its process. Where files cannot be locked, no process waits.
     """
     folder = _folder()
     if folder is None or fcntl is None:
@@ -104,7 +104,7 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
                 if _checksum(path, code) != content[:_DIGEST_SIZE]:
                     raise ValueError("its checksum is wrong")
                 return CompileResult._rebuild(target, *pickle.loads(code))
-            except Exception as error:  # whatever is wrong with it, it can be made again
+            except Exception as error:  # any damage: it can be compiled again
                 _say_once(f"cannot use {path} ({_reason(error)}); compiling again")
         folder_to_write = _folder()
         where = "" if folder_to_write is None else f", kept in {folder_to_write}"
@@ -138,7 +138,7 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
         """Do nothing: kept code is always on."""
 
     def flush(self) -> None:
-        """Do nothing: names of files tell what is current."""
+        """Do nothing: the names of files show what is current."""
 
     def _name_of_file(self, signature: Any, codegen: Any) -> str:
         versions = (numba.__version__, sys.version_info[:2], codegen.magic_tuple(), str(signature))

@@ -2,7 +2,7 @@
 
 Each loop takes worlds, some at a time, until none is left, and releases the GIL, so that several
 threads can run it at once (:mod:`threads`). numba's own parallel loops are not used: they start
-OpenMP, after which a forked process dies, and whose threads wait busily in the way of others.
+OpenMP, after which a forked process dies and idle threads keep the cores busy.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hmi_marl.envs.worlds.batched.memory import (
     Y,
 )
 from hmi_marl.envs.worlds.batched.motion import move
-from hmi_marl.envs.worlds.batched.neighbours import NOBODY, front_of, sort_by_x
+from hmi_marl.envs.worlds.batched.neighbours import NO_OBJECT, front_of, sort_by_x
 from hmi_marl.envs.worlds.batched.spawn import begin
 from hmi_marl.envs.worlds.batched.threads import take
 
@@ -63,7 +63,7 @@ def read_ego(f, i, world, lanes, table, rows, ego, flags):
     ego[5] = lateral(lanes, lane, f[X, 0] - lanes[lane, X0], f[Y, 0])
     front = front_of(f, i, world, lanes, table, 0, lane)
     ego[6] = np.inf
-    if front != NOBODY:
+    if front != NO_OBJECT:
         length = OBSTACLE_SIZE if front == world[VEHICLES] else CAR_LENGTH
         ego[6] = f[X, front] - f[X, 0] - (CAR_LENGTH + length) / 2
     slowness = 0.0

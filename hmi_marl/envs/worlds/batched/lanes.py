@@ -1,4 +1,4 @@
-"""Lanes: their table, read off highway-env's own network, and geometry on it.
+"""The table of lanes, read from highway-env's own network, and geometry on it.
 
 Restates highway_env.road.lane (StraightLane, SineLane, AbstractLane) and, of
 highway_env.road.road.RoadNetwork, get_closest_lane_index and next_lane. All lanes of the merge run
@@ -53,7 +53,7 @@ _SEGMENTS = {("a", "b"): AB, ("b", "c"): BC, ("c", "d"): CD, ("j", "k"): JK, ("k
 def lane_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """(floats, integers) of every lane in highway-env's graph order; see :mod:`memory`.
 
-    With L main lanes: 0 .. L-1 before the merge, L .. 2L-1 beside it, 2L the merging lane,
+    With L main lanes: 0 .. L-1 before the merge, L .. 2L-1 next to it, 2L the merging lane,
     2L+1 .. 3L after it, 3L+1 and 3L+2 the ramp.
     """
     network = MergeScene(scene).road.network

@@ -1,4 +1,4 @@
-"""Where a world's numbers lie: one block of floats, one of integers, and the table of lanes.
+"""Layout of a world's numbers: one block of floats, one of integers, and the table of lanes.
 
 For world w, ``floats[w, X, v]`` is the x of vehicle v. Vehicle 0 is the driven car; after the last
 vehicle comes the obstacle at the end of the merging lane, as an object that never moves.
@@ -19,7 +19,7 @@ ORDER, RANK, RAMP = range(4, 7)
 FRONT = 7
 MAX_ROWS = 5
 INTEGERS = FRONT + MAX_ROWS
-"""HIT: an impact waits to be applied. ORDER: objects by x; RANK: where an object stands in it;
+"""HIT: an impact waits to be applied. ORDER: objects by x; RANK: an object's place in it;
 RAMP: objects near the ramp's converging part, the first RAMP_COUNT of them. FRONT + row: the next
 object ahead that is in that row of main lanes."""
 
@@ -27,13 +27,13 @@ object ahead that is in that row of main lanes."""
 VEHICLES, RAMP_COUNT, TIES = range(3)
 LAST = 3
 WORLD_INTEGERS = LAST + MAX_ROWS
-"""TIES: two objects have the same x. LAST + row: where the search for FRONT stands."""
+"""TIES: two objects have the same x. LAST + row: place of the search for FRONT."""
 
 # Floats of a lane.
 X0, Y0, LENGTH, AMPLITUDE, PULSATION, PHASE, SPEED_LIMIT = range(7)
 ROW_LOW, ROW_HIGH = range(7, 9)
 LANE_FLOATS = 9
-"""ROW_LOW, ROW_HIGH: between which x a lane and those that it is connected to reach."""
+"""ROW_LOW, ROW_HIGH: range of x of a lane and those that it is connected to."""
 
 # Integers of a lane.
 SEGMENT, NEXT, LEFT, RIGHT, FORBIDDEN, ROW, CONNECTIONS = range(7)
@@ -43,7 +43,7 @@ LANE_INTEGERS = 10
 is none. CONNECTED, +1, +2: next and previous lanes, in highway-env's order."""
 
 AB, BC, CD, MERGING, JK, KB = range(6)
-"""Segments: main lanes before, beside and after the merge; the merging lane; the ramp before and
+"""Segments: main lanes before, along and after the merge; the merging lane; the ramp before and
 while it converges."""
 
 CAR_LENGTH, CAR_WIDTH, OBSTACLE_SIZE = 5.0, 2.0, 2.0

@@ -19,7 +19,7 @@ from hmi_marl.envs.worlds.batched.memory import (
     X,
     Y,
 )
-from hmi_marl.envs.worlds.batched.neighbours import NOBODY, front_of, rear_of
+from hmi_marl.envs.worlds.batched.neighbours import NO_OBJECT, front_of, rear_of
 
 LANE_CHANGE_DELAY = 1.0
 MAX_BRAKING_IMPOSED = 2.0
@@ -34,7 +34,7 @@ def _same_road(table, lane, other):
 
 @compiled
 def _abort_if_taken(f, i, world, v):
-    """Give a lane change up if somebody close ahead is changing into the same lane."""
+    """Give a lane change up if a vehicle close ahead is changing into the same lane."""
     target = i[TARGET_LANE, v]
     for other in range(world[VEHICLES]):
         if other != v and i[LANE, other] != target and i[TARGET_LANE, other] == target:
@@ -50,7 +50,7 @@ def _is_worth_it(f, i, world, lanes, table, v, lane):
     preceding = front_of(f, i, world, lanes, table, v, lane)
     following = rear_of(f, i, world, lanes, table, v, lane)
     if (
-        following != NOBODY
+        following != NO_OBJECT
         and following != world[VEHICLES]  # the obstacle does not brake
         and acceleration(f, i, lanes, table, following, v) < -MAX_BRAKING_IMPOSED
     ):

@@ -1,6 +1,6 @@
-"""Who is ahead and who is behind: Road.neighbour_vehicles, with connected lanes.
+"""The vehicles ahead and behind: Road.neighbour_vehicles, with connected lanes.
 
-Connected lanes follow each other in x, so whoever is next in the order of x is next along the road.
+Connected lanes follow each other in x, so the next in the order of x is the next along the road.
 The next one ahead in each row of main lanes is noted once in a simulator step, in one pass; other
 lanes are searched from the vehicle on. Equal leaders: the last in highway-env's list wins, equal
 followers: the first.
@@ -37,7 +37,7 @@ from hmi_marl.envs.worlds.batched.memory import (
     Y,
 )
 
-NOBODY = -1
+NO_OBJECT = -1
 
 
 @compiled
@@ -61,7 +61,7 @@ def sort_by_x(f, i, world, lanes, rows):
     edge = lanes[ramp, Y0] - lanes[ramp, AMPLITUDE] - 3.0
     on_ramp, ties, x_ahead = 0, 0, np.inf
     for row in range(rows):
-        world[LAST + row] = NOBODY
+        world[LAST + row] = NO_OBJECT
     for place in range(objects - 1, -1, -1):
         thing = i[ORDER, place]
         i[RANK, thing] = place
@@ -82,7 +82,7 @@ def sort_by_x(f, i, world, lanes, rows):
 
 @compiled
 def _is_on(f, lanes, table, lane, thing):
-    """Is the object on the lane or on one that it is connected to?"""
+    """Whether the object is on the lane or on one that it is connected to."""
     x, y = f[X, thing], f[Y, thing]
     if is_near(lanes, lane, x - lanes[lane, X0], y):
         return True
@@ -95,20 +95,20 @@ def _is_on(f, lanes, table, lane, thing):
 
 @compiled
 def front_of(f, i, world, lanes, table, v, lane):
-    """The vehicle or obstacle ahead of v, were v on this lane; NOBODY if there is none."""
+    """The vehicle or obstacle ahead of v, were v on this lane; NO_OBJECT if there is none."""
     row = table[lane, ROW]
     if row < 0 or world[TIES]:
         return _walk_ahead(f, i, world, lanes, table, v, lane)
     front = i[FRONT + row, v]
-    if front != NOBODY:
+    if front != NO_OBJECT:
         if f[X, front] < lanes[lane, ROW_LOW]:
             return _walk_ahead(f, i, world, lanes, table, v, lane)
         if f[X, front] >= lanes[lane, ROW_HIGH]:
-            front = NOBODY
+            front = NO_OBJECT
     if table[lane, SEGMENT] == BC:
-        for k in range(world[RAMP_COUNT]):  # the ramp leads into every lane beside it
+        for k in range(world[RAMP_COUNT]):  # the ramp leads into every lane next to it
             thing = i[RAMP, k]
-            ahead = f[X, thing] > f[X, v] and (front == NOBODY or f[X, thing] < f[X, front])
+            ahead = f[X, thing] > f[X, v] and (front == NO_OBJECT or f[X, thing] < f[X, front])
             if ahead and _is_on(f, lanes, table, lane, thing):
                 front = thing
     return front
@@ -118,14 +118,14 @@ def front_of(f, i, world, lanes, table, v, lane):
 def _walk_ahead(f, i, world, lanes, table, v, lane):
     """The next object ahead in the order of x, the last in the list among equals."""
     x, high = f[X, v], lanes[lane, ROW_HIGH]
-    front = NOBODY
+    front = NO_OBJECT
     place = i[RANK, v]
     while place > 0 and f[X, i[ORDER, place - 1]] == x:
         place -= 1
     while place <= world[VEHICLES]:
         thing = i[ORDER, place]
         place += 1
-        if f[X, thing] >= high or (front != NOBODY and f[X, thing] > f[X, front]):
+        if f[X, thing] >= high or (front != NO_OBJECT and f[X, thing] > f[X, front]):
             break
         if thing != v and _is_on(f, lanes, table, lane, thing):
             front = thing
@@ -134,14 +134,14 @@ def _walk_ahead(f, i, world, lanes, table, v, lane):
 
 @compiled
 def rear_of(f, i, world, lanes, table, v, lane):
-    """The vehicle or obstacle behind v, were v on this lane; NOBODY if there is none."""
+    """The vehicle or obstacle behind v, were v on this lane; NO_OBJECT if there is none."""
     x, low = f[X, v], lanes[lane, ROW_LOW]
-    rear = NOBODY
+    rear = NO_OBJECT
     place = i[RANK, v]
     while place > 0:
         place -= 1
         thing = i[ORDER, place]
-        if f[X, thing] < low or (rear != NOBODY and f[X, thing] < f[X, rear]):
+        if f[X, thing] < low or (rear != NO_OBJECT and f[X, thing] < f[X, rear]):
             break
         if f[X, thing] < x and _is_on(f, lanes, table, lane, thing):
             rear = thing

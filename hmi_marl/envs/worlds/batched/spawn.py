@@ -66,13 +66,13 @@ def _put(f, i, lanes, table, rows, v, x, y, speed):
 
 @compiled
 def begin(f, i, world, lanes, table, rows, speeds, seed, low, high, draws, start_lane, start):
-    """Place everybody as draw_start does and highway-env's vehicles begin.
+    """Place all vehicles as draw_start does, in the initial state of highway-env's vehicles.
 
     Args:
         f, i, world, lanes, table: see :mod:`memory`.
         rows: main lanes.
         speeds: that the driven car chooses from.
-        seed: of the episode, uint64.
+        seed: the episode's seed, uint64.
         low, high: least and most other vehicles.
         draws, start_lane, start: room for the draws (number_of_draws(high),), the lanes (high,)
             and the places and speeds (2, high).

@@ -194,7 +194,7 @@ class Pace:
         return most if self._together != on_trial else 1
 
     def note(self, threads: int, seconds: float) -> None:
-        """Take in how long the step took with so many threads."""
+        """Record the time of a step with so many threads."""
         self._spent[threads > 1].append(seconds)
         self._step += 1
         together, alone = self._spent[True], self._spent[False]

@@ -66,7 +66,7 @@ class BatchedWorld:
             np.zeros((num_worlds, high), np.int64),
             np.zeros((num_worlds, 2, high)),
         )
-        """For drawing a scene: the draws, the lanes, the places and speeds."""
+        """Room for drawing a scene: the draws, the lanes, the places and speeds."""
         self._readings = np.zeros((num_worlds, 8)), np.zeros((num_worlds, 2), np.int64)
         """Readings of the driven cars, which read_ego fills in."""
         self._inflation = np.ones(num_worlds)
@@ -82,7 +82,7 @@ class BatchedWorld:
 
     @property
     def bytes_per_world(self) -> int:
-        """Memory that each world takes, besides what it hands out."""
+        """Memory that each world takes, without the arrays it has returned."""
         seen = (*self._seen.values(), *self._stale.values(), self._inflation, self._steps)
         blocks: tuple[NDArray[Any], ...] = (*self._blocks, *self._room, *self._readings, *seen)
         return sum(block.nbytes for block in blocks) // self.num_worlds
@@ -143,7 +143,7 @@ class BatchedWorld:
         """See :meth:`World.lidar`; traced when asked for, where something has moved since."""
         stale = self._stale[inflated]
         if stale.any():
-            self._seen[inflated] = self._seen[inflated].copy()  # the last one was handed out
+            self._seen[inflated] = self._seen[inflated].copy()  # the last one was returned
             self._share(look_around, self._look_arguments(inflated))
             stale[:] = False
         return self._seen[inflated]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hmi_marl.agents.adaptive.evidence_files import load_evidence
-from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
+from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
 from hmi_marl.agents.adaptive.hmis import (
     CAUTION,
     AdaptiveHMI,
@@ -15,8 +14,7 @@ from hmi_marl.agents.adaptive.hmis import (
     ExpectedValueHMI,
 )
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE, TraitEstimator
-from hmi_marl.agents.learned.policy import CONTEXT_OF
-from hmi_marl.agents.learned.policy_files import load_policy
+from hmi_marl.agents.learned.policy import CONTEXT_OF, load_policy
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.seats import Policy
@@ -24,7 +22,6 @@ from hmi_marl.exact.evidence import ChainEvidence, Evidence
 from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING
 from hmi_marl.names import unknown
 
-ADAPT = "adapt"
 EXPECTED, CHOOSING, CONDITIONED = KINDS = ("expected", "choosing", "conditioned")
 BAYES = "bayes"
 TYPES = tuple(DRIVERS[name] for name in PAPER_DRIVERS)
@@ -32,17 +29,17 @@ TYPES = tuple(DRIVERS[name] for name in PAPER_DRIVERS)
 
 @dataclass(frozen=True)
 class Trained:
-    """What was learned for drivers who are not known: runs, or agents that come with the package."""
+    """Learned models for unknown drivers: training runs, or agents that come with the package."""
 
     evidence: str = "trained:evidence"
-    """The evidence model, an encoder of driving."""
+    """Evidence model, an encoder of driving."""
     conditioned: str = "trained:conditioned"
-    """The HMI conditioned on z."""
+    """HMI conditioned on z."""
     hidden: str = "trained:hidden-{}"
-    """The HMIs that do not see attention, {} standing for the driver model."""
+    """HMIs that do not see attention; {} stands for the driver model."""
 
     def hidden_hmi(self, model: str, config: TeamConfig) -> Policy:
-        """The one for a driver model."""
+        """Load the HMI for a driver model."""
         return load_policy(self.hidden.format(model), VEHICLE_AI, config)
 
 
@@ -56,20 +53,20 @@ def make_adaptive(
     caution: float = CAUTION,
     change_rate: float = CHANGE_RATE,
 ) -> AdaptiveHMI:
-    """An HMI that gets to know its driver.
+    """Make an HMI that infers its driver's traits while driving.
 
     Args:
         kind: "expected", "choosing" (among the four types alone) or "conditioned".
-        config: of the teams.
-        exact: go by the exact evidence of the chain, not by what was learned.
-        candidates: who may be at the wheel.
-        trained: where what was learned lies; what comes with the package by default.
+        config: configuration of the teams.
+        exact: use the exact evidence of the attention chain instead of a learned model.
+        candidates: the possible drivers.
+        trained: places of the learned models; by default those that come with the package.
         revealing: assumed share of steps in which a^H differs from the last applied action.
-        caution: of "expected".
-        change_rate: of the estimator.
+        caution: κ of :class:`ExpectedValueHMI`, for "expected".
+        change_rate: h of the :class:`TraitEstimator`.
 
     Raises:
-        FileNotFoundError, ValueError: an unknown kind, or nothing learned to make it of.
+        FileNotFoundError, ValueError: an unknown kind, or a learned model that cannot be loaded.
     """
     trained = trained or Trained()
 
@@ -92,8 +89,8 @@ def make_adaptive(
         learned_from = policy.card.training.get(CONTEXT_OF, model.digest)
         if learned_from != model.digest:
             raise ValueError(
-                f"{trained.conditioned} has learned what z means from another evidence model than "
-                f"{trained.evidence}; name the one that it was learned with"
+                f"{trained.conditioned} was trained with the latent space of another evidence "
+                f"model than {trained.evidence}; name the one that it was trained with"
             )
         places = model.places(Traits.of(candidates))
         return ConditionedHMI(estimator(candidates), policy, places)
@@ -101,7 +98,7 @@ def make_adaptive(
 
 
 def adaptive_by_name(argument: str, config: TeamConfig) -> AdaptiveHMI:
-    """The one that ``adapt:ARGUMENT`` means: KIND, KIND:bayes, or bayes.
+    """Make the HMI ``adapt:ARGUMENT``, where ARGUMENT is KIND, KIND:bayes, bayes or empty.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`make_adaptive`.

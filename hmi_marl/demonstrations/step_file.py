@@ -1,6 +1,6 @@
-"""What a parquet file of demonstrations must be: its columns, its stamp and the order of its rows.
+"""Schema and checks of the parquet files of demonstrations: columns, stamp and order of rows.
 
-See :mod:`hmi_marl.demonstrations.parquet`, which writes and reads the two files.
+:mod:`hmi_marl.demonstrations.parquet` writes and reads the two files.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import hmi_marl
-from hmi_marl.demonstrations.dataset import NOBODY, column_names
+from hmi_marl.demonstrations.dataset import MISSING
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.files import json_value
@@ -38,8 +38,17 @@ TRUTH_SCHEMA = pa.schema(
 )
 
 
+def column_names(layout: Layout) -> list[str]:
+    """Return a name for every column: the part's name, or name_0, name_1, ... if it has several."""
+    return [
+        part.name if part.size == 1 else f"{part.name}_{k}"
+        for part in layout.parts
+        for k in range(part.size)
+    ]
+
+
 def observed_schema(layout: Layout) -> pa.Schema:
-    """The columns of ``observed.parquet`` for states of this layout."""
+    """Return the columns of ``observed.parquet`` for states of this layout."""
     fields = [pa.field(name, kind, nullable=False) for name, kind in KEYS]
     fields.append(pa.field("driver", pa.dictionary(pa.int32(), pa.string())))
     fields.append(pa.field("seed", pa.uint64()))
@@ -50,13 +59,13 @@ def observed_schema(layout: Layout) -> pa.Schema:
 
 
 def stamped(schema: pa.Schema, about: Any, more: dict[str, Any]) -> pa.Schema:
-    """The schema with the format, the version, how the data were made, and ``more``."""
+    """Return the schema with the format, the version, how the data were made, and ``more``."""
     stamp = {"format": FORMAT, "version": hmi_marl.__version__, "about": json_value(about)} | more
     return schema.with_metadata({STAMP: json.dumps(stamp, allow_nan=False)})
 
 
 class StepFile:
-    """One of the two files, checked as far as all rows of both kinds must be."""
+    """One of the two files, with the checks that both have in common."""
 
     def __init__(self, path: Path, schema: pa.Schema | None = None) -> None:
         if not path.is_file():
@@ -66,19 +75,19 @@ class StepFile:
             self._parquet = pq.ParquetFile(path, page_checksum_verification=True)
         except (pa.ArrowException, OSError) as error:
             raise ValueError(f"{path} is no parquet file, or cut off: {error}") from None
-        told = self._parquet.metadata.metadata or {}
-        self.belongs_to = told.get(BELONGS, b"").decode()
-        self.stamp = _read_stamp(path, told.get(STAMP, b"{}"))
+        metadata = self._parquet.metadata.metadata or {}
+        self.belongs_to = metadata.get(BELONGS, b"").decode()
+        self.stamp = _read_stamp(path, metadata.get(STAMP, b"{}"))
         if schema is None:
             self.layout = _read_layout(path, self.stamp)
             schema = observed_schema(self.layout)
         _check_schema(path, self._parquet.schema_arrow, schema)
         self._schema = schema
         self.names: list[str] = []
-        """Of the drivers, in the order in which they appear."""
+        """Names of the drivers, in the order in which they appear."""
 
     def read(self) -> dict[str, NDArray[Any]]:
-        """Every column but those of the states, which are spread into ``states`` at once."""
+        """Return every column except those of the states, which are put into ``states``."""
         try:
             return self._read()
         except (pa.ArrowException, OSError) as error:
@@ -115,20 +124,20 @@ class StepFile:
         return {name: column.to_numpy()}
 
     def _who(self, column: pa.ChunkedArray) -> NDArray[np.int64]:
-        """Indices of ``names``, to which new names are added; -1 where there is none."""
+        """Return indices of ``names``, to which new names are added; -1 where there is none."""
         coded = column.combine_chunks().dictionary_encode()
-        codes = coded.indices.fill_null(NOBODY).to_numpy(zero_copy_only=False).astype(np.int64)
+        codes = coded.indices.fill_null(MISSING).to_numpy(zero_copy_only=False).astype(np.int64)
         labels = coded.dictionary.to_pylist()
-        used, at = np.unique(codes[codes != NOBODY], return_index=True)
+        used, at = np.unique(codes[codes != MISSING], return_index=True)
         for code in used[np.argsort(at)]:
             if labels[code] not in self.names:
                 self.names.append(labels[code])
         place = {label: k for k, label in enumerate(self.names)}
-        table = np.array([*(place.get(label, NOBODY) for label in labels), NOBODY])
+        table = np.array([*(place.get(label, MISSING) for label in labels), MISSING])
         return table[codes]
 
     def _lengths(self) -> NDArray[np.int64]:
-        """Steps of every episode; raises unless rows are sorted and none is missing."""
+        """Return the steps of every episode; raise unless rows are sorted and complete."""
         episode, step = self.episode, self.step
         if not len(episode):
             raise ValueError(f"{self.path} holds no steps")
@@ -146,7 +155,7 @@ class StepFile:
         return lengths
 
     def spread(self, rows: NDArray[Any], fill: int) -> NDArray[np.int64]:
-        """A value for every row as an array of shape (E, T), with ``fill`` after the end."""
+        """Arrange values of all rows in an array of shape (E, T), with ``fill`` after the end."""
         values = np.full((len(self.length), int(self.length.max())), fill, np.int64)
         values[self.episode, self.step] = rows
         return values
@@ -161,7 +170,7 @@ def _read_stamp(path: Path, text: bytes) -> dict[str, Any]:
     if form != FORMAT:
         raise ValueError(f"{path} holds no demonstrations that can be read here: format {form!r}")
     if not isinstance(stamp.get("about"), dict):
-        raise ValueError(f"{path} has a damaged stamp: it does not tell how the data were made")
+        raise ValueError(f"{path} has a damaged stamp: it does not say how the data were made")
     return stamp
 
 
@@ -183,8 +192,8 @@ def _check_schema(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
     if found.names != expected.names:
         missing = [name for name in expected.names if name not in found.names]
         foreign = [name for name in found.names if name not in expected.names]
-        told = f"missing: {', '.join(missing) or 'none'}; foreign: {', '.join(foreign) or 'none'}"
-        raise ValueError(f"{path} has other columns than its stamp says ({told})")
+        odd = f"missing: {', '.join(missing) or 'none'}; foreign: {', '.join(foreign) or 'none'}"
+        raise ValueError(f"{path} has other columns than its stamp says ({odd})")
     for field in expected:
         column = found.field(field.name)
         if not column.equals(field):

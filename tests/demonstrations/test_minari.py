@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from demonstrations import LAYOUT, made_up
 
-from hmi_marl.demonstrations.minari_export import export_minari, minari_id
+from hmi_marl.demonstrations.minari import export_minari, minari_id
 from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 
@@ -38,9 +38,9 @@ def test_minari_reads_what_was_observed(tmp_path: Path, own_minari: Path) -> Non
         assert not episode.rewards.any()
         assert not episode.terminations.any()
         assert np.flatnonzero(episode.truncations).tolist() == [steps - 2]
-        (told,) = dataset.storage.get_episode_metadata([k])
-        assert told["seed"] == observed.seeds[k]
-        labels.append(told.get("options", {}).get("driver"))
+        (metadata,) = dataset.storage.get_episode_metadata([k])
+        assert metadata["seed"] == observed.seeds[k]
+        labels.append(metadata.get("options", {}).get("driver"))
     assert labels == ["lisa", None, "bart"]
 
 
@@ -86,8 +86,8 @@ def test_a_recovered_environment_plays_the_windows_again(
     assert env.observation_space == dataset.observation_space == observed.layout.space()
     assert env.action_space == dataset.action_space
     for k, episode in enumerate(dataset.iterate_episodes()):
-        (told,) = dataset.storage.get_episode_metadata([k])
-        seen, _ = env.reset(seed=int(told["seed"]), options=told["options"])
+        (metadata,) = dataset.storage.get_episode_metadata([k])
+        seen, _ = env.reset(seed=int(metadata["seed"]), options=metadata["options"])
         np.testing.assert_array_equal(seen, episode.observations[0])
         assert env.unwrapped.team.seed == observed.seeds[k]
         for t, action in enumerate(episode.actions):
@@ -126,7 +126,7 @@ def test_a_single_step_holds_no_transition(tmp_path: Path) -> None:
 
 
 def test_without_minari_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "hmi_marl.demonstrations.minari_export")
+    monkeypatch.delitem(sys.modules, "hmi_marl.demonstrations.minari")
     monkeypatch.setitem(sys.modules, "minari", None)
     with pytest.raises(ModuleNotFoundError, match=r"Minari needs minari: pip install .*\[data\]"):
-        import hmi_marl.demonstrations.minari_export  # noqa: F401
+        import hmi_marl.demonstrations.minari  # noqa: F401

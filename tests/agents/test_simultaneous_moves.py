@@ -1,4 +1,4 @@
-"""HMIs that have learned to act at once with the driver, as partners of one who takes turns."""
+"""HMIs trained with simultaneous moves as partners where moves are sequential."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ import torch
 from hmi_marl.agents import make_hmi, save_policy
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import LearnedPolicy, make_card
-from hmi_marl.agents.vectors import make_vec
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import TeamConfig
 
 TEAM = TeamConfig(driver="bart", duration=1.0)

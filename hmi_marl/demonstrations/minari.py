@@ -1,13 +1,12 @@
 """Demonstrations as a Minari dataset: observed data only, in HDF5.
 
-An episode's ``observations`` are its states, ``actions`` the applied actions that lead from each to
-the next. It ends at the crash, if there is one, as a termination; what a crashed car records while
-it stands is left out. (After a crash in the last step of a window no state is recorded: the last
-one stands for it.) Otherwise the window's end is a truncation, and its last action, which leads to
-no recorded state, is left out. Rewards are zeros, since they are not observed. ``infos["alert"]``
-holds a^A for every state, and ``options["driver"]`` of an episode's metadata who drove, where that
-is known. ``recover_environment()`` gives :mod:`hmi_marl.demonstrations.env`, if the
-demonstrations come from one.
+An episode's ``observations`` are its states, its ``actions`` the applied actions between them. A
+crash is a termination; later steps of the standing car are left out. (After a crash in the last
+step of a window no state is recorded, and the last one is repeated.) Otherwise the window's end is
+a truncation, and its last action, which leads to no recorded state, is left out. Rewards are zeros,
+since they are not observed. ``infos["alert"]`` holds a^A for every state, and ``options["driver"]``
+of an episode's metadata the driver's name, if known. ``recover_environment()`` makes
+:class:`hmi_marl.demonstrations.env.DemonstratedDriver`, if the demonstrations come from one.
 
 Needs minari with h5py, which come with the ``data`` extra.
 """
@@ -39,15 +38,15 @@ _PLACE = "MINARI_DATASETS_PATH"
 
 
 def minari_id(folder: Path) -> str:
-    """What the Minari dataset of a dataset's folder is called."""
+    """Return the name of the Minari dataset of a dataset's folder."""
     return re.sub(r"[^-\w]", "_", f"hmi_marl-{folder.resolve().name}") + "-v0"
 
 
 def minari_place(folder: Path) -> Path:
-    """Where it goes: into ``MINARI_DATASETS_PATH`` if that is set, else into the folder.
+    """Return the folder to write to: in ``MINARI_DATASETS_PATH`` if set, else in ``folder``.
 
     Raises:
-        FileExistsError: there is one already.
+        FileExistsError: it exists already.
     """
     place = Path(os.environ.get(_PLACE) or folder / "minari") / minari_id(folder)
     if place.exists():
@@ -56,11 +55,11 @@ def minari_place(folder: Path) -> Path:
 
 
 def export_minari(observed: Observed, folder: Path) -> Path:
-    """Write a Minari dataset; returns its folder.
+    """Write a Minari dataset and return its folder.
 
     Args:
-        observed: episodes of at least two steps, or of one that ends by a crash.
-        folder: of the demonstrations, which names the dataset.
+        observed: episodes of at least two steps, or of one that ends in a crash.
+        folder: folder of the demonstrations, which names the dataset.
 
     Raises:
         FileExistsError: see :func:`minari_place`.

@@ -2,7 +2,7 @@ import numpy as np
 from evidence_models import any_alerts, any_intents, seeds, turns
 from standing_world import standing_teams
 
-from hmi_marl.agents.attention_watch import AttentionWatch, step_of
+from hmi_marl.agents.memory import AttentionWatch, step_of
 
 
 def test_steps_are_counted_up_to_the_last_one():

@@ -7,13 +7,12 @@ from evidence_models import HIDDEN, any_intents, save_trained, seeds, turns
 from standing_world import standing_teams
 
 from hmi_marl.agents import make_hmi
-from hmi_marl.agents.adaptive import catalogue as adaptive_catalogue
-from hmi_marl.agents.adaptive.catalogue import KINDS, TYPES, Trained, make_adaptive
-from hmi_marl.agents.adaptive.evidence_files import load_evidence
-from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
+from hmi_marl.agents.adaptive import factory
+from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
+from hmi_marl.agents.adaptive.factory import KINDS, TYPES, Trained, make_adaptive
 from hmi_marl.agents.adaptive.hmis import ChoosingHMI, ConditionedHMI, ExpectedValueHMI
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE
-from hmi_marl.agents.learned.policy_files import read_policy, save_policy
+from hmi_marl.agents.learned.policy import read_policy, save_policy
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, Traits
 from hmi_marl.exact.evidence import ChainEvidence
 
@@ -26,7 +25,7 @@ def trained(tmp_path):
 @pytest.fixture
 def shipped(trained, monkeypatch):
     """As if these came with the package."""
-    monkeypatch.setattr(adaptive_catalogue, "Trained", lambda: trained)
+    monkeypatch.setattr(factory, "Trained", lambda: trained)
 
 
 @pytest.mark.usefixtures("shipped")
@@ -105,7 +104,9 @@ def test_unknown_names_are_refused(name, message):
 
 
 def test_who_acts_at_once_cannot_adapt():
-    with pytest.raises(ValueError, match=r"adaptive HMI goes by a\^H_t; use an env.* takes turns"):
+    with pytest.raises(
+        ValueError, match=r"adaptive HMI needs a\^H_t; use an env.* sequential moves"
+    ):
         make_hmi("adapt:bayes", HIDDEN, sequential=False)
 
 
@@ -125,12 +126,12 @@ def test_an_hmi_whose_z_means_something_else_is_refused(trained):
         if digest == own:
             assert isinstance(make_adaptive("conditioned", HIDDEN, trained=trained), ConditionedHMI)
         else:
-            with pytest.raises(ValueError, match="what z means from another evidence model"):
+            with pytest.raises(ValueError, match="the latent space of another evidence model"):
                 make_adaptive("conditioned", HIDDEN, trained=trained)
 
 
 def test_hmis_to_choose_among_are_objects_of_their_own(trained):
     watching = make_adaptive("choosing", HIDDEN, True, trained=trained).estimator
     same = [make_hmi("belief:bart", HIDDEN)] * 4
-    with pytest.raises(ValueError, match="an object of its own"):
+    with pytest.raises(ValueError, match="needs a separate HMI object"):
         ChoosingHMI(watching, same)
