@@ -31,7 +31,7 @@ class ReproduceAll:
     """
 
     quick: bool = False
-    """A coarse one in a quarter of an hour instead."""
+    """Run a coarse version of a quarter of an hour instead."""
     seed: int = 0
     """Seed of everything."""
     workers: int | None = None
@@ -60,7 +60,7 @@ class ReproduceOne:
 
     settings: Experiment[Any]
     quick: bool = False
-    """A coarse version in minutes instead."""
+    """Run a coarse version of minutes instead."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
     out: Path | None = None
