@@ -46,7 +46,7 @@ from hmi_marl.files import write_json
 from hmi_marl.training.ppo.learner import PPOLearner
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import CURVE
+from hmi_marl.training.runs.folder import CURVE
 
 STAGES = {"driver": "driver", "vehicle_ai": "hmi"}
 """By the seat that learns: the stage's name in a run's curve."""

@@ -7,7 +7,7 @@ own, which is imported only when the subcommand is asked for.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,18 +36,26 @@ class Subcommand:
     name: str
     help: str
     """First line of its class's docstring."""
-    where: str
-    """Its class, as MODULE:CLASS below ``hmi_marl``, or a function that makes it of its name."""
+    where: str | type[Any]
+    """Its class, or MODULE:CLASS below ``hmi_marl``, or a function there that makes it of its
+    name."""
     needs: tuple[str, ...] = ()
     """Modules of extras, without which it does not begin."""
     options: tuple[Option, ...] = ()
-    parts: Collection[Subcommand] = ()
-    """Subcommands that it chooses among."""
+    choices: tuple[Subcommand, ...] | Callable[[], tuple[Subcommand, ...]] = ()
+    """Subcommands to choose among, or a function that imports and lists them."""
     choice: str = ""
     """Attribute of its class that holds the part chosen."""
 
+    @property
+    def parts(self) -> tuple[Subcommand, ...]:
+        """Subcommands to choose among."""
+        return self.choices() if callable(self.choices) else self.choices
+
     def load(self) -> type[Any]:
         """Import its class."""
+        if not isinstance(self.where, str):
+            return self.where
         module, _, name = self.where.partition(":")
         found = getattr(importlib.import_module(f"hmi_marl.{module}"), name)
         kind: type[Any] = found if isinstance(found, type) else found(self.name)
@@ -77,34 +85,33 @@ class Subcommand:
             yield from part.leaves(path)
 
 
-def _protocol(name: str, summary: str, module: str) -> Subcommand:
-    return Subcommand(name, summary, f"training.{module}", TRAINING)
+def _protocols() -> tuple[Subcommand, ...]:
+    from hmi_marl.training.protocols.registry import PROTOCOLS  # not needed by other subcommands
+
+    return tuple(
+        Subcommand(name, entry.help, entry.value, TRAINING) for name, entry in PROTOCOLS.items()
+    )
 
 
-class _Experiments(Collection[Subcommand]):
+def _experiments() -> tuple[Subcommand, ...]:
     """Parts of ``hmi-marl reproduce``: all registered experiments, all at once, and shipping."""
-
-    def __iter__(self) -> Iterator[Subcommand]:
-        yield Subcommand(
+    return (
+        Subcommand(
             "all",
             "Reproduce every table and figure of the paper, with a verdict on each claim.",
             "commands.reproduce:ReproduceAll",
             TRAINING + _PARQUET + _PROBES,
-        )
-        for name, entry in EXPERIMENTS.items():
-            where = "commands.reproduce:experiment_command"
-            yield Subcommand(name, entry.help, where, entry.value.needs)
-        yield Subcommand(
+        ),
+        *(
+            Subcommand(name, entry.help, "commands.reproduce:experiment_command", entry.value.needs)
+            for name, entry in EXPERIMENTS.items()
+        ),
+        Subcommand(
             "ship",
             "Copy the agents of a finished reproduction to where the package ships them from.",
             "commands.reproduce:ReproduceShip",
-        )
-
-    def __len__(self) -> int:
-        return len(EXPERIMENTS) + 2
-
-    def __contains__(self, part: object) -> bool:
-        return part in list(self)
+        ),
+    )
 
 
 SUBCOMMANDS = (
@@ -146,7 +153,7 @@ SUBCOMMANDS = (
         "reproduce",
         "Reproduce the paper's results, each number with its exact value and a verdict.",
         "commands.reproduce:reproduce_command",
-        parts=_Experiments(),
+        choices=_experiments,
         choice="what",
     ),
     Subcommand(
@@ -156,37 +163,16 @@ SUBCOMMANDS = (
     ),
     Subcommand(
         "train",
-        "Learn the driver's and the HMI's policies, by one of four protocols.",
+        "Learn the driver's and the HMI's policies, by one of several protocols.",
         "commands.train:Train",
-        parts=(
-            _protocol(
-                "two-stage",
-                "Two-stage, the paper's: a driver policy over the driver types, then an HMI.",
-                "two_stage:TwoStage",
-            ),
-            _protocol(
-                "joint",
-                "Joint: one composite policy acts for both seats and learns from one reward.",
-                "joint:Joint",
-            ),
-            _protocol(
-                "simultaneous",
-                "Simultaneous: two agents learn at once, with a common critic's view or their own.",
-                "simultaneous:Simultaneous",
-            ),
-            _protocol(
-                "alternating",
-                "Alternating: in every round each policy learns while the other stays as it is.",
-                "alternating:Alternating",
-            ),
-        ),
+        choices=_protocols,
         choice="protocol",
     ),
     Subcommand(
         "traits",
         "Learn latent driver traits from driving alone, and judge them.",
         "commands.traits:Traits",
-        parts=(
+        choices=(
             Subcommand(
                 "train",
                 "Learn latent driver traits from demonstrations, by adversarial IRL.",

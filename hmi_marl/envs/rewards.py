@@ -129,12 +129,13 @@ def check_sharing(sharing: str) -> Sharing:
     raise ValueError(f"reward= is one of {known_ways}, not {sharing!r}")
 
 
-_SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
+SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "team": (TERMS, TERMS),
     "individual": (DRIVER_TERMS, ALERT_TERMS),
     "driving": (DRIVING_TERMS, DRIVING_TERMS),
     "attention": (ATTENTION_TERMS, ATTENTION_TERMS),
 }
+"""Reward terms of the driver and of the vehicle AI."""
 
 
 def share(
@@ -148,6 +149,6 @@ def share(
     """
     # One after the other: NumPy's sum adds a single team's terms in another order than many teams'.
     driver, vehicle_ai = (
-        reduce(np.add, [terms[name] for name in names]) for names in _SHARES[sharing]
+        reduce(np.add, [terms[name] for name in names]) for names in SHARES[sharing]
     )
     return driver, vehicle_ai

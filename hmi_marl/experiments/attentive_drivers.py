@@ -15,6 +15,7 @@ import numpy as np
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.experiments import criteria
@@ -26,7 +27,6 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 

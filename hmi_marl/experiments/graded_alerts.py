@@ -18,6 +18,7 @@ import numpy as np
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.exact import oracle
@@ -30,7 +31,7 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.protocols.settings import PPOSettings, check_count
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 

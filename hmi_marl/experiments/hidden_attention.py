@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy_files import find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import StepResult, Teaming
@@ -36,7 +37,6 @@ from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 

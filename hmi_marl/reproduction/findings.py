@@ -208,7 +208,7 @@ def caution_keeps_distance(results: Results) -> Verdict:
 
 
 def _embedding(results: Results, setting: str) -> tuple[NDArray[np.float64], list[str]]:
-    found = results["traits"]["settings"][setting]["seeds"][0]["embedding"]
+    found = results["traits"]["supervisions"][setting]["seeds"][0]["embedding"]
     return np.asarray(found["means"], np.float64), list(found["drivers"])
 
 
@@ -251,7 +251,7 @@ def kinds_apart(setting: str, one: Sequence[str], other: Sequence[str], title: s
 
 def supervision_counts(results: Results) -> Verdict:
     """Check that KL of each supervised setting is at least twice the unsupervised one."""
-    settings = results["traits"]["settings"]
+    settings = results["traits"]["supervisions"]
     kl = {name: settings[name]["average_kl"]["mean"] for name in ("none", "id", "preference")}
     numbers = ", ".join(f"{value:.4g}" for value in kl.values())
     ratios = [kl[name] / max(kl["none"], criteria.SMALLEST_KL) for name in ("id", "preference")]
@@ -265,7 +265,7 @@ def supervision_counts(results: Results) -> Verdict:
 
 def supervision_suffices(results: Results) -> Verdict:
     """Check that drivers are named right in nine of ten pools, with either kind of labels."""
-    settings = results["traits"]["settings"]
+    settings = results["traits"]["supervisions"]
     found = {name: settings[name]["accuracy"]["mean"] for name in ("id", "preference")}
     reason = f"drivers named right: {100 * found['id']:.0f} % with labels of drivers, "
     reason += f"{100 * found['preference']:.0f} % with labels of preference"
@@ -274,7 +274,7 @@ def supervision_suffices(results: Results) -> Verdict:
 
 def distraction_separates(results: Results) -> Verdict:
     """Compare KL of Bart and Homer with that of Lisa and Marge, learned from preferences."""
-    from hmi_marl.experiments.latent_traits.separability import kl_matrix  # needs the data extra
+    from hmi_marl.experiments.latent_traits.probes import kl_matrix  # needs the data extra
 
     means, drivers = _embedding(results, "preference")
     names = list(dict.fromkeys(drivers))
@@ -294,7 +294,7 @@ def distraction_separates(results: Results) -> Verdict:
 
 def _pool(results: Results, setting: str) -> dict[str, Any]:
     size = results["traits"]["pool"]
-    rows = results["traits"]["settings"][setting]["seeds"][0]["identified"]
+    rows = results["traits"]["supervisions"][setting]["seeds"][0]["identified"]
     return dict(next(row for row in rows if row["windows"] == size))
 
 
@@ -316,7 +316,7 @@ def scenario_hides(results: Results) -> Verdict:
 
 def structure_uncovered(results: Results) -> Verdict:
     """Check that drivers are named without labels: better than by chance, and in most pools."""
-    found = results["traits"]["settings"]["none"]["accuracy"]["mean"]
+    found = results["traits"]["supervisions"]["none"]["accuracy"]["mean"]
     chance = _pool(results, "none")["types"]["chance"]
     reason = f"without labels {100 * found:.0f} % of drivers are named right, by chance "
     return of_parts(
@@ -328,7 +328,7 @@ def structure_uncovered(results: Results) -> Verdict:
 def more_is_clearer(results: Results) -> Verdict:
     """Compare the accuracy from the most windows with that from one, in every setting."""
     held, parts = [], []
-    for name, setting in results["traits"]["settings"].items():
+    for name, setting in results["traits"]["supervisions"].items():
         rows = setting["seeds"][0]["identified"]
         few, many = rows[0], rows[-1]
         one, several = (row["types"]["linear_probe"] for row in (few, many))

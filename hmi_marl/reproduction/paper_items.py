@@ -66,6 +66,6 @@ def _drivers() -> str:
 def _kl(results: Mapping[str, Mapping[str, Any]]) -> str:
     if "traits" not in results:
         return "not run"
-    settings = results["traits"]["settings"]
+    settings = results["traits"]["supervisions"]
     found = ", ".join(f"{settings[name]['average_kl']['mean']:.4g}" for name in AVERAGE_KL)
     return f"section on latent traits; average KL {found} nats"

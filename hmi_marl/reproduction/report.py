@@ -134,7 +134,7 @@ def exact_blocks(results: Mapping[str, Mapping[str, Any]]) -> list[Block]:
         head = ["driver", "exact, whole episodes", "Bayes filter, played", "learned, played"]
         blocks.append(Table("The Bayes filter, attention hidden: attention returns", head, returns))
     if "traits" in results:
-        seeds = next(iter(results["traits"]["settings"].values()))["seeds"]
+        seeds = next(iter(results["traits"]["supervisions"].values()))["seeds"]
         bayes = [
             [str(row["windows"])]
             + [f"{100 * row['ceilings'][kind]['mean']:.1f}" for kind in ("identity", "preference")]

@@ -25,7 +25,7 @@ from hmi_marl.experiments.experiment import Experiment, Place, conduct, with_see
 from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.files import make_folder, write_json
 from hmi_marl.reporting.blocks import Block, block_from
-from hmi_marl.training.runs.claim import check_same
+from hmi_marl.training.runs.folder import check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
 Suite = Sequence[Experiment[Any]]

@@ -1,1 +1,1 @@
-"""Learning the policies of both seats, by every protocol that the paper names or implies."""
+"""Training: policies of both seats, latent traits and evidence models."""

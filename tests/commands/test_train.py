@@ -63,7 +63,7 @@ def test_a_run_is_learned_watched_and_put_in_a_table(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--num-teams", "0"], "at least one team"),
+        (["--num-teams", "0"], "num_teams is at least 1"),
         (["--ppo.gamma", "1.5"], "gamma lies in [0, 1]"),
         (["--drivers", "nobody"], "unknown driver"),
         (["--hmi-reads", "wheel"], "no part 'wheel' to read"),
@@ -106,4 +106,4 @@ def test_several_processes_start_the_same_command_again(monkeypatch):
 
 def test_no_process_at_all_is_refused(capsys):
     assert main(["train", "joint", "--processes", "0"]) == 2
-    assert "at least one process" in capsys.readouterr().err
+    assert "processes is at least 1, but got 0" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.learned.policy_files import find_policy
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.experiments.criteria import EXACT_TOLERANCE
@@ -35,7 +36,6 @@ from hmi_marl.experiments.policies import DRIVER_RUN, EVALUATION_SEED, driver_jo
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.protocols.settings import check_count
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from io import BytesIO
+from itertools import cycle
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,7 +19,7 @@ from hmi_marl.experiments.protocols.analysis import (
 )
 from hmi_marl.experiments.protocols.settings import EVERYBODY, PROTOCOLS
 
-COLOURS = dict(zip(PROTOCOLS, ("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c"), strict=True))
+COLOURS = dict(zip(PROTOCOLS, cycle(("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c"))))
 """Of each protocol."""
 TITLES = {
     "team_return": "team return",

@@ -12,23 +12,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
-from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.names import unknown
-from hmi_marl.training.protocols.alternating import Alternating
-from hmi_marl.training.protocols.joint import Joint
-from hmi_marl.training.protocols.settings import TrainSettings, check_count
-from hmi_marl.training.protocols.simultaneous import Simultaneous
-from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.protocols.registry import compared
+from hmi_marl.training.protocols.settings import Budget, TrainSettings
 from hmi_marl.training.runs.jobs import Job
 
-Protocol = Literal["two-stage", "joint", "simultaneous", "simultaneous-moves", "alternating"]
-PROTOCOLS: tuple[Protocol, ...] = get_args(Protocol)
+Protocol = str
+"""Name of a protocol or of a variant, as :func:`compared` lists them."""
+PROTOCOLS: tuple[Protocol, ...] = tuple(compared())
 TWO_STAGE: Protocol = "two-stage"
 EVERYBODY = "all"
 """In place of a driver's name: all of the population."""
@@ -178,6 +176,7 @@ class CompareSettings:
 
     def _training(self, run: Run) -> TrainSettings:
         driver_steps, hmi_steps = self.steps_apart
+        reward = None if self.reward == "default" else self.reward
         shared: dict[str, Any] = {
             "drivers": self.drivers,
             "seed": run.seed,
@@ -186,24 +185,13 @@ class CompareSettings:
             "duration": self.duration,
             "vehicles": self.vehicles,
         }
-        apart: dict[str, Any] = {"driver_steps": driver_steps, "hmi_steps": hmi_steps}
-        whole: dict[str, Any] = {"steps": self.steps_each}
-        if run.protocol == TWO_STAGE:
-            return TwoStage(**shared, **apart)
-        if self.reward != "default":
-            apart |= {"driver_reward": self.reward, "hmi_reward": self.reward}
-            whole |= {"reward": self.reward}
-        if run.protocol == "alternating":
-            return Alternating(**shared, **apart, rounds=self.rounds)
-        if run.protocol == "joint":
-            return Joint(**shared, **whole)
-        return Simultaneous(**shared, **whole, sequential=run.protocol != "simultaneous-moves")
+        protocol, variant = compared()[run.protocol]
+        budget = Budget(driver_steps, hmi_steps, self.rounds, reward)
+        return protocol.for_comparison(budget, **shared, **variant)
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
         """The reward terms that the driver learns from."""
-        if protocol == TWO_STAGE or (protocol == "alternating" and self.reward == "default"):
-            return DRIVING_TERMS
-        return DRIVER_TERMS if protocol != "joint" and self.reward == "individual" else TERMS
+        return self._training(Run(protocol, self.seed)).driver_terms
 
     def pairs(self) -> list[Pair]:
         """Every pair that plays, each once."""

@@ -1,1 +1,1 @@
-"""Learning what each turn tells about who drives, from drives with known traits."""
+"""Evidence models: inference of the driver, learned from drives with known traits."""

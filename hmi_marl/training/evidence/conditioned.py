@@ -1,4 +1,4 @@
-"""One HMI for a whole population, π(a^A | a^H, s, z): z is a driver's place in latent space."""
+"""One HMI for a whole population, π(a^A | a^H, s, z), with z from an evidence model."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from hmi_marl.agents.adaptive.evidence_files import load_evidence
 from hmi_marl.agents.adaptive.evidence_model import EvidenceModel
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TraitDistributions, Traits
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 if TYPE_CHECKING:
     import torch
 
 HMI_READS = ("intended_action", "previous_intended_action", "applied_action", "alerted", "time")
-"""What there is to infer attention from. Lidar and lanes would only have to be ignored."""
+"""Observation parts that carry information on attention; lidar and lanes do not."""
 HIDDEN_PPO = PPOSettings(learning_rate=2e-3, num_mini_batches=8)
-"""For HMIs with a memory."""
+"""PPO for recurrent HMIs."""
 _DECIMALS = 3
 
 
 class Places:
-    """The :class:`Context` that gives every driver their place w(θ) in an evidence model."""
+    """:class:`Context` that maps a driver's traits θ to w(θ) of an evidence model."""
 
     def __init__(self, model: EvidenceModel) -> None:
         self._model = model
@@ -39,7 +39,7 @@ class Places:
 
 
 def strangers(count: int, seed: int) -> tuple[str, ...]:
-    """Drivers with evenly drawn traits, as the command line takes them, named by their number."""
+    """Return drivers with uniformly drawn traits, in the form of the command line."""
     seeds = mix(seed, Stream.TRAITS, np.arange(count, dtype=np.uint64))
     drawn = TraitDistributions().draw(seeds).as_array().round(_DECIMALS)
     return tuple(
@@ -56,17 +56,17 @@ def conditioned_hmi(
     seed: int,
     others: int = 512,
 ) -> TwoStage:
-    """Settings of an HMI for the four types and as many others, evenly drawn, attention hidden.
+    """Return settings of an HMI with hidden attention for named and uniformly drawn drivers.
 
-    To be learned with ``train(..., context=Places(model))``.
+    To be trained with ``train(..., context=Places(model))``.
 
     Args:
-        driver_policy: who steers.
+        driver_policy: driver policy.
         hmi_steps: environment steps to learn from.
-        rnn_hidden_dim: units of its recurrent layer.
-        num_teams: side by side.
-        seed: of the training, and of the others' traits.
-        others: how many drivers without a name; the four types drive in a third of the episodes.
+        rnn_hidden_dim: recurrent units of the HMI.
+        num_teams: teams in parallel.
+        seed: seed of the training and of the drawn traits.
+        others: number of drawn drivers; the four named ones drive in a third of the episodes.
     """
     types = PAPER_DRIVERS * max(1, others // 2 // len(PAPER_DRIVERS))
     return TwoStage(
@@ -86,10 +86,10 @@ def conditioned_hmi(
 def learn_conditioned(
     settings: TwoStage, evidence: Path, folder: Path, command_line: str = "", line: int = 0
 ) -> None:
-    """Learn such an HMI in ``folder``, z being places in the evidence model of another run.
+    """Train such an HMI in ``folder``, with z from the evidence model of another run.
 
     Raises:
-        FileNotFoundError, ValueError: no evidence model there, or what :func:`train` refuses.
+        FileNotFoundError, ValueError: there is no evidence model, or :func:`train` raised it.
     """
     from hmi_marl.training.ppo.run import train  # torch, with the threads that were set by then
 

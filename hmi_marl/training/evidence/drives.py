@@ -1,4 +1,4 @@
-"""Drives with known traits, as the turns that an evidence model reads."""
+"""Drives of drivers with known traits, as turns for an evidence model."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from hmi_marl.envs.worlds import make_world
 from hmi_marl.training.evidence.settings import EvidenceSettings
 
 _AT_ONCE = 1000
-"""Drives side by side; bounds memory."""
-_WHO = 2**32
-"""Of the counter by which it is drawn whether a known driver drives."""
+"""Drives in parallel; bounds the memory."""
+_KIND = 2**32
+"""Counter of the random number that decides whether a named driver drives."""
 
 
 @dataclass(frozen=True)
-class Strangers:
-    """A population of known drivers and of others, whose traits are drawn evenly."""
+class MixedPopulation:
+    """Population of the named drivers and of others with uniformly drawn traits."""
 
     known: float
-    """The share, in [0, 1]."""
+    """Share of named drivers, in [0, 1]."""
 
     def draw(self, seeds: NDArray[np.uint64]) -> Traits:
         """See :meth:`Population.draw`."""
-        is_known = uniform(seeds, Stream.TRAITS, _WHO) < self.known
+        is_known = uniform(seeds, Stream.TRAITS, _KIND) < self.known
         named = DriverList(tuple(DRIVERS.values())).draw(seeds).as_array()
         others = TraitDistributions().draw(seeds).as_array()
         return Traits.from_array(np.where(is_known[:, None], named, others))
@@ -46,24 +46,24 @@ class Drives:
     turns: NDArray[np.float32]
     """Shape (M, T, columns)."""
     driving: NDArray[np.bool_]
-    """Whether the drive was still going on, shape (M, T)."""
+    """Whether the episode was still running, shape (M, T)."""
     traits: Traits
-    """Who drove, M of them."""
+    """Traits of the M drivers."""
 
 
 def drive_all(
     settings: EvidenceSettings, progress: Callable[[int], object] = lambda drives: None
 ) -> Drives:
-    """Let many drivers drive, each HMI beside an equal share of them.
+    """Drive many episodes, each HMI with an equal share of the drivers.
 
     Args:
-        settings: how many, and who.
-        progress: is called with the number of drives done since.
+        settings: number of drives, policies and population.
+        progress: called with the number of drives done since the last call.
 
     Raises:
         ValueError: an unknown HMI or driver policy.
     """
-    team = replace(settings.team, driver=Strangers(settings.known))
+    team = replace(settings.team, driver=MixedPopulation(settings.known))
     number = np.arange(settings.drives, dtype=np.uint64)
     seeds = mix(settings.seed, Stream.TRAINING, number)
     parts = []
@@ -92,7 +92,7 @@ def _drive(
 
 
 class _Recorder(Observer):
-    """Keep the turns as an evidence model reads them, at the moment the vehicle AI acts."""
+    """Record the turns for an evidence model, when the vehicle AI acts."""
 
     def __init__(self, reader: Turns, teaming: Teaming) -> None:
         self.turns: list[NDArray[np.float32]] = []
@@ -101,6 +101,6 @@ class _Recorder(Observer):
         reader.reset(teaming.num_teams)
 
     def seen(self, teaming: Teaming, observations: NDArray[np.float32]) -> None:
-        """Read one turn."""
+        """Record one turn."""
         self.driving.append(~teaming.over)
         self.turns.append(self._reader.read(observations, self.driving[-1]))

@@ -11,15 +11,15 @@ from hmi_marl.agents.adaptive.evidence_model import DERIVED, EvidenceCard
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.training.ppo.models import array_of, layers_of, memory_of
 
-LOOKED_AT = 5
-"""Every so manieth turn counts in the loss: neighbouring turns tell nearly the same."""
+LOSS_EVERY = 5
+"""Turns between those that enter the loss, as neighbouring turns carry almost the same evidence."""
 
 
 class Evidence(torch.nn.Module):
-    """Encoder and places, the same functions as :class:`EvidenceModel`'s.
+    """Networks of :class:`EvidenceModel`, from turns to e_t and from traits to w.
 
     Args:
-        card: what they are.
+        card: card of the model.
     """
 
     centre: torch.Tensor
@@ -42,12 +42,12 @@ class Evidence(torch.nn.Module):
     def forward(
         self, turns: torch.Tensor, shown_traits: torch.Tensor, every: int = 1
     ) -> torch.Tensor:
-        """Evidence of B drives up to some turns for the B drivers, shape (B, T / every, B).
+        """Return the evidence of B drives for the B drivers, shape (B, T / every, B).
 
         Args:
-            turns: shape (B, T, columns), T a whole number of segments.
-            shown_traits: as :func:`traits_part` shows them, shape (B, 4).
-            every: up to how manieth turns it is told.
+            turns: turns of the drives, shape (B, T, columns), T a whole number of segments.
+            shown_traits: the drivers' traits, scaled by :func:`traits_part`, shape (B, 4).
+            every: evidence up to every such turn is returned.
         """
         batch, steps, columns = turns.shape
         size = self.card.read_size
@@ -58,15 +58,15 @@ class Evidence(torch.nn.Module):
         return each.cumsum(dim=1)[:, every - 1 :: every] @ self.place(shown_traits).T
 
     def settle(self, temperature: float, shown_traits: torch.Tensor) -> None:
-        """Give so many times the evidence from now on, and put places into units of a population.
+        """Scale the evidence, and standardise w over a population.
 
-        The evidence for one driver over another stays what it is if the same is added to all
-        places, or if they are stretched and e_t is shrunk: units are free, and these ones make w a
-        good input for what is conditioned on it.
+        The evidence for one driver over another does not change if the same vector is added to all
+        w, or if w is stretched and e_t is shrunk. These units make w a good input of networks.
 
         Args:
             temperature: factor on the evidence.
-            shown_traits: of the population, whose places get mean 0 and spread 1; shape (M, 4).
+            shown_traits: traits of the population over which w gets mean 0 and standard deviation
+                1; shape (M, 4).
         """
         encoder, place = _last_layer(self.encoder), _last_layer(self.place)
         with torch.no_grad():
@@ -84,38 +84,38 @@ class Evidence(torch.nn.Module):
         shown_traits: torch.Tensor,
         temperatures: torch.Tensor,
     ) -> torch.Tensor:
-        """The loss of whole drives alone, if there were so many times the evidence.
+        """Return the loss after whole drives, for several factors on the evidence.
 
         Args:
-            turns, driving, shown_traits: as of :meth:`loss`.
-            temperatures: shape (S,).
+            turns, driving, shown_traits: see :meth:`loss`.
+            temperatures: factors, shape (S,).
 
         Returns:
-            Shape (S,).
+            Losses, shape (S,).
         """
         last = driving.sum(dim=1).clamp(min=1) - 1
         whole = self(turns, shown_traits)[torch.arange(len(turns)), last]  # (B, B)
-        told = torch.log_softmax(temperatures[:, None, None] * whole, dim=-1)
-        return -torch.diagonal(told, dim1=1, dim2=2).mean(dim=1)
+        log_posterior = torch.log_softmax(temperatures[:, None, None] * whole, dim=-1)
+        return -torch.diagonal(log_posterior, dim1=1, dim2=2).mean(dim=1)
 
     def loss(
         self, turns: torch.Tensor, driving: torch.Tensor, shown_traits: torch.Tensor
     ) -> torch.Tensor:
-        r"""Mean of -log p(who of the B it was | the turns up to now), over every fifth turn.
+        r"""Return the mean of -log p(driver | the turns up to now), over every fifth turn.
 
-        A softmax over the drivers of the batch: its optimum is the log likelihood of the turns, up
-        to a number that all drivers share (noise-contrastive estimation).
+        This is a softmax over the drivers of the batch: its optimum is the log likelihood of the
+        turns up to a constant that all drivers share (noise-contrastive estimation).
 
         Args:
-            turns, shown_traits: as of :meth:`forward`.
-            driving: which turns there were, shape (B, T).
+            turns, shown_traits: see :meth:`forward`.
+            driving: whether a turn is real, shape (B, T).
         """
-        told = torch.log_softmax(self(turns, shown_traits, LOOKED_AT), dim=-1)
-        right = torch.diagonal(told, dim1=0, dim2=2).T  # (B, T / LOOKED_AT)
-        return -right[driving[:, LOOKED_AT - 1 :: LOOKED_AT]].mean()
+        log_posterior = torch.log_softmax(self(turns, shown_traits, LOSS_EVERY), dim=-1)
+        right = torch.diagonal(log_posterior, dim1=0, dim2=2).T  # (B, T / LOSS_EVERY)
+        return -right[driving[:, LOSS_EVERY - 1 :: LOSS_EVERY]].mean()
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
-        """By the names of ``card.shapes``."""
+        """Return the weights by the names of ``card.shapes``."""
         parts = {
             "read": {"centre": array_of(self.centre), "scale": array_of(self.scale)},
             "encoder": layers_of(self.encoder) | memory_of(self.memory),

@@ -1,15 +1,14 @@
-"""What the learning of an evidence model can be told."""
+"""Settings of learning an evidence model, in a frozen dataclass that imports no torch."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 from hmi_marl.agents.adaptive.evidence_model import READS, EvidenceCard
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.checks import check_count, check_positive, check_share
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.protocols.settings import check_count
 
 HMIS = (
     "never",
@@ -21,49 +20,50 @@ HMIS = (
     "belief:marge",
     "belief:bart",
 )
-"""Who alerts in the drives that are learned from: the evidence is to hold beside any HMI."""
+"""HMIs in the drives that are learned from, so that the evidence holds with any HMI."""
 
 
 @dataclass(frozen=True)
 class EvidenceSettings:
-    """How an evidence model is learned.
+    """Settings of learning an evidence model.
 
     Raises:
         ValueError, TypeError: a value out of its range, by name.
     """
 
     driver_policy: str = "trained:driver"
-    """Who steers: a trained run, or rule or random."""
+    """Driver policy: a trained run, or rule or random."""
     hmis: tuple[str, ...] = HMIS
-    """Who alerts; each in an equal share of the drives."""
+    """HMIs, each in an equal share of the drives."""
     drives: int = 24_000
     """Episodes to learn from."""
     known: float = 0.4
-    """Share of them driven by the drivers with a name; the others' traits are drawn evenly."""
+    """Share of the episodes with one of the named drivers; the other drivers' traits are drawn
+    uniformly."""
     held_out: float = 0.05
-    """Share of the drives that is not learned from, to see how well others are told."""
+    """Share of the episodes that is kept out of the learning, to measure the loss on."""
     updates: int = 2000
     """Gradient steps."""
     batch: int = 256
-    """Drives in each."""
+    """Episodes in each gradient step."""
     learning_rate: float = 3e-3
-    """At the start; it falls to a twentieth along half a cosine."""
+    """Learning rate at the start; it falls to a twentieth along half a cosine."""
     weight_decay: float = 1e-2
-    """Of AdamW."""
+    """Weight decay of AdamW."""
     latent: int = 16
     """Z, the size of e_t and w."""
     segment: int = 25
-    """Turns after which the encoder's memory is emptied."""
+    """Turns after which the encoder's recurrent units are reset."""
     encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
-    """From turns to e_t."""
+    """Network from turns to e_t."""
     place: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
-    """From traits to w."""
+    """Network from traits to w."""
     reads: tuple[str, ...] = READS
     """Parts of the vehicle AI's observation that the encoder reads."""
     seed: int = 0
-    """Same seed, same weights (on one machine)."""
+    """Random seed. The same seed gives the same weights (on one machine)."""
     threads: int = 1
-    """Of the world and of the learner. Does not change who drives how."""
+    """Threads of the world and of the learner. Does not change the episodes."""
     checkpoint_every: float = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
@@ -72,38 +72,32 @@ class EvidenceSettings:
         for name in ("drives", "updates", "batch", "threads", "latent", "segment"):
             check_count(name, getattr(self, name))
         if not self.hmis:
-            raise ValueError("somebody has to sit in the vehicle AI's seat: name hmis")
-        if not 0.0 <= self.known <= 1.0:
-            raise ValueError(f"known lies in [0, 1], but got {self.known}")
-        if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
-            raise ValueError(f"learning_rate is a positive number, but got {self.learning_rate}")
-        if not 0.0 < self.held_out < 1.0:
-            raise ValueError(f"held_out lies between 0 and 1, but got {self.held_out}")
-        if not (math.isfinite(self.weight_decay) and self.weight_decay >= 0):
-            raise ValueError(f"weight_decay is at least 0, but got {self.weight_decay}")
+            raise ValueError("hmis names at least one HMI, but got none")
+        check_share("known", self.known)
+        check_positive("learning_rate", self.learning_rate)
+        check_share("held_out", self.held_out, zero=False, one=False)
+        check_positive("weight_decay", self.weight_decay, zero=True)
         if not 2 <= self.batch <= self.learned:
             raise ValueError(
                 f"batch lies in 2 to {self.learned}, the number of drives to learn from, but got "
                 f"{self.batch}"
             )
         if not self.encoder.rnn_hidden_dim:
-            raise ValueError(
-                "an encoder has a memory of at least one unit: set encoder.rnn_hidden_dim"
-            )
+            raise ValueError("encoder.rnn_hidden_dim is at least 1, but got 0")
         self.card(self.team)
 
     @property
     def team(self) -> TeamConfig:
-        """How the teams are set up; who drives is drawn apart."""
+        """Configuration of the teams, but for the drivers, which are drawn separately."""
         return TeamConfig(ai_sees_attention=False)
 
     @property
     def learned(self) -> int:
-        """How many drives are learned from."""
+        """Number of episodes that are learned from."""
         return self.drives - max(2, round(self.held_out * self.drives))
 
     def card(self, team: TeamConfig) -> EvidenceCard:
-        """Of the model that is learned."""
+        """Card of the model for teams of this configuration."""
         return EvidenceCard.for_team(
             team,
             self.reads,

@@ -1,1 +1,1 @@
-"""."""
+"""PPO, by rsl_rl, for one seat or both."""

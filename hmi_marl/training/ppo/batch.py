@@ -1,4 +1,4 @@
-"""One batch: a whole episode of every team, acted, recorded and summed up."""
+"""One batch: a whole episode of every team, played, recorded and averaged."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from hmi_marl.training.ppo.learner import Learner
 def play_batch(env: TeamVecEnv, learner: Learner, seed: int) -> dict[str, float]:
     """Play as many steps as an episode has, from the start of every team's episode.
 
-    Teams that crash begin another episode, which the end of the batch cuts off.
+    Teams that crash begin another episode, which the end of the batch truncates.
 
     Args:
-        env: begins anew.
-        learner: acts, and records what it needs.
-        seed: team k's series of episodes is that of ``seed + k``.
+        env: environment, which is reset.
+        learner: acts and records.
+        seed: seed of the first team; team k gets the series of episodes of ``seed + k``.
 
     Returns:
-        Means over the teams' first episodes, which are all whole: ``return`` (of the seat),
+        Means over the teams' first episodes, which are all complete: the seat's ``return``,
         each reward term, ``team_return`` (all eight), ``attention_return`` (the last three),
         ``length``, ``crash_rate`` and ``alerts``.
     """
@@ -39,14 +39,14 @@ def play_batch(env: TeamVecEnv, learner: Learner, seed: int) -> dict[str, float]
 
 
 class _FirstEpisodes:
-    """What the environment says of each team's first episode in a batch."""
+    """Statistics of each team's first episode in a batch."""
 
     def __init__(self, teams: int) -> None:
         self._waiting = torch.ones(teams, dtype=torch.bool)
         self._values: dict[str, list[torch.Tensor]] = {}
 
     def add(self, extras: dict[str, Any]) -> None:
-        """Take in the episodes that ended in a step."""
+        """Add the episodes that ended in a step."""
         teams = extras["final_teams"].cpu()
         first = self._waiting[teams]
         self._waiting[teams] = False
@@ -54,7 +54,7 @@ class _FirstEpisodes:
             self._values.setdefault(name.removeprefix("Episode/"), []).append(values[first])
 
     def means(self) -> dict[str, float]:
-        """Over all teams."""
+        """Return means over all teams."""
         means = {name: float(torch.cat(kept).mean()) for name, kept in self._values.items()}
         means["team_return"] = sum(means[term] for term in TERMS)
         means["attention_return"] = sum(means[term] for term in ATTENTION_TERMS)

@@ -1,6 +1,7 @@
 """Categorical heads for rsl_rl: one seat's action, or the composite π_H∘π_AI of both seats.
 
-rsl_rl stores actions as floats; these heads take and give indices as floats, shape (..., columns).
+rsl_rl stores actions as floats; these heads take and return indices as floats, shape
+(..., columns).
 """
 
 from __future__ import annotations
@@ -20,23 +21,23 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
 
     @property
     def input_dim(self) -> int:
-        """Logits that it takes."""
+        """Number of logits."""
         return self.choices
 
     def update(self, mlp_output: torch.Tensor) -> None:
-        """Take the network's logits, shape (..., choices)."""
+        """Set the distribution by the network's logits, shape (..., choices)."""
         self._log_probs = torch.log_softmax(mlp_output, dim=-1)
 
     def sample(self) -> torch.Tensor:
-        """Indices as floats, shape (..., 1)."""
+        """Draw indices as floats, shape (..., 1)."""
         return draw(self._log_probs)
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
-        """The likeliest action, shape (..., 1)."""
+        """Return the most likely action, shape (..., 1)."""
         return self.as_deterministic_output_module()(mlp_output)
 
     def as_deterministic_output_module(self) -> torch.nn.Module:
-        """The same as a module, for rsl_rl's exports to TorchScript and ONNX."""
+        """Return the same as a module, for rsl_rl's exports to TorchScript and ONNX."""
         return LikeliestAction()
 
     @property
@@ -84,26 +85,26 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
     @property
     def input_dim(self) -> int:
-        """Logits that it takes."""
+        """Number of logits."""
         return INTENTS + INTENTS * self.alerts
 
     def update(self, mlp_output: torch.Tensor) -> None:
-        """Take the network's logits, shape (..., 5 + 5 A)."""
+        """Set the distribution by the network's logits, shape (..., 5 + 5 A)."""
         intent, alert = self._split(mlp_output)
         self._intent = torch.log_softmax(intent, dim=-1)
         self._alert = torch.log_softmax(alert, dim=-1)
 
     def sample(self) -> torch.Tensor:
-        """a^H and a^A as floats, shape (..., 2)."""
+        """Draw a^H and a^A as floats, shape (..., 2)."""
         intent = draw(self._intent)
         return torch.cat([intent, draw(_row(self._alert, intent))], dim=-1)
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
-        """The likeliest a^H, and the likeliest a^A given that, shape (..., 2)."""
+        """Return the most likely a^H, and the most likely a^A given that, shape (..., 2)."""
         return self.as_deterministic_output_module()(mlp_output)
 
     def as_deterministic_output_module(self) -> torch.nn.Module:
-        """The same as a module, for rsl_rl's exports to TorchScript and ONNX."""
+        """Return the same as a module, for rsl_rl's exports to TorchScript and ONNX."""
         return LikeliestPair(INTENTS, self.alerts)
 
     @property
@@ -118,7 +119,7 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
     @property
     def entropy(self) -> torch.Tensor:
-        """Of the pair, shape (...)."""
+        """Entropy of the pair, shape (...)."""
         return entropy(self._intent) + (self._intent.exp() * entropy(self._alert)).sum(-1)
 
     @property
@@ -146,15 +147,15 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
 
 
 class LikeliestAction(torch.nn.Module):
-    """The likeliest action from its logits; TorchScript and ONNX can hold it."""
+    """Most likely action for logits, as a module that TorchScript and ONNX support."""
 
     def forward(self, logits: torch.Tensor) -> torch.Tensor:
-        """An index as a float, shape (..., 1), for logits of shape (..., choices)."""
+        """Return an index as a float, shape (..., 1), for logits of shape (..., choices)."""
         return logits.argmax(dim=-1, keepdim=True).to(logits.dtype)
 
 
 class LikeliestPair(torch.nn.Module):
-    """The likeliest a^H, and the likeliest a^A given that; TorchScript and ONNX can hold it."""
+    """Most likely a^H, and most likely a^A given that, for TorchScript and ONNX."""
 
     def __init__(self, intents: int, alerts: int) -> None:
         super().__init__()
@@ -162,7 +163,7 @@ class LikeliestPair(torch.nn.Module):
         self.alerts = alerts
 
     def forward(self, logits: torch.Tensor) -> torch.Tensor:
-        """Indices as floats, shape (..., 2), for logits of shape (..., intents + intents A)."""
+        """Return indices as floats, (..., 2), for logits of shape (..., intents + intents A)."""
         intent = logits[..., : self.intents].argmax(dim=-1, keepdim=True)
         alerts = torch.unflatten(logits[..., self.intents :], -1, (self.intents, self.alerts))
         alert = _row(alerts, intent).argmax(dim=-1, keepdim=True)
@@ -170,28 +171,28 @@ class LikeliestPair(torch.nn.Module):
 
 
 def draw(log_probs: torch.Tensor) -> torch.Tensor:
-    """One index per row as a float, shape (..., 1), by inverting the cumulative distribution."""
+    """Draw one index per row as a float, (..., 1), by inverting the cumulative distribution."""
     below = log_probs.exp().cumsum(-1)[..., :-1]
     chance = torch.rand(log_probs.shape[:-1], device=log_probs.device)
     return (chance.unsqueeze(-1) >= below).sum(-1, keepdim=True).to(log_probs.dtype)
 
 
 def spread(log_probs: torch.Tensor) -> torch.Tensor:
-    """Standard deviation of each component of the one-hot action, sqrt(p (1 - p))."""
+    """Return the standard deviation of each component of the one-hot action, sqrt(p (1 - p))."""
     probs = log_probs.exp()
     return (probs * (1.0 - probs)).sqrt()
 
 
 def entropy(log_probs: torch.Tensor) -> torch.Tensor:
-    """Over the last dimension."""
+    """Return the entropy over the last dimension."""
     return -(log_probs.exp() * log_probs).sum(-1)
 
 
 def divergence(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
-    """KL(old || new) over the last dimension of log-probabilities."""
+    """Return KL(old || new) over the last dimension of log-probabilities."""
     return (old.exp() * (old - new)).sum(-1)
 
 
 def _row(table: torch.Tensor, intent: torch.Tensor) -> torch.Tensor:
-    """The row of a^H, shape (..., A), out of (..., 5, A)."""
+    """Return the row of a^H, shape (..., A), out of (..., 5, A)."""
     return torch.take_along_dim(table, intent.long().unsqueeze(-1), dim=-2).squeeze(-2)

@@ -1,4 +1,4 @@
-"""Who learns: one PPO for a seat or for both, or two of them that take turns."""
+"""Learners: one PPO for a seat or for both, or one PPO for each seat."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rsl_rl.storage import RolloutStorage  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-from hmi_marl.training.ppo.views import IntentShown, SeatView
-from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.ppo.views import IntentShown, View
 from hmi_marl.training.runs.checkpoint import OPTIMIZER, flat_moments, with_moments
 from hmi_marl.training.runs.processes import Processes
 
@@ -21,25 +21,29 @@ Extras = Mapping[str, Any]
 
 
 class Learner(Protocol):
-    """Acts in every step of a batch, then learns from it."""
+    """A learner acts in every step of a batch, then learns from the batch."""
 
     def begin(self, progress: float) -> None:
-        """Begin a batch of whole episodes; ``progress`` in [0, 1] is how much has been learned."""
+        """Begin a batch of whole episodes, at ``progress`` in [0, 1] of the schedules."""
 
     def act(self, observations: TensorDict) -> torch.Tensor:
-        """Explore: actions of shape (N, columns)."""
+        """Sample actions, shape (N, columns)."""
         ...
 
     def record(self, rewards: torch.Tensor, dones: torch.Tensor, extras: Extras) -> None:
-        """What the last actions led to, as the environment told it."""
+        """Record what the environment returned for the last actions."""
 
     def learn(self, observations: TensorDict) -> dict[str, float]:
-        """Learn from the batch, which ``observations`` follow; returns losses by name."""
+        """Learn from the batch and return losses by name.
+
+        Args:
+            observations: those that follow the batch's last step.
+        """
         ...
 
 
 class ShuffledOnce(RolloutStorage):  # type: ignore[misc]  # rsl_rl has no types
-    """rsl_rl's storage, which gathers the same mini-batches anew in every epoch, gathering once."""
+    """rsl_rl's storage that gathers the mini-batches once, not again in every epoch."""
 
     def mini_batch_generator(
         self, num_mini_batches: int, num_epochs: int = 8
@@ -51,25 +55,25 @@ class ShuffledOnce(RolloutStorage):  # type: ignore[misc]  # rsl_rl has no types
 
 
 class PPOLearner:
-    """One rsl_rl PPO.
+    """Learn by rsl_rl's PPO.
 
     Args:
-        actor: of a seat, or of both.
-        critic: its critic.
-        view: what the two read.
-        sample: observations to know shapes by.
-        steps: in a batch.
-        columns: of actions.
-        settings: of the algorithm.
-        device: where it learns.
-        processes: that share the gradients.
+        actor: policy of a seat, or composite policy of both.
+        critic: value function.
+        view: inputs of the two.
+        sample: observations that give the shapes.
+        steps: steps in a batch.
+        columns: columns of the actions.
+        settings: settings of the algorithm.
+        device: device to learn on.
+        processes: processes that share the gradients.
     """
 
     def __init__(
         self,
         actor: MLPModel,
         critic: MLPModel,
-        view: SeatView,
+        view: View,
         sample: TensorDict,
         steps: int,
         columns: int,
@@ -101,6 +105,11 @@ class PPOLearner:
         if processes.count > 1:
             self.ppo.broadcast_parameters()
 
+    @property
+    def actor(self) -> MLPModel:
+        """The policy."""
+        return self.ppo.actor
+
     def begin(self, progress: float) -> None:
         """See :meth:`Learner.begin`."""
         settings = self.settings
@@ -112,7 +121,7 @@ class PPOLearner:
         for group in self.ppo.optimizer.param_groups:
             group["lr"] = rate
         self.ppo.train_mode()
-        self.ppo.actor.reset()  # whole episodes begin, so nothing is to be remembered
+        self.ppo.actor.reset()  # whole episodes begin, with empty recurrent units
 
     def act(self, observations: TensorDict) -> torch.Tensor:
         """See :meth:`Learner.act`."""
@@ -122,9 +131,9 @@ class PPOLearner:
     def record(self, rewards: torch.Tensor, dones: torch.Tensor, extras: Extras) -> None:
         """See :meth:`Learner.record`.
 
-        An episode that ended by its time alone goes on for the learner: V of what was seen last
-        is added to its last reward. (rsl_rl itself would take V of the state before.) What was
-        seen last comes before anybody's next turn, so a vehicle AI's V has no next a^H there.
+        An episode that was truncated continues for the learner: V of the final observation is
+        added to the last reward. (rsl_rl itself would take V of the state before.) The final
+        observation precedes the driver's next action, so a vehicle AI's V reads no next a^H there.
         """
         rewards = rewards * self.settings.reward_scale
         if "final_teams" in extras:
@@ -135,20 +144,34 @@ class PPOLearner:
                 rewards[teams[late]] += self.settings.gamma * values[late]
         self.ppo.process_env_step(None, rewards, dones, {})
 
-    def learn(self, observations: TensorDict) -> dict[str, float]:
-        """See :meth:`Learner.learn`."""
+    def learn(
+        self, observations: TensorDict, rewards: torch.Tensor | None = None
+    ) -> dict[str, float]:
+        """See :meth:`Learner.learn`.
+
+        Args:
+            observations: those that follow the batch's last step.
+            rewards: rewards that replace the recorded ones, if they are only known after the
+                batch, as in adversarial IRL; shape (T, N).
+        """
+        if rewards is not None:
+            self.ppo.storage.rewards.copy_((rewards * self.settings.reward_scale)[..., None])
         with torch.inference_mode():
             self.ppo.compute_returns(self.view(observations))
         losses: dict[str, float] = self.ppo.update()
         return losses | {"learning_rate": self.ppo.learning_rate}
 
+    def discard(self) -> None:
+        """Discard the steps recorded since the last update."""
+        self.ppo.storage.clear()
+
     def explore(self, observations: TensorDict) -> torch.Tensor:
-        """Actions that are not recorded, shape (N, columns)."""
+        """Sample actions that are not recorded, shape (N, columns)."""
         actions: torch.Tensor = self.ppo.actor(self.view(observations), stochastic_output=True)
         return actions
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Everything that it has learned, optimiser included, by flat names."""
+        """Weights and the optimizer's state, by flat names."""
         saved = self.ppo.save()
         tensors = {
             f"{model}.{name}": value
@@ -158,10 +181,10 @@ class PPOLearner:
         return tensors | flat_moments(saved["optimizer_state_dict"])
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Go back to what :meth:`tensors` gave.
+        """Restore what :meth:`tensors` returned.
 
         Raises:
-            RuntimeError: they are of other networks.
+            RuntimeError: the tensors belong to other networks.
         """
         models: dict[str, dict[str, torch.Tensor]] = {"actor": {}, "critic": {}}
         for full_name, value in tensors.items():
@@ -178,13 +201,14 @@ class PPOLearner:
 
 
 class TwoLearners:
-    """The driver and the vehicle AI learn at the same time, each by a PPO of its own.
+    """Learn the driver's and the vehicle AI's policies at the same time, each by its own PPO.
 
-    Each collects from own turn to own turn: its reward is what the whole step gave it.
+    A transition of each agent reaches from its turn to its next turn, so its reward is that of the
+    whole step.
 
     Args:
-        driver, vehicle_ai: who learns.
-        intent_shown: shows a^H_t to the vehicle AI; None if both act at once.
+        driver, vehicle_ai: learners of the two seats.
+        intent_shown: shows a^H_t to the vehicle AI; None for simultaneous moves.
     """
 
     def __init__(
@@ -206,17 +230,17 @@ class TwoLearners:
         return torch.cat([intents, alerts], dim=1)
 
     def record(self, rewards: torch.Tensor, dones: torch.Tensor, extras: Extras) -> None:
-        """See :meth:`Learner.record`; ``rewards`` are not read, but what each agent gets."""
+        """See :meth:`Learner.record`; each agent's own reward stands in ``extras``."""
         self.driver.record(extras["rewards"][DRIVER], dones, extras)
         self.vehicle_ai.record(extras["rewards"][VEHICLE_AI], dones, extras)
 
     def learn(self, observations: TensorDict) -> dict[str, float]:
         """See :meth:`Learner.learn`."""
-        with torch.inference_mode():  # what the vehicle AI would see in its next turn
+        with torch.inference_mode():  # the vehicle AI's observation in its next turn
             following = self._show(observations, self.driver.explore(observations))
         losses = self.driver.learn(observations)
-        of_ai = self.vehicle_ai.learn(following)
-        return losses | {f"vehicle_ai_{name}": value for name, value in of_ai.items()}
+        of_hmi = self.vehicle_ai.learn(following)
+        return losses | {f"vehicle_ai_{name}": value for name, value in of_hmi.items()}
 
     def _show(self, observations: TensorDict, intents: torch.Tensor) -> TensorDict:
         return self._intent_shown(observations, intents) if self._intent_shown else observations

@@ -1,4 +1,4 @@
-"""rsl_rl's models for the seats, and their weights as learned policies keep them."""
+"""rsl_rl's models for the seats, and their weights by the names of learned policies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from hmi_marl.envs.config import DRIVER
 from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
 
 GROUPS = {"actor": ["actor"], "critic": ["critic"]}
-"""What actor and critic read: each the group of its own name."""
+"""Observation groups of actor and critic: each the group of its own name."""
 
 
 def make_actor(card: PolicyCard) -> MLPModel:
-    """An actor for one seat, as its card says."""
+    """Return an actor for one seat, by its card."""
     network = card.network
     head = {"class_name": OneAction, "choices": card.actions}
     template = _template("actor", card.inputs)
@@ -33,7 +33,7 @@ def make_actor(card: PolicyCard) -> MLPModel:
 
 
 class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
-    """rsl_rl's recurrent model whose layers also read the inputs, beside the memory."""
+    """rsl_rl's recurrent model, in which the layers also get the inputs themselves."""
 
     def get_latent(
         self,
@@ -41,7 +41,7 @@ class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
         masks: torch.Tensor | None = None,
         hidden_state: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """The memory, then the inputs: shape (..., memory + inputs)."""
+        """Return hidden state and inputs, concatenated: shape (..., rnn_hidden_dim + inputs)."""
         inputs = MLPModel.get_latent(self, obs)
         remembered = self.rnn(inputs, masks, hidden_state).squeeze(0)
         if masks is not None:
@@ -53,7 +53,7 @@ class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
 
 
 class TwoSeats(torch.nn.Module):
-    """The networks of both seats side by side, each reading its own part of the input."""
+    """Networks of both seats, each with its own part of the input."""
 
     def __init__(self, driver: PolicyCard, vehicle_ai: PolicyCard) -> None:
         super().__init__()
@@ -62,21 +62,23 @@ class TwoSeats(torch.nn.Module):
         self._of_driver = driver.inputs
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Logits of a^H, then of a^A for each a^H: shape (..., 15) with one kind of alert."""
+        """Return logits of a^H, then of a^A for each a^H: (..., 15) with one alert strength."""
         of_driver, of_vehicle_ai = inputs[..., : self._of_driver], inputs[..., self._of_driver :]
         return torch.cat([self.driver(of_driver), self.vehicle_ai(of_vehicle_ai)], dim=-1)
 
 
 def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
-    """The composite π_H∘π_AI. Each half sees its own seat alone, so that it can sit there alone.
+    """Return the composite π_H∘π_AI. Each half reads its own seat's inputs and works alone.
 
     Raises:
         ValueError: a recurrent network, or a vehicle AI that is not ``by_intent``.
     """
     if driver.network.rnn_hidden_dim or vehicle_ai.network.rnn_hidden_dim:
-        raise ValueError("the composite policy has no memory; choose rnn_hidden_dim = 0")
+        raise ValueError("the composite policy has no recurrent units; choose rnn_hidden_dim = 0")
     if not vehicle_ai.by_intent:
-        raise ValueError("in the composite policy the vehicle AI gives logits by intent")
+        raise ValueError(
+            "the composite policy needs a vehicle AI with logits by intent (by_intent)"
+        )
     template = _template("actor", driver.inputs + vehicle_ai.inputs)
     head = {"class_name": IntentThenAlert, "alerts": vehicle_ai.actions}
     model = MLPModel(template, GROUPS, "actor", 2, (1,), distribution_cfg=head)
@@ -85,19 +87,19 @@ def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
 
 
 def make_critic(inputs: int, network: NetworkConfig) -> MLPModel:
-    """V of what it reads; never recurrent."""
+    """Return a value network; never recurrent."""
     template = _template("critic", inputs)
     return MLPModel(template, GROUPS, "critic", 1, network.hidden_dims, network.activation)
 
 
 def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
-    """The actor's weights, by the names of :meth:`NetworkConfig.shapes`."""
+    """Return the actor's weights by the names of :meth:`NetworkConfig.shapes`."""
     weights = layers_of(actor.mlp)
     return weights | memory_of(actor.rnn.rnn) if actor.is_recurrent else weights
 
 
 def weights_of_both(actor: MLPModel) -> tuple[dict[str, NDArray[np.float32]], ...]:
-    """The weights of the composite policy's two halves, the driver's first."""
+    """Return the weights of the composite policy's two halves, the driver's first."""
     return layers_of(actor.mlp.driver), layers_of(actor.mlp.vehicle_ai)
 
 
@@ -115,7 +117,7 @@ def _mlp(card: PolicyCard) -> MLP:
 
 
 def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
-    """The weights of its linear layers, by the names of :meth:`NetworkConfig.shapes`."""
+    """Return the weights of linear layers by the names of :meth:`NetworkConfig.shapes`."""
     linear = [layer for layer in mlp.modules() if isinstance(layer, torch.nn.Linear)]
     weights = {}
     for place, layer in enumerate(linear):
@@ -125,12 +127,12 @@ def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
 
 
 def memory_of(gru: torch.nn.GRU) -> dict[str, NDArray[np.float32]]:
-    """The weights of a recurrent layer, by the names of :meth:`NetworkConfig.shapes`."""
+    """Return the weights of a recurrent layer by the names of :meth:`NetworkConfig.shapes`."""
     return {f"memory.{name}": array_of(getattr(gru, its)) for name, its in _MEMORY.items()}
 
 
 def array_of(tensor: torch.Tensor) -> NDArray[np.float32]:
-    """A copy for NumPy, without gradients."""
+    """Return a copy for NumPy, without gradients."""
     return tensor.detach().cpu().numpy().copy()
 
 

@@ -1,9 +1,8 @@
-"""The one training loop: the phases of a protocol, batch by batch, resumable in a folder.
+"""The training loop: the phases of a protocol, batch by batch, resumable in a folder.
 
-A run's folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``,
-``curve.json`` (a row for each batch), ``tensorboard/``, and the policies it has learned,
-``driver.json`` and ``vehicle_ai.json`` with their weights; on request also ``snapshots/STEPS/``,
-the same as they stood after so many environment steps.
+Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the learned
+policies, ``driver.json`` and ``vehicle_ai.json`` with their weights; on request also
+``snapshots/STEPS/``, the policies after so many environment steps.
 """
 
 from __future__ import annotations
@@ -12,8 +11,8 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import hmi_marl
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.network import NetworkConfig, Weights
 from hmi_marl.agents.learned.policy import CONTEXT_OF, LearnedPolicy, PolicyCard
@@ -21,14 +20,17 @@ from hmi_marl.agents.learned.policy_files import load_policy, save_policy
 from hmi_marl.agents.vectors import make_vec
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.streams import Stream, mix
+from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing
-from hmi_marl.files import json_value, make_folder, write_json
-from hmi_marl.training.protocols.phase import LEARNED, OTHER, TEAM, Phase
-from hmi_marl.training.protocols.settings import TrainSettings
-from hmi_marl.training.runs.claim import SETTINGS, check_same, read_settings, told
-from hmi_marl.training.runs.jobs import CURVE
-from hmi_marl.training.runs.progress import Telling
+from hmi_marl.files import json_value
+from hmi_marl.training.protocols.settings import (
+    LEARNED,
+    OTHER_SEAT,
+    TEAM,
+    Phase,
+    TrainSettings,
+)
+from hmi_marl.training.runs.progress import Progress
 
 with needing("training"):
     import torch
@@ -44,10 +46,10 @@ with needing("training"):
         weights_of_both,
     )
     from hmi_marl.training.ppo.views import Context, IntentShown, SeatView
-    from hmi_marl.training.runs.checkpoint import CHECKPOINT, Checkpoint
     from hmi_marl.training.runs.processes import Processes, joined
+    from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
 
-_INITIAL_WEIGHTS = {DRIVER: 0, OTHER[DRIVER]: 1, TEAM: 2}
+_INITIAL_WEIGHTS = {DRIVER: 0, OTHER_SEAT[DRIVER]: 1, TEAM: 2}
 
 
 def train(
@@ -58,105 +60,84 @@ def train(
     command_line: str = "",
     line: int = 0,
 ) -> None:
-    """Learn what ``settings`` say in ``folder``, going on where a run there was cut off.
+    """Train by a protocol in ``folder``, resuming a run that was interrupted there.
 
     Args:
-        settings: a protocol with its choices.
-        folder: of the run.
-        context: gives a vector z for each driver, which the vehicle AI is then conditioned on
-            instead of the traits. (The driver knows their own traits.)
+        settings: a protocol with its settings.
+        folder: folder of the run.
+        context: gives a vector z for each driver, which the vehicle AI observes instead of the
+            traits. (The driver observes its own traits.)
         quiet: no progress bar and no TensorBoard.
-        typed: the command, kept with the policies.
-        line: of the terminal for the progress bar, where several runs go on side by side.
+        command_line: command that started it, kept with the policies.
+        line: line of the terminal for the progress bar, where several runs go side by side.
 
     Raises:
-        ValueError: the folder holds a run with other settings, or the vehicle AI is to learn from
-            a context beside which a driver learns afterwards.
+        ValueError: the folder holds a run with other settings, or a context is given and a driver
+            is to learn with the conditioned vehicle AI afterwards.
     """
-    with joined() as processes, torch.random.fork_rng():
-        if processes.is_first:
-            make_folder(folder)
-        quiet = quiet or not processes.is_first
-        threads = torch.get_num_threads()
-        torch.set_num_threads(settings.threads)
-        try:
-            _Run(settings, folder, processes, context, quiet, command_line).go(line)
-        finally:
-            torch.set_num_threads(threads)
+    with joined() as processes, own_torch_state(settings.threads):
+        shown = {"command_line": command_line, "quiet": quiet, "line": line}
+        _Run(settings, folder, context, processes, **shown).go()
 
 
-class _Run:
+class _Run(Run):
     def __init__(
         self,
         settings: TrainSettings,
         folder: Path,
-        processes: Processes,
         context: Context | None,
-        quiet: bool,
-        command_line: str,
+        processes: Processes,
+        **shown: Any,
     ) -> None:
-        self._settings = settings
-        self._folder = folder
-        self._processes = processes
-        self._context = context
-        self._quiet = quiet
-        self._about = {
+        about = {
             "environment": "merge_v0",
-            "version": hmi_marl.__version__,
             "protocol": type(settings).__name__,
-            "settings": told(settings),
             "processes": processes.count,
             "context": 0 if context is None else context.size,
         }
         if context is not None:
-            self._about[CONTEXT_OF] = context.digest
-        self._typed = command_line
+            about[CONTEXT_OF] = context.digest
+        super().__init__(settings, folder, about, processes, **shown)
+        self._settings = settings
+        self._context = context
         self._device = processes.device(settings.device)
         self._phases = [_in_context(phase, context) for phase in settings.phases()]
+        self.phases = len(self._phases)
         self._learners: dict[str, PPOLearner] = {}
-        self._state = Checkpoint()
-        self._saved_at = time.monotonic()
+        self._restored: Tensors = {}
 
-    def go(self, line: int) -> None:
-        self._claim_folder()
-        phases, state = self._phases, self._state
-        if state.phase == len(phases):
-            return  # all is learned
-        total = sum(self._steps(phase) * self._iterations(phase) for phase in phases)
-        name = self._folder.name
-        board = self._folder / "tensorboard"
-        with Telling(board, name, total, state.steps, self._quiet, line) as telling:
-            while state.phase < len(phases):
-                phase = phases[state.phase]
-                telling.phase(f"{name}: {phase.name}")
-                self._learn(phase, telling)
-                self._save_policies(phase, self._folder)
-                state.phase, state.iteration = state.phase + 1, 0
-                self._save()
-        self._processes.wait()  # until the last checkpoint is there for all
+    def learn(self) -> None:
+        """See :meth:`Run.learn`."""
+        name = self.folder.name
+        total = sum(self._steps(phase) * self._iterations(phase) for phase in self._phases)
+        with self.progress(name, total, self.state.steps) as progress:
+            for phase in self._phases[self.state.phase :]:
+                progress.phase(f"{name}: {phase.name}")
+                self._learn_phase(phase, progress)
+                self._save_policies(phase, self.folder)
+                self.finish_phase()
 
-    def _claim_folder(self) -> None:
-        """Begin a run here, or go on with the one that is here."""
-        path, checkpoint = self._folder / SETTINGS, self._folder / CHECKPOINT
-        if checkpoint.is_file():  # otherwise nothing was learned that could be lost
-            check_same(read_settings(path), self._about, self._folder)
-            self._state = Checkpoint.load(checkpoint)
-        elif self._processes.is_first:
-            write_json(path, self._about | {"command": self._typed})
-        self._processes.wait()
+    def tensors(self) -> Tensors:
+        """See :meth:`Run.tensors`."""
+        return {name: learner.tensors() for name, learner in self._learners.items()}
+
+    def restore(self, tensors: Tensors) -> None:
+        """See :meth:`Run.restore`; a learner is made and restored when its phase begins."""
+        self._restored = tensors
 
     def _iterations(self, phase: Phase) -> int:
-        return phase.iterations(self._settings.num_teams, self._processes.count)
+        return phase.iterations(self._settings.num_teams, self.processes.count)
 
     def _steps(self, phase: Phase) -> int:
-        """In one batch, over all processes."""
-        return self._settings.num_teams * phase.team.horizon * self._processes.count
+        """Steps of one batch, over all processes."""
+        return self._settings.num_teams * phase.team.horizon * self.processes.count
 
-    def _learn(self, phase: Phase, telling: Telling) -> None:
-        state, iterations = self._state, self._iterations(phase)
+    def _learn_phase(self, phase: Phase, progress: Progress) -> None:
+        state, iterations, steps = self.state, self._iterations(phase), self._steps(phase)
         env = self._make_env(phase)
         learner = self._make_learner(phase, env)
         start, end = phase.progress
+        wanted = self._settings.snapshots
         while state.iteration < iterations:
             began = time.monotonic()
             seed = self._seed_batch()
@@ -164,24 +145,16 @@ class _Run:
             row = play_batch(env, learner, seed)
             played = time.monotonic()
             row |= learner.learn(env.get_observations())
-            row = self._processes.mean(row)
-            now = time.monotonic()
-            state.iteration += 1
-            state.steps += self._steps(phase)
-            state.seconds += now - began
-            row["steps_per_second"] = self._steps(phase) / (now - began)
-            row["share_of_time_learning"] = (now - played) / (now - began)
-            row["seconds"] = state.seconds
+            row = self.processes.mean(row)
+            learning = time.monotonic() - played
+            row |= self.count(began, steps)
+            row["share_of_time_learning"] = learning * row["steps_per_second"] / steps
             state.curve.append({"phase": phase.name, "steps": state.steps} | row)
-            telling.batch(row, state.steps, self._steps(phase))
-            wanted = self._settings.snapshots
-            if (
-                state.iteration * wanted // iterations
-                > (state.iteration - 1) * wanted // iterations
-            ):
-                self._save_policies(phase, self._folder / "snapshots" / str(state.steps))
-            if now - self._saved_at > self._settings.checkpoint_every:
-                self._save()
+            progress.advance(steps, row)
+            done = state.iteration
+            if done * wanted // iterations > (done - 1) * wanted // iterations:
+                self._save_policies(phase, self.folder / "snapshots" / str(state.steps))
+            self.save_if_due()
 
     def _make_env(self, phase: Phase) -> TeamVecEnv:
         settings = self._settings
@@ -197,13 +170,13 @@ class _Run:
     def _partner(self, phase: Phase) -> Policy | None:
         if phase.partner is None:
             return None
-        other = OTHER[phase.seat]
+        other = OTHER_SEAT[phase.seat]
         if phase.partner == LEARNED:
-            return load_policy(self._folder, other, phase.team)
+            return load_policy(self.folder, other, phase.team)
         make = make_driver_policy if other == DRIVER else make_hmi
         partner = make(phase.partner, phase.team)
-        if isinstance(partner, LearnedPolicy) and self._processes.is_first:
-            save_policy(self._folder, partner.card, partner.weights)  # so that the run is whole
+        if isinstance(partner, LearnedPolicy) and self.processes.is_first:
+            save_policy(self.folder, partner.card, partner.weights)  # so that the run is complete
         return partner
 
     def _make_learner(self, phase: Phase, env: TeamVecEnv) -> Learner:
@@ -213,11 +186,11 @@ class _Run:
         return TwoLearners(driver, vehicle_ai, IntentShown(env) if phase.sequential else None)
 
     def _learner(self, name: str, cards: tuple[PolicyCard, ...], env: TeamVecEnv) -> PPOLearner:
-        """The learner of this name: as it stands, as it was saved, or a new one."""
+        """Learner of this name: the current one, the restored one, or a new one."""
         if name in self._learners:
             return self._learners[name]
-        settings, state = self._settings, self._state
-        torch.manual_seed(self._draw(Stream.LEARNING, _INITIAL_WEIGHTS[name]))
+        settings = self._settings
+        torch.manual_seed(self.draw(Stream.LEARNING, _INITIAL_WEIGHTS[name]))
         view = SeatView(env, cards, settings.critic == "team", self._context)
         critic = NetworkConfig(settings.network.hidden_dims, settings.network.activation)
         learner = PPOLearner(
@@ -229,56 +202,43 @@ class _Run:
             len(cards),
             settings.ppo,
             self._device,
-            self._processes,
+            self.processes,
         )
-        if name in state.tensors:
-            learner.load(state.tensors[name])
+        if name in self._restored:
+            learner.load(self._restored[name])
         self._learners[name] = learner
         return learner
 
     def _seed_batch(self) -> int:
-        """Seed what this process draws in the next batch; returns the seed of its teams."""
-        batch = 2**32 * self._state.phase + self._state.iteration
-        number = batch * self._processes.count + self._processes.rank
-        torch.manual_seed(self._draw(Stream.LEARNING, len(_INITIAL_WEIGHTS) + number))
-        return self._draw(Stream.TRAINING, number)
-
-    def _draw(self, stream: Stream, counter: int) -> int:
-        return int(mix(self._settings.seed, stream, counter))
+        """Seed torch for this process's next batch and return the seed of its teams."""
+        batch = 2**32 * self.state.phase + self.state.iteration
+        number = batch * self.processes.count + self.processes.rank
+        torch.manual_seed(self.draw(Stream.LEARNING, len(_INITIAL_WEIGHTS) + number))
+        return self.draw(Stream.TRAINING, number)
 
     def _save_policies(self, phase: Phase, folder: Path) -> None:
-        """Write the policies that learn in this phase."""
-        if not self._processes.is_first:
-            self._processes.wait()
+        """Save the policies that learn in this phase."""
+        if not self.processes.is_first:
+            self.processes.wait()
             return
-        training = self._about | {
+        training = self.about | {
             "team": json_value(phase.team),
-            "steps": self._state.steps,
-            "command": self._typed,
+            "steps": self.state.steps,
+            "command": self.command_line,
         }
         for card, weights in self._learned(phase):
             save_policy(folder, replace(card, training=training), weights)
-        self._processes.wait()
+        self.processes.wait()
 
     def _learned(self, phase: Phase) -> Iterable[tuple[PolicyCard, Weights]]:
         if phase.joint:
-            actor = self._learners[TEAM].ppo.actor
+            actor = self._learners[TEAM].actor
             return zip(phase.cards, weights_of_both(actor), strict=True)
-        return [(card, weights_of(self._learners[card.seat].ppo.actor)) for card in phase.cards]
-
-    def _save(self) -> None:
-        """Write a checkpoint, and the curve as far as it reaches."""
-        self._saved_at = time.monotonic()
-        if not self._processes.is_first:
-            return
-        for name, learner in self._learners.items():
-            self._state.tensors[name] = learner.tensors()
-        write_json(self._folder / CURVE, self._state.curve)  # first: a kill in between loses none
-        self._state.save(self._folder / CHECKPOINT)
+        return [(card, weights_of(self._learners[card.seat].actor)) for card in phase.cards]
 
 
 def _in_context(phase: Phase, context: Context | None) -> Phase:
-    """The phase with the vehicle AI conditioned on z, if there is one."""
+    """Return the phase with the vehicle AI conditioned on z, if there is a context."""
     if context is None:
         return phase
     if phase.seat == DRIVER and phase.partner == LEARNED:

@@ -1,4 +1,4 @@
-"""What networks read of an environment's observations."""
+"""Inputs of actors and critics, taken from an environment's observations."""
 
 from __future__ import annotations
 
@@ -12,13 +12,26 @@ from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.vector import TeamVecEnv
 
 
+class View(Protocol):
+    """Function from an environment's observation groups to the groups ``actor`` and ``critic``."""
+
+    def __call__(self, observations: TensorDict) -> TensorDict:
+        """Groups ``actor`` and ``critic``, both of shape (N, columns)."""
+        ...
+
+
+def unchanged(observations: TensorDict) -> TensorDict:
+    """:class:`View` of observations that have the groups ``actor`` and ``critic`` already."""
+    return observations
+
+
 class Context(Protocol):
-    """Gives a vector z for each driver."""
+    """Function from drivers' traits to vectors z."""
 
     size: int
     """Z."""
     digest: str
-    """Tells it from others, whose z mean something else."""
+    """Checksum that distinguishes it from contexts in which z means something else."""
 
     def __call__(self, traits: torch.Tensor) -> torch.Tensor:
         """From traits of shape (N, 4), unscaled, to z of shape (N, Z)."""
@@ -26,12 +39,12 @@ class Context(Protocol):
 
 
 class SeatView:
-    """The actor's and the critic's inputs for one seat, or for both seats of a composite policy.
+    """:class:`View` of one seat, or of both seats of a composite policy.
 
     Args:
-        env: whose observations they are.
-        cards: of the seats whose inputs lie side by side in the actor's.
-        centralised: the critic reads the team's whole state, else what the actor reads.
+        env: environment that gives the observations.
+        cards: cards of the seats, whose inputs are concatenated for the actor.
+        centralised: the critic reads the team's whole state, else the actor's inputs.
         context: gives z, if the policies are conditioned on it.
     """
 
@@ -53,7 +66,7 @@ class SeatView:
         """Columns that the critic reads."""
 
     def __call__(self, observations: TensorDict) -> TensorDict:
-        """Groups ``actor`` and ``critic`` of an environment's groups."""
+        """See :meth:`View.__call__`."""
         read = []
         for seat, columns in self._columns.items():
             read.append(observations[seat].index_select(1, columns))
@@ -66,18 +79,18 @@ class SeatView:
 
 
 class IntentShown:
-    """Shows the vehicle AI the a^H_t that the driver has just chosen, as taking turns does.
+    """Put the a^H_t that the driver has just chosen into observations, as sequential moves do.
 
-    An environment in which both seats act at once shows a^H_{t-1}; nothing else differs.
+    An environment with simultaneous moves shows a^H_{t-1}; nothing else differs.
     """
 
     def __init__(self, env: TeamVecEnv) -> None:
         self._columns = {group: env.layouts[group][INTENT] for group in (VEHICLE_AI, "critic")}
 
     def __call__(self, observations: TensorDict, intents: torch.Tensor) -> TensorDict:
-        """The groups with a^H of shape (N, 1) in the vehicle AI's and the critic's.
+        """Observations with a^H of shape (N, 1) in the vehicle AI's and the critic's groups.
 
-        The other groups are shared with ``observations``, which stay as they are.
+        The other groups are shared with ``observations``, which are not changed.
         """
         one_hot = torch.nn.functional.one_hot(intents.long().squeeze(-1), INTENTS)
         groups = {name: observations[name] for name in observations.keys()}  # noqa: SIM118

@@ -1,1 +1,1 @@
-"""."""
+"""Protocols of training: which policy learns when, with which partner and reward."""

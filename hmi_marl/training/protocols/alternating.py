@@ -1,13 +1,14 @@
-"""Best responses in rounds: the driver learns beside the HMI as it stands, then the HMI."""
+"""Best responses in rounds: the driver learns with the HMI fixed, then the HMI with the driver."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Self
 
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
-from hmi_marl.training.protocols.phase import LEARNED, Phase
-from hmi_marl.training.protocols.settings import TrainSettings, check_count
+from hmi_marl.training.protocols.settings import LEARNED, Budget, Phase, TrainSettings
 
 
 @dataclass(frozen=True)
@@ -18,16 +19,16 @@ class Alternating(TrainSettings):
     """
 
     rounds: int = 4
-    """In the first one the driver has no HMI yet."""
+    """Rounds. In the first one the driver learns without an HMI."""
     driver_steps: int = 12_000_000
     """Environment steps in which the driver learns, over all rounds."""
     hmi_steps: int = 2_000_000
     """Environment steps in which the HMI learns, over all rounds."""
     driver_reward: Sharing = "driving"
-    """What the driver learns from. Beside no HMI, as in the first round, a step of a distracted
-    driver is worth less than nothing to the team, so that "team" teaches them to crash."""
+    """Reward of the driver. Without an HMI, as in the first round, a distracted step gives the team
+    less than 0, so that "team" teaches the driver to crash."""
     hmi_reward: Sharing = "team"
-    """What the HMI learns from."""
+    """Reward of the HMI."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,3 +56,14 @@ class Alternating(TrainSettings):
                     )
                 )
         return tuple(phases)
+
+    @classmethod
+    def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
+        """See :meth:`TrainSettings.for_comparison`."""
+        return cls(
+            rounds=budget.rounds,
+            driver_steps=budget.driver_steps,
+            hmi_steps=budget.hmi_steps,
+            **budget.rewards("driver_reward", "hmi_reward"),
+            **shared,
+        )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Self
 
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
-from hmi_marl.training.protocols.phase import TEAM, Phase
-from hmi_marl.training.protocols.settings import TrainSettings, check_count
+from hmi_marl.training.protocols.settings import TEAM, Budget, Phase, TrainSettings
 
 
 @dataclass(frozen=True)
@@ -20,16 +21,24 @@ class Joint(TrainSettings):
     steps: int = 14_000_000
     """Environment steps."""
     reward: Sharing = "team"
-    """What it learns from."""
+    """Reward of the composite policy: the sum of both agents' rewards where they differ."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_count("steps", self.steps)
         if self.rnn_hidden_dim:
-            raise ValueError("the composite policy has no memory; use another protocol, or 0")
+            raise ValueError(
+                f"rnn_hidden_dim = {self.rnn_hidden_dim}, but the composite policy has no "
+                "recurrent units; set it to 0 or use another protocol"
+            )
 
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""
         team = self.team(self.drivers, self.reward)
         cards = self.card(DRIVER, team), self.card(VEHICLE_AI, team, by_intent=True)
         return (Phase("joint", TEAM, team, self.steps, cards=cards, joint=True),)
+
+    @classmethod
+    def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
+        """See :meth:`TrainSettings.for_comparison`."""
+        return cls(steps=budget.steps, **budget.rewards("reward"), **shared)

@@ -1,155 +1,171 @@
-"""What a training run can be told, in frozen dataclasses that import no torch."""
+"""Settings that all protocols share, and the phases that a protocol is made of; no torch."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, ClassVar, Literal, Self
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import PolicyCard, make_card
-from hmi_marl.envs.config import VEHICLE_AI, TeamConfig, TeamSettings
+from hmi_marl.checks import check_count, check_mini_batches, check_positive
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.envs.rewards import SHARES, Sharing
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.protocols.phase import Phase
+from hmi_marl.training.ppo.settings import PPOSettings
 
 Critic = Literal["team", "own"]
 Condition = Literal["traits", "hidden"]
 
+LEARNED = "learned"
+"""Partner of a phase: the other seat's policy as this run has learned it so far."""
+TEAM = "team"
+"""Seat of a phase in which both policies learn."""
+OTHER_SEAT = {DRIVER: VEHICLE_AI, VEHICLE_AI: DRIVER}
+
 
 @dataclass(frozen=True)
-class PPOSettings:
-    """rsl_rl's PPO.
+class Phase:
+    """One stretch of a training run, in which the same policies learn throughout."""
 
-    Raises:
-        ValueError: a number out of its range, by name.
-    """
+    name: str
+    seat: str
+    """Seat that learns: "driver", "vehicle_ai" or "team"."""
+    team: TeamConfig
+    """Configuration of the teams, their reward included."""
+    steps: int
+    """Environment steps, rounded up to whole batches."""
+    partner: str | None = None
+    """Policy in the other seat: a name in the catalogue, a trained run, or ``LEARNED``."""
+    cards: tuple[PolicyCard, ...] = ()
+    """Cards of the policies that learn."""
+    joint: bool = False
+    """Seat "team": one composite policy learns; otherwise two policies at the same time."""
+    progress: tuple[float, float] = (0.0, 1.0)
+    """Part of its learner's whole schedule that this phase covers."""
 
-    num_learning_epochs: int = 3
-    """Times that each batch is learned from."""
-    num_mini_batches: int = 16
-    """Parts of a batch, a gradient step each."""
-    gamma: float = 0.98
-    """γ per step: 0.98 looks about 10 s ahead."""
-    gae_lambda: float = 0.95
-    """λ of generalised advantage estimation."""
-    learning_rate: float = 1e-3
-    """At the start."""
-    final_learning_rate: float = 2e-5
-    """At the end; in between it falls along a line."""
-    entropy_coef: float = 0.01
-    """Bonus for the policy's entropy at the start."""
-    final_entropy_coef: float = 0.0
-    """The same at the end."""
-    clip_param: float = 0.2
-    """How far an update may move the probability of an action, as a ratio."""
-    max_grad_norm: float = 1.0
-    """Longest gradient."""
-    reward_scale: float = 0.1
-    """Rewards are learned from in this unit, so that values are not in the hundreds."""
+    def iterations(self, num_teams: int, processes: int) -> int:
+        """Batches of one episode of each team in each process."""
+        return math.ceil(self.steps / (num_teams * self.team.horizon * processes))
 
-    def __post_init__(self) -> None:
-        for name in ("num_learning_epochs", "num_mini_batches"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
-        for name in ("gamma", "gae_lambda"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} lies in [0, 1], but got {getattr(self, name)}")
-        for name in (
-            "learning_rate",
-            "final_learning_rate",
-            "clip_param",
-            "max_grad_norm",
-            "reward_scale",
-        ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} is a positive number, but got {value}")
-        for name in ("entropy_coef", "final_entropy_coef"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} is a number of at least 0, but got {value}")
+    @property
+    def sequential(self) -> bool:
+        """Whether the vehicle AI learns to see a^H_t."""
+        return all(card.sequential for card in self.cards)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Environment steps and reward of one training, when protocols are compared."""
+
+    driver_steps: int
+    """Steps in which the driver learns, if the seats learn one after the other."""
+    hmi_steps: int
+    """Steps in which the HMI learns, if the seats learn one after the other."""
+    rounds: int = 1
+    """Rounds of protocols that alternate. Both numbers of steps are multiples of it."""
+    reward: Sharing | None = None
+    """Reward to learn from; None for the protocol's own."""
+
+    @property
+    def steps(self) -> int:
+        """Steps of the whole training."""
+        return self.driver_steps + self.hmi_steps
+
+    def rewards(self, *names: str) -> dict[str, Any]:
+        """The reward as settings of these names; none of them if the protocol has its own."""
+        return {} if self.reward is None else dict.fromkeys(names, self.reward)
 
 
 @dataclass(frozen=True)
 class TrainSettings(TeamSettings):
-    """What every protocol can be told.
+    """Settings that all protocols share. A protocol adds its own and its phases.
 
     Raises:
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
+    variants: ClassVar[Mapping[str, Mapping[str, Any]]] = {"": {}}
+    """Settings with which protocols are compared, by what is added to the protocol's name."""
+
     drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Who drives, drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
+    """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     seed: int = 0
-    """Same seed, same weights (on one machine, with one number of processes)."""
+    """Random seed. The same seed gives the same weights (on one machine, with the same number of
+    processes)."""
     num_teams: int = 512
-    """Teams side by side. A batch is one whole episode of each."""
+    """Teams side by side in each process. A batch is one whole episode of each."""
     condition: Condition = "traits"
-    """What the policies know of the driver: their traits, or nothing ("hidden")."""
+    """Whether the policies observe the driver's traits, or not ("hidden")."""
     critic: Critic = "team"
-    """What values are learned from: the whole team's state, or what the seat itself sees."""
+    """Input of the critics: the state of the whole team, or the seat's own observation."""
     rnn_hidden_dim: int = 0
-    """Units of a recurrent layer in the vehicle AI's network, for hidden attention; 0 for none."""
+    """Recurrent units in the vehicle AI's network, for hidden attention; 0 for none."""
     hmi_reads: tuple[str, ...] = ()
-    """Parts of its observation that the vehicle AI reads; all of them by default."""
+    """Observation parts that the vehicle AI reads; all of them by default."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
-    """Of every policy, and of every critic but for the memory."""
+    """Network of each policy and each critic; critics are never recurrent."""
     ppo: PPOSettings = field(default_factory=PPOSettings)
-    """How the learner learns."""
+    """Settings of PPO."""
     device: str = "auto"
-    """Of the learner: cpu, cuda, or auto, a GPU if there is one. The world stays on the CPU."""
+    """Device of the learner: cpu, cuda, or auto for a GPU if there is one. The world runs on the
+    CPU."""
     threads: int = 1
-    """Of the world and of the learner, in each process. More help little where networks are small;
-    the cores are better used by more processes."""
+    """Threads of the world and of the learner in each process. Small networks gain little from a
+    second one: more processes are the better use of more cores."""
     snapshots: int = 0
-    """How many times in each phase to keep the policies as they stand, in snapshots/STEPS."""
+    """Times in each phase that the policies are saved in snapshots/STEPS."""
     checkpoint_every: float = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", check_seed(self.seed))
-        if self.num_teams < 1:
-            raise ValueError(f"there is at least one team, but got num_teams = {self.num_teams}")
-        if self.threads < 1:
-            raise ValueError(f"there is at least one thread, but got threads = {self.threads}")
-        if self.snapshots < 0:
-            raise ValueError(f"snapshots is a number of times, but got {self.snapshots}")
-        if self.checkpoint_every < 0:
-            raise ValueError(f"checkpoint_every is a time [s], but got {self.checkpoint_every}")
+        check_count("num_teams", self.num_teams)
+        check_count("threads", self.threads)
+        check_count("snapshots", self.snapshots, least=0)
+        check_positive("checkpoint_every", self.checkpoint_every, zero=True)
         if self.network.rnn_hidden_dim:
             raise ValueError(
-                "only the vehicle AI has a memory: set memory, not network.rnn_hidden_dim"
+                "only the vehicle AI is recurrent: set rnn_hidden_dim, not network.rnn_hidden_dim"
             )
         NetworkConfig(rnn_hidden_dim=self.rnn_hidden_dim)  # checks it
-        least = (
-            2 if self.rnn_hidden_dim else 1
-        )  # rsl_rl mixes up the axes of one team with a memory
-        if self.ppo.num_mini_batches * least > self.num_teams:
-            raise ValueError(
-                f"{self.num_teams} teams make no {self.ppo.num_mini_batches} mini-batches of at least "
-                f"{least}; choose more teams or fewer mini-batches"
-            )
+        # rsl_rl mixes up the axes of a single team in a recurrent mini-batch.
+        least = 2 if self.rnn_hidden_dim else 1
+        check_mini_batches(self.ppo.num_mini_batches, self.num_teams, least)
         self.card(VEHICLE_AI, self.team(self.drivers))
 
     def phases(self) -> tuple[Phase, ...]:
-        """What to do, one after the other."""
+        """Phases of the training, in their order."""
         raise NotImplementedError("a protocol lays out its phases")
+
+    @classmethod
+    def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
+        """Settings that use up a budget, to be compared with other protocols.
+
+        Args:
+            budget: steps and reward. The steps of all phases make ``budget.steps``.
+            shared: settings that all protocols have, or one of :attr:`variants`.
+        """
+        raise NotImplementedError("a protocol says how it uses a budget")
+
+    @property
+    def driver_terms(self) -> tuple[str, ...]:
+        """Reward terms that the driver learns from; none if only the HMI learns."""
+        for phase in self.phases():
+            if phase.seat != VEHICLE_AI:
+                driver, vehicle_ai = SHARES[phase.team.reward]
+                both = dict.fromkeys((*driver, *vehicle_ai))  # a composite policy learns from both
+                return tuple(both) if phase.joint else driver
+        return ()
 
     def card(
         self, seat: str, team: TeamConfig, by_intent: bool = False, sequential: bool = True
     ) -> PolicyCard:
-        """The policy that learns in a seat: it reads all it sees but what it is not to know."""
-        network = replace(
-            self.network, rnn_hidden_dim=self.rnn_hidden_dim if seat == VEHICLE_AI else 0
-        )
+        """Card of the policy that learns in a seat, with all inputs that it may read."""
+        units = self.rnn_hidden_dim if seat == VEHICLE_AI else 0
+        network = replace(self.network, rnn_hidden_dim=units)
         knows = self.condition == "traits"
         card = make_card(seat, team, network, knows, by_intent=by_intent, sequential=sequential)
         return card.reading(self.hmi_reads) if self.hmi_reads and seat == VEHICLE_AI else card
-
-
-def check_count(name: str, count: int) -> int:
-    """Return a number of things, or raise if there are none."""
-    if count < 1:
-        raise ValueError(f"{name} is at least 1, but got {count}")
-    return count

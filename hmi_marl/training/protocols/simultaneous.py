@@ -1,13 +1,15 @@
-"""Both policies learn at the same time, each by a PPO of its own."""
+"""Both policies learn at the same time, each by its own PPO."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
-from hmi_marl.training.protocols.phase import TEAM, Phase
-from hmi_marl.training.protocols.settings import TrainSettings, check_count
+from hmi_marl.training.protocols.settings import TEAM, Budget, Phase, TrainSettings
 
 
 @dataclass(frozen=True)
@@ -17,13 +19,15 @@ class Simultaneous(TrainSettings):
     Example: hmi-marl train simultaneous --critic own --no-sequential --out runs/at-once
     """
 
+    variants: ClassVar[Mapping[str, Mapping[str, Any]]] = {"": {}, "-moves": {"sequential": False}}
+
     steps: int = 14_000_000
     """Environment steps."""
     reward: Sharing = "team"
-    """What they learn from."""
+    """Reward of both policies."""
     sequential: bool = True
-    """The driver moves first and the vehicle AI sees a^H_t; if not, both move at the same time and
-    it sees a^H_{t-1}."""
+    """Sequential moves: the driver moves first and the vehicle AI sees a^H_t. Otherwise both move
+    at the same time and the vehicle AI sees a^H_{t-1}."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -36,3 +40,8 @@ class Simultaneous(TrainSettings):
             self.card(seat, team, sequential=self.sequential) for seat in (DRIVER, VEHICLE_AI)
         )
         return (Phase("simultaneous", TEAM, team, self.steps, cards=cards),)
+
+    @classmethod
+    def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
+        """See :meth:`TrainSettings.for_comparison`."""
+        return cls(steps=budget.steps, **budget.rewards("reward"), **shared)

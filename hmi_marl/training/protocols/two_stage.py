@@ -1,13 +1,14 @@
-"""The paper's protocol: first the driver, then, with the driver in the environment, the HMI."""
+"""The paper's protocol: first the driver, then the HMI with that driver in the environment."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Self
 
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
-from hmi_marl.training.protocols.phase import LEARNED, Phase
-from hmi_marl.training.protocols.settings import TrainSettings, check_count
+from hmi_marl.training.protocols.settings import LEARNED, Budget, Phase, TrainSettings
 
 POPULATION = "population"
 
@@ -20,18 +21,18 @@ class TwoStage(TrainSettings):
     """
 
     hmi_for: str = POPULATION
-    """Whom the HMI is trained for: one driver (average makes an AvgHMI), or population, all the
-    drivers, told apart by what the policies know of them."""
+    """Driver that the HMI is trained for: a name (average makes an AvgHMI), or population for all
+    of the drivers, which the policies distinguish by the traits that they observe."""
     driver_steps: int = 12_000_000
     """Environment steps of the first stage."""
     hmi_steps: int = 2_000_000
     """Environment steps of the second stage; 0 for the driver alone."""
     driver_policy: str | None = None
-    """Skip the first stage: a trained run whose driver to take, or rule or random."""
+    """Skip the first stage and use this driver: a trained run, or rule or random."""
     driver_reward: Sharing = "driving"
-    """What the driver learns from. The chain of distraction does not depend on what they do."""
+    """Reward of the driver. Distraction does not depend on what the driver does."""
     hmi_reward: Sharing = "team"
-    """What the HMI learns from."""
+    """Reward of the HMI."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -56,3 +57,8 @@ class TwoStage(TrainSettings):
         driver = (self.card(DRIVER, driving),)
         first = Phase("driver", DRIVER, driving, self.driver_steps, "never", driver)
         return (first, second) if self.hmi_steps else (first,)
+
+    @classmethod
+    def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
+        """See :meth:`TrainSettings.for_comparison`. The rewards are always the paper's."""
+        return cls(driver_steps=budget.driver_steps, hmi_steps=budget.hmi_steps, **shared)

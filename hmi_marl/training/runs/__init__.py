@@ -1,1 +1,1 @@
-"""Training runs in a folder."""
+"""Runs in a folder: claimed, resumed, saved, and several in parallel."""

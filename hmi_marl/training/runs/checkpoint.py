@@ -1,7 +1,7 @@
-"""How far a training run has come: one safetensors file, JSON in its header, written at once.
+"""State of a training run: one safetensors file with JSON in its header, written atomically.
 
-Nothing of the environment is kept: a batch is a whole episode of every team from its start, and
-its seeds, like all that the learner draws, follow from the run's seed and the batch's number.
+The environment's state is not kept: a batch is a whole episode of every team from its start, and
+all random numbers follow from the run's seed and the batch's number.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 
 from hmi_marl.files import write_bytes
-from hmi_marl.training.runs.jobs import CHECKPOINT as CHECKPOINT
 
 OPTIMIZER = "optimizer"
 FORMAT = "hmi-marl checkpoint 1"
@@ -25,23 +24,23 @@ FORMAT = "hmi-marl checkpoint 1"
 
 @dataclass
 class Checkpoint:
-    """Where a run stands."""
+    """State of a run."""
 
     phase: int = 0
-    """The phase that goes on; the number of phases if all is done."""
+    """Index of the current phase; the number of phases if the run is finished."""
     iteration: int = 0
     """Batches learned from in that phase."""
     steps: int = 0
     """Environment steps taken in the whole run, over all processes."""
     seconds: float = 0.0
-    """Spent so far."""
+    """Time spent in the whole run [s]."""
     tensors: dict[str, dict[str, torch.Tensor]] = field(default_factory=dict)
-    """What each learner has learned, by its name."""
+    """Weights and optimizer's state of each learner, by its name."""
     curve: list[dict[str, Any]] = field(default_factory=list)
     """A row for each batch."""
 
     def save(self, path: Path) -> None:
-        """Write it, atomically."""
+        """Write the state, atomically."""
         flat = {
             f"{learner}/{name}": tensor.detach().cpu().contiguous()
             for learner, tensors in self.tensors.items()
@@ -59,10 +58,10 @@ class Checkpoint:
 
     @classmethod
     def load(cls, path: Path) -> Checkpoint:
-        """Read one.
+        """Read a state.
 
         Raises:
-            ValueError: damaged, or not one of ours.
+            ValueError: the file is damaged, or not such a checkpoint.
         """
         try:
             with safe_open(path, "pt") as file:
@@ -83,7 +82,7 @@ class Checkpoint:
 
 
 def flat_moments(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """What an optimiser's state dict holds of each parameter, by flat names."""
+    """Return the moments in an optimizer's state dict by flat names."""
     return {
         f"{OPTIMIZER}.{parameter}.{name}": torch.as_tensor(value)
         for parameter, moments in state["state"].items()
@@ -92,11 +91,11 @@ def flat_moments(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
 
 
 def with_moments(state: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> dict[str, Any]:
-    """An optimiser's state dict with the moments that :func:`flat_moments` told of another.
+    """Return an optimizer's state dict with the moments that :func:`flat_moments` returned.
 
     Args:
-        state: of the optimiser that goes on.
-        tensors: by flat names; those that are not of an optimiser are left alone.
+        state: state dict of the optimizer.
+        tensors: tensors by flat names; those of no optimizer are ignored.
     """
     moments: dict[int, dict[str, torch.Tensor]] = {}
     for full_name, value in tensors.items():

@@ -1,13 +1,12 @@
-"""Several training runs side by side, a process each with one thread.
+"""Several training runs in parallel, each in its own process with one thread.
 
-Small networks gain little from a second thread, so runs side by side are the better use of several
+Small networks gain little from a second thread, so parallel runs are the better use of several
 cores. One thread each also makes the weights independent of how many run at a time.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import current_process, get_context
 from pathlib import Path
@@ -17,12 +16,8 @@ from tqdm import tqdm
 
 from hmi_marl.extras import TRAINING, need
 from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.training.runs.folder import read_curve
 from hmi_marl.workers import pool
-
-CURVE = "curve.json"
-"""In a run's folder: a row for each batch."""
-CHECKPOINT = "checkpoint.safetensors"
-"""In a run's folder: all that it takes to go on."""
 
 
 @dataclass(frozen=True)
@@ -33,22 +28,16 @@ class Job:
     folder: Path
 
     def curve(self) -> list[dict[str, Any]]:
-        """The rows of its learning curve, once it has been trained."""
-        rows: list[dict[str, Any]] = json.loads((self.folder / CURVE).read_text("utf-8"))
-        return rows
-
-
-def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
-    """What each training took in all, however often it was cut off, by its folder's name."""
-    return {run.name: json.loads((run / CURVE).read_text("utf-8"))[-1]["seconds"] for run in runs}
+        """Rows of its learning curve, once it has been trained."""
+        return read_curve(self.folder)
 
 
 def train_all(
     jobs: Sequence[Job], workers: int, command_line: str = "", quiet: bool = False
 ) -> None:
-    """Train every job, ``workers`` of them at a time; finished ones are left alone.
+    """Train every job, ``workers`` of them at a time.
 
-    Jobs must not need each other's results. Runs that were cut off go on.
+    Jobs must not need each other's results. Finished runs are skipped, interrupted ones resumed.
 
     Raises:
         ModuleNotFoundError: torch or rsl_rl is not installed.
@@ -69,13 +58,17 @@ def side_by_side(
 
 
 def own_line() -> int:
-    """The line of the terminal for this worker's progress bar."""
-    place = current_process()._identity
-    return place[-1] - 1 if place else 0
+    """Line of the terminal for this worker's progress bar."""
+    numbers = current_process()._identity
+    return numbers[-1] - 1 if numbers else 0
 
 
 def need_training() -> None:
-    """Raise ``ModuleNotFoundError``, saying what to install, if nothing can be learned here."""
+    """Check that torch and rsl_rl are installed.
+
+    Raises:
+        ModuleNotFoundError: one is not; the message says what to install.
+    """
     need("training", *TRAINING)
 
 

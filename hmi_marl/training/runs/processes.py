@@ -1,4 +1,4 @@
-"""Several processes that learn as one, as torchrun starts them: each with teams of its own."""
+"""Processes started by torchrun that learn together, each with its own teams."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ import torch
 
 @dataclass(frozen=True)
 class Processes:
-    """How many processes learn together, and which of them this is."""
+    """Number of processes that learn together, and the place of this one among them."""
 
     count: int = 1
     rank: int = 0
     local_rank: int = 0
+    """Rank on this machine."""
 
     @property
     def is_first(self) -> bool:
-        """Whether this one writes and tells."""
+        """Whether this process writes files and shows progress."""
         return self.rank == 0
 
     def as_rsl_rl(self) -> dict[str, int] | None:
-        """As rsl_rl's ``multi_gpu_cfg``; None if there is one process."""
+        """Return rsl_rl's ``multi_gpu_cfg``; None for a single process."""
         if self.count == 1:
             return None
         return {
@@ -35,7 +36,7 @@ class Processes:
         }
 
     def device(self, wanted: str) -> str:
-        """The device to learn on: ``auto`` is this process's GPU if there is one.
+        """Return the device to learn on: ``auto`` is this process's GPU if there is one.
 
         Raises:
             ValueError: there is no such device.
@@ -53,12 +54,12 @@ class Processes:
         return wanted
 
     def wait(self) -> None:
-        """Until every process has come here."""
+        """Wait until every process has come here."""
         if self.count > 1:
             torch.distributed.barrier()
 
     def mean(self, values: dict[str, float]) -> dict[str, float]:
-        """The mean of every value over the processes, in each of them."""
+        """Return the mean of every value over the processes, in each of them."""
         if self.count == 1:
             return values
         together = torch.tensor(list(values.values()), dtype=torch.float64)
@@ -66,24 +67,28 @@ class Processes:
         return dict(zip(values, (together / self.count).tolist(), strict=True))
 
 
+ALONE = Processes()
+"""This process alone."""
+
+
 @contextmanager
 def joined() -> Iterator[Processes]:
-    """The processes that torchrun started, connected; else just this one.
+    """Connect the processes that torchrun started, if it did.
 
-    Gradients of a CPU learner go through gloo, those of a GPU through NCCL. Once connected they
-    stay so until they end: to connect again after parting fails at times.
+    Gradients of a CPU learner go through gloo, those of a GPU through NCCL. The processes stay
+    connected until they end, since connecting again can fail.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
-        yield Processes()
+        yield ALONE
         return
     if not torch.distributed.is_initialized():
         torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if _has_nccl() else "gloo")
-        atexit.register(_part)
+        atexit.register(_disconnect)
     yield Processes(count, torch.distributed.get_rank(), int(os.environ["LOCAL_RANK"]))
 
 
-def _part() -> None:
+def _disconnect() -> None:
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
 

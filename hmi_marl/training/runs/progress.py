@@ -1,51 +1,62 @@
-"""Progress for people: a bar on the terminal and curves for TensorBoard."""
+"""Progress of a run: a bar on the terminal and curves for TensorBoard."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
+from typing import Self
 
 from tqdm import tqdm
 
 _LOSSES = ("L1", "L2", "L3", "L4")
-_ON_THE_BAR = ("return", "crash_rate", "alerts", "imitation")
+_ON_THE_BAR = ("return", "crash_rate", "alerts", "imitation", "loss", "held_out_loss")
 _LEARNING = ("value", "surrogate", "entropy", "learning_rate", "imitation", *_LOSSES)
 _SPEED = ("steps_per_second", "share_of_time_learning", "seconds")
+_NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
-class Telling:
-    """Tells how a run goes.
+class Progress:
+    """Show the progress of a run.
 
     Args:
-        folder: for TensorBoard's files.
-        name: of the run.
-        total: environment steps of the whole run.
-        done: steps taken before; what TensorBoard's files say of later ones is dropped.
-        quiet: tell nothing.
-        line: of the terminal, counted from this one, for the bar.
+        name: name of the run.
+        total: steps of the whole run.
+        done: steps taken before; TensorBoard's points beyond them are dropped.
+        unit: name of the steps.
+        quiet: show nothing.
+        line: line of the terminal for the bar, counted from the current one.
+        board: folder for TensorBoard's files; None for none.
     """
 
     def __init__(
-        self, folder: Path, name: str, total: int, done: int, quiet: bool, line: int = 0
+        self,
+        name: str,
+        total: int,
+        done: int = 0,
+        unit: str = "steps",
+        quiet: bool = False,
+        line: int = 0,
+        board: Path | None = None,
     ) -> None:
         self._writer = None
+        self._done = done
         self._bar = tqdm(
             total=total,
             initial=done,
             desc=name,
-            unit=" steps",
-            unit_scale=True,
+            unit=f" {unit}",
+            unit_scale=unit == "steps",  # there are millions
             disable=quiet,
             position=line,
             smoothing=0.05,
         )
-        if not quiet:
+        if board is not None and not quiet:
             from torch.utils.tensorboard.writer import SummaryWriter  # takes a second
 
-            self._writer = SummaryWriter(str(folder), purge_step=done + 1)
+            self._writer = SummaryWriter(str(board), purge_step=done + 1)
 
-    def __enter__(self) -> Telling:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -59,16 +70,19 @@ class Telling:
             self._writer.close()
 
     def phase(self, name: str) -> None:
-        """A phase begins."""
+        """Show the name of what is done now."""
         self._bar.set_description(name)
 
-    def batch(self, row: Mapping[str, float], steps: int, taken: int) -> None:
-        """A batch of ``taken`` steps has been learned from, ``steps`` in all."""
-        self._bar.update(taken)
+    def advance(self, count: int = 1, row: Mapping[str, float] = _NOTHING) -> None:
+        """Show ``count`` more steps, and a row of the curve if there is one."""
+        self._done += count
+        self._bar.update(count)
+        if not row:
+            return
         self._bar.set_postfix({name: f"{row[name]:.4g}" for name in _ON_THE_BAR if name in row})
         if self._writer is None:
             return
         for name, value in row.items():
             group = "learning" if name.endswith(_LEARNING) else "episode"
             group = "speed" if name in _SPEED else group
-            self._writer.add_scalar(f"{group}/{name}", value, steps)
+            self._writer.add_scalar(f"{group}/{name}", value, self._done)

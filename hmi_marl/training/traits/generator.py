@@ -1,4 +1,4 @@
-"""The generator: the trait-conditioned policy learns to drive for the reward, by PPO."""
+"""The generator: the trait-conditioned policy, which learns from the learned reward by PPO."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.training.ppo.learner import PPOLearner
+from hmi_marl.training.ppo.views import unchanged
 from hmi_marl.training.runs.processes import Processes
 from hmi_marl.training.traits.model import log_likelihood, make_policy, make_value
 from hmi_marl.training.traits.pools import Batch, Units
@@ -19,15 +20,15 @@ from hmi_marl.training.traits.settings import TraitSettings
 
 
 class Generator:
-    """π(a | s, z), and how it learns.
+    """The policy π(a | s, z) with its driving and its PPO.
 
     Args:
-        card: of the model.
-        settings: how many drive, and the PPO.
-        config: of the teams that gave the demonstrations.
-        alert_rate: how often an alert sounds.
-        units: of the states.
-        device: where it learns.
+        card: card of the trait model.
+        settings: number of cars, and settings of PPO.
+        config: configuration of the teams that gave the demonstrations.
+        alert_rate: share of steps with an alert.
+        units: units of the states.
+        device: device to learn on.
     """
 
     def __init__(
@@ -47,7 +48,7 @@ class Generator:
         self.learner = PPOLearner(
             make_policy(card),
             make_value(card),
-            lambda seen: seen,  # type: ignore[arg-type]  # both read it as it is
+            unchanged,
             sample,
             config.horizon - 1,  # the last step has no next situation, so no f
             1,
@@ -60,7 +61,7 @@ class Generator:
     @property
     def policy(self) -> MLPModel:
         """π(a | s, z)."""
-        return self.learner.ppo.actor
+        return self.learner.actor
 
     @property
     def horizon(self) -> int:
@@ -68,14 +69,19 @@ class Generator:
         return self._config.horizon
 
     def begin(self, progress: float) -> None:
-        """Begin a round; ``progress`` in [0, 1] is how much has been learned."""
+        """Begin a round at ``progress`` in [0, 1] of the schedules."""
         self.learner.begin(progress)
 
     def drive(self, z: torch.Tensor, seeds: NDArray[np.uint64]) -> tuple[Drives, Batch]:
-        """One window each, recorded for learning: pool k of the cars drives with z k, (P, Z)."""
+        """Drive one window with each car and record it for learning.
+
+        Args:
+            z: latent vectors of the pools of cars, shape (P, Z).
+            seeds: seeds of the cars' episodes, shape (N,).
+        """
         cars = z.repeat_interleave(self._settings.pool, dim=0)
         learner, step = self.learner, 0
-        learner.ppo.storage.clear()
+        learner.discard()
         nothing = torch.zeros(len(cars), device=self._device)
 
         def act(x: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -108,22 +114,20 @@ class Generator:
         )
 
     def learn(self, batch: Batch, z: torch.Tensor, f: torch.Tensor) -> dict[str, float]:
-        """Learn from what was just driven, for f − log π in each step.
+        """Learn from the windows just driven, with the reward f − log π in each step.
 
         That is log D − log(1 − D): the maximum-entropy objective of the paper's equation 1.
 
         Args:
-            batch: as :meth:`drive` gave it.
-            z: shape (P, Z).
-            f: of each step but the last, shape (P, n, T - 1).
+            batch: batch that :meth:`drive` returned.
+            z: latent vectors of its pools, shape (P, Z).
+            f: learned reward of each step but the last, shape (P, n, T - 1).
         """
-        storage = self.learner.ppo.storage
         with torch.no_grad():
             log_pi = log_likelihood(self.policy, batch, z).reshape(batch.actions.shape)[:, :, :-1]
-        rewards = (f - log_pi).reshape(-1, f.shape[2]) * self._settings.ppo.reward_scale
-        storage.rewards.copy_(rewards.T[..., None])
-        losses = self.learner.learn(self._seen)
-        return losses | {"return": float((f - log_pi).sum(dim=2).mean())}
+        rewards = f - log_pi
+        losses = self.learner.learn(self._seen, rewards.reshape(-1, f.shape[2]).T)
+        return losses | {"return": float(rewards.sum(dim=2).mean())}
 
 
 def _observations(inputs: torch.Tensor) -> TensorDict:

@@ -1,8 +1,8 @@
-"""Which windows are labelled, and how: by who drives, or by how they like help.
+"""Labels of windows: the driver, or the driver's preference for help.
 
-A label is all that a supervised setting is told beyond what was observed. Of a simulated driver
-the preference is η, how far they let an alert influence them: the answer to a question that people
-could be asked. No other trait is looked at, and η only of labelled windows.
+Labels are the only input of a supervised setting besides the observed driving. The preference of a
+simulated driver is η, the influence of alerts: the answer to a question that people could be asked.
+No other trait is read, and η only for labelled windows.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ def choose_labelled(
     """Mark a share of every known driver's windows, at least one, drawn by ``rng``.
 
     Args:
-        driver: of each window, shape (E,); -1 if not known.
-        share: in (0, 1].
-        rng: to draw by.
+        driver: driver of each window, shape (E,); -1 if not known.
+        share: share of the windows, in (0, 1].
+        rng: random generator.
     """
     marked = np.zeros(len(driver), np.bool_)
-    for who in np.unique(driver[driver != NOBODY]):
-        theirs = np.flatnonzero(driver == who)
-        marked[rng.permutation(theirs)[: max(1, round(share * len(theirs)))]] = True
+    for number in np.unique(driver[driver != NOBODY]):
+        windows = np.flatnonzero(driver == number)
+        marked[rng.permutation(windows)[: max(1, round(share * len(windows)))]] = True
     return marked
 
 
@@ -43,18 +43,17 @@ def make_labels(
     rng: np.random.Generator,
     preferences: Mapping[str, float] | None = None,
 ) -> NDArray[np.float64]:
-    """Labels of all windows, shape (E,), NaN where there is none.
+    """Return labels of all windows, shape (E,), NaN where there is none.
 
     Args:
         demonstrations: the windows.
         supervision: "none", "id" or "preference".
-        share: of each driver's windows that is labelled.
-        rng: draws which.
-        preferences: what people answered, by their names, in [0, 1]; of simulated drivers not
-            needed.
+        share: share of each driver's windows that is labelled.
+        rng: random generator that chooses them.
+        preferences: people's answers by name, in [0, 1]; not needed for simulated drivers.
 
     Raises:
-        ValueError: preferences that are not known, or out of [0, 1]; or all labels are the same.
+        ValueError: a preference is missing or outside [0, 1], or all labels are the same.
     """
     observed = demonstrations.observed
     marked = choose_labelled(observed.driver, share, rng)
@@ -76,36 +75,37 @@ def _preferences(
     if answers is None:
         if demonstrations.truth is None:
             raise ValueError(
-                "nobody knows how these drivers like help: there is no truth beside the "
-                "demonstrations; give their answers with --preferences FILE"
+                "the preferences of these drivers are unknown, since the demonstrations have no "
+                "truth; give the drivers' answers with --preferences FILE"
             )
         return demonstrations.truth.traits[marked, TRAIT_NAMES.index("eta")]
     observed = demonstrations.observed
-    asked = [observed.names[who] for who in observed.driver[marked]]
+    asked = [observed.names[number] for number in observed.driver[marked]]
     missing = sorted(set(asked) - set(answers))
     if missing:
-        raise ValueError(f"the preferences say nothing of {', '.join(missing)}")
+        raise ValueError(f"the preferences lack {', '.join(missing)}; add them to the file")
     values = np.array([float(answers[name]) for name in asked])
-    if not ((values >= 0) & (values <= 1)).all():
-        raise ValueError("a preference for help lies in [0, 1]")
+    inside = (values >= 0) & (values <= 1)
+    if not inside.all():
+        raise ValueError(f"a preference lies in [0, 1], but got {values[~inside][0]:g}")
     return values
 
 
 def read_preferences(path: Path) -> dict[str, float]:
-    """What people answered, from a JSON file {"name": number in [0, 1], ...}.
+    """Read people's answers from a JSON file {"name": number in [0, 1], ...}.
 
     Raises:
-        FileNotFoundError: no such file.
-        ValueError: it holds something else.
+        FileNotFoundError: there is no such file.
+        ValueError: the file contains something else.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is no JSON file: {error}") from None
+        raise ValueError(f"{path} is not a JSON file: {error}") from None
     numbers = isinstance(content, dict) and all(
         isinstance(value, (int, float)) and not isinstance(value, bool)
         for value in content.values()
     )
     if not numbers:
-        raise ValueError(f'{path} is to hold {{"name": number in [0, 1], ...}}')
+        raise ValueError(f'{path} does not contain {{"name": number in [0, 1], ...}}')
     return {str(name): float(value) for name, value in content.items()}

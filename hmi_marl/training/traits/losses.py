@@ -7,7 +7,7 @@ what the policy does, :math:`L_3` brings latent variables of one label together 
 .. math::
     L = L_1 + 5 L_2 + 10 L_3 + 10^{-4} L_4
 
-Every function gives a scalar: a mean over transitions, vectors or pairs, so that a loss does not
+Every function returns a scalar, a mean over transitions, vectors or pairs, so that a loss does not
 grow with the batch.
 """
 
@@ -20,9 +20,9 @@ from torch.nn.functional import softplus
 
 
 def log_discriminator(reward: torch.Tensor, log_policy: torch.Tensor) -> torch.Tensor:
-    r"""Log D of the adversarial IRL form :math:`D = e^f / (e^f + π)`.
+    r"""Return log D of the adversarial IRL form :math:`D = e^f / (e^f + π)`.
 
-    At the optimum :math:`f = \log π_E`, so D = 1/2 wherever the policy does as the experts do.
+    At the optimum :math:`f = \log π_E`, so D = 1/2 wherever the policy acts like the experts.
 
     Args:
         reward: f(s, a, s', z), any shape.
@@ -37,13 +37,13 @@ def adversarial_loss(
     policy_reward: torch.Tensor,
     policy_log_policy: torch.Tensor,
 ) -> torch.Tensor:
-    r"""L1 as adversarial IRL estimates it: the cross-entropy of telling experts from the policy.
+    r"""Return L1: the cross-entropy of classifying transitions as the experts' or the policy's.
 
     .. math::
         L_1 = -E_{π_E}[\log D] - E_π[\log(1 - D)]
 
-    With D at its optimum this is a constant minus twice the Jensen-Shannon divergence between the
-    two ways to drive, which the generator then lowers; f and π appear through D alone.
+    With an optimal D this is a constant minus twice the Jensen-Shannon divergence between the two
+    distributions of transitions, which the generator then lowers; f and π enter through D alone.
 
     Args:
         expert_reward: f on demonstrated transitions, shape (A,).
@@ -59,24 +59,24 @@ def adversarial_loss(
 def information_loss(
     z: torch.Tensor, mean: torch.Tensor, log_variance: torch.Tensor
 ) -> torch.Tensor:
-    r"""L2, minus the variational lower bound on I(z; τ) without its constant H(z).
+    r"""Return L2, minus the variational lower bound on I(z; τ) without its constant H(z).
 
     .. math::
         -I(z; τ) \le -E_{z \sim p, τ \sim π(\cdot|z)}[\log q(z | τ)] - H(z)
 
     Args:
-        z: that the policy was given, shape (P, Z).
-        mean: of q(z | τ) for what it then drove, shape (P, Z).
-        log_variance: of the same, shape (P, Z).
+        z: latent vectors given to the policy, shape (P, Z).
+        mean: mean of q(z | τ) for the resulting driving, shape (P, Z).
+        log_variance: log variance of the same, shape (P, Z).
     """
     squares = (z - mean) ** 2 / log_variance.exp()
     return 0.5 * (squares + log_variance + math.log(2 * math.pi)).sum(dim=1).mean()
 
 
 def contrastive_loss(
-    z: torch.Tensor, labels: torch.Tensor, margin: float, softness: float = 0.0
+    z: torch.Tensor, labels: torch.Tensor, margin: float, bandwidth: float = 0.0
 ) -> torch.Tensor:
-    r"""L3: latent variables of one label come together, others move ``margin`` apart.
+    r"""Return L3: latent vectors of one label attract, others repel up to a distance ``margin``.
 
     .. math::
         L_3 = E_{k \ne l}[w_{kl} \|z_k - z_l\|^2 + (1 - w_{kl}) \max(0, ε - \|z_k - z_l\|)^2]
@@ -85,10 +85,10 @@ def contrastive_loss(
     :math:`w_{kl} = \exp(-(y_k - y_l)^2 / 2 s^2)`.
 
     Args:
-        z: shape (P, Z).
+        z: latent vectors, shape (P, Z).
         labels: y, shape (P,).
         margin: ε.
-        softness: s, in units of the labels; 0 for the plain indicator.
+        bandwidth: s, in units of the labels; 0 for the indicator.
 
     Returns:
         The mean over ordered pairs; 0 if there are fewer than two vectors.
@@ -99,26 +99,26 @@ def contrastive_loss(
     first, second = torch.triu_indices(count, count, offset=1, device=z.device)
     squared = ((z[first] - z[second]) ** 2).sum(dim=1)
     apart = (labels[first] - labels[second]).to(z.dtype)
-    same = torch.exp(-0.5 * (apart / softness) ** 2) if softness else (apart == 0).to(z.dtype)
-    # The root's slope at 0 is infinite, but a pair that lies in one point has none.
+    same = torch.exp(-0.5 * (apart / bandwidth) ** 2) if bandwidth else (apart == 0).to(z.dtype)
+    # The root's slope is infinite at 0, where equal vectors should have no gradient.
     distance = torch.sqrt(squared.clamp_min(1e-12))
     return (same * squared + (1 - same) * (margin - distance).clamp_min(0.0) ** 2).mean()
 
 
 def cohesion_loss(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
-    r"""The part of L3 that needs no labels: pairs of pools of one driver, whoever that is.
+    r"""Return the part of L3 that needs no labels: pools of one driver attract each other.
 
     .. math::
         E_k[\|z_k - z'_k\|^2]
 
     Args:
-        first, second: latent variables of the same drivers, both of shape (P, Z).
+        first, second: latent vectors of the same drivers, both of shape (P, Z).
     """
     return ((first - second) ** 2).sum(dim=1).mean()
 
 
 def regularisation_loss(mean: torch.Tensor, log_variance: torch.Tensor) -> torch.Tensor:
-    r"""L4: the Kullback-Leibler divergence of q(z | τ) from the unit Gaussian.
+    r"""Return L4: the Kullback-Leibler divergence of q(z | τ) from the unit Gaussian.
 
     .. math::
         L_4 = E_τ[\tfrac12 \sum_j (σ_j^2 + μ_j^2 - 1 - \log σ_j^2)]

@@ -1,4 +1,4 @@
-"""The latent trait model in torch, as it learns; :mod:`hmi_marl.agents.learned.trait_model` is its use."""
+"""The latent trait model in torch. :mod:`hmi_marl.agents.learned.trait_model` applies it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from hmi_marl.training.ppo.models import GROUPS, array_of, layers_of, make_criti
 from hmi_marl.training.traits.pools import Batch, Units
 
 FIRST_LOG_VARIANCE = -3.0
-"""Of z at the start, when its means are random: small enough that z says something of them."""
+"""Initial log variance of z: small enough that z depends on its mean, which is random then."""
 FORGET_BIAS = 2.0
-"""Added to the memory's forget gate at the start: evidence is to add up over a whole window."""
+"""Added to the initial bias of the forget gate, so that evidence adds up over a whole window."""
 SMALLEST_SPREAD = 1e-5
-"""Added to the spread of the encoder's means, which may all be one."""
+"""Added to the standard deviation of the encoder's means, which may all be equal."""
 SMALLEST_UNIT = 0.05
-"""Of an input: what hardly ever happens is not blown up beyond this."""
+"""Least scale of an input, so that rare events are not blown up."""
 FORGETTING = 0.05
-"""Share of the present batch in the running averages of the encoder's units."""
+"""Weight of the current batch in the running averages of the encoder's units."""
 
 
 class Posterior(NamedTuple):
@@ -40,16 +40,16 @@ class Posterior(NamedTuple):
     """Shape (P, Z)."""
 
     def sample(self) -> torch.Tensor:
-        """z, drawn so that gradients pass, shape (P, Z)."""
+        """Draw z by reparametrisation, so that gradients pass; shape (P, Z)."""
         return self.mean + torch.randn_like(self.mean) * (0.5 * self.log_variance).exp()
 
 
 class ContextEncoder(torch.nn.Module):
-    """q(z | τ): a long short-term memory over windows, an average over a pool, two linear heads.
+    """q(z | τ): an LSTM over windows, an average over a pool, two linear heads.
 
-    Means are in units of their own spread over the demonstrations, as running averages know it
-    (:meth:`units`). The bound behind L2 holds for a z whose entropy stays as it is; without
-    a fixed scale all z shrink into one point, where any z is easily told.
+    Means are standardised by running averages over the demonstrations (:meth:`units`). The bound
+    behind L2 holds for a z of constant entropy; without a fixed scale all z would shrink into one
+    point, where L2 is low for any z.
     """
 
     def __init__(self, card: TraitCard) -> None:
@@ -72,19 +72,19 @@ class ContextEncoder(torch.nn.Module):
         self.scale: torch.Tensor
 
     def forward(self, x: torch.Tensor, actions: torch.Tensor, length: torch.Tensor) -> Posterior:
-        """The posterior of P pools of n windows; arguments as for :meth:`read`."""
+        """Return the posterior of P pools of n windows; arguments as for :meth:`read`."""
         return self.posterior(self.read(x, actions, length), self.centre, self.scale)
 
     @staticmethod
     def inputs(x: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """As :func:`hmi_marl.agents.learned.trait_model.encoder_inputs`, for any leading axes."""
+        """Do :func:`hmi_marl.agents.learned.trait_model.encoder_inputs` for any leading axes."""
         done = one_hot(actions.clamp_min(0), ACTIONS).to(x.dtype)
         before, since = x[..., -EXTRA : ACTIONS - EXTRA], x[..., ACTIONS - EXTRA :]
         repeated = (before * done).sum(dim=-1, keepdim=True)
         return torch.cat([x, done, repeated * since], dim=-1)
 
     def standardise_by(self, batch: Batch) -> None:
-        """Take the inputs' units from a batch, so that rare events weigh as much as others."""
+        """Take the inputs' units from a batch, so that rare events count as much as others."""
         with torch.no_grad():
             steps = torch.arange(batch.situations.shape[2], device=batch.length.device)
             there = steps < batch.length[..., None]
@@ -93,7 +93,7 @@ class ContextEncoder(torch.nn.Module):
             self.input_scale.copy_(read.std(dim=0).clamp_min(SMALLEST_UNIT))
 
     def read(self, x: torch.Tensor, actions: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
-        """The hidden states at the end of P pools of n windows, averaged over each pool: (P, H).
+        """Return the final hidden states of P pools of n windows, averaged over each pool: (P, H).
 
         Args:
             x: situations, shape (P, n, T, D).
@@ -109,11 +109,11 @@ class ContextEncoder(torch.nn.Module):
     def posterior(
         self, hidden: torch.Tensor, centre: torch.Tensor, scale: torch.Tensor
     ) -> Posterior:
-        """The posterior from averaged hidden states (P, H), in units that :meth:`units` gave."""
+        """Return the posterior of averaged hidden states (P, H), in units of :meth:`units`."""
         return Posterior((self.mean(hidden) - centre) / scale, self.log_variance(hidden))
 
     def units(self, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean and spread of the unscaled means of a batch; running averages take them up."""
+        """Return centre and scale of a batch's raw means, and update their running averages."""
         raw = self.mean(hidden)
         centre, scale = raw.mean(dim=0), raw.std(dim=0) + SMALLEST_SPREAD
         with torch.no_grad():
@@ -122,7 +122,7 @@ class ContextEncoder(torch.nn.Module):
         return centre, scale
 
     def folded(self) -> dict[str, torch.Tensor]:
-        """Its weights with the units of inputs and means folded in, as NumPy takes them."""
+        """Return the weights with the units of inputs and means folded in, for NumPy."""
         memory = self.memory.get_parameter
         from_inputs = memory("weight_ih_l0") / self.input_scale
         return {
@@ -149,7 +149,7 @@ class Reward(torch.nn.Module):
     def forward(
         self, x: torch.Tensor, actions: torch.Tensor, after: torch.Tensor, z: torch.Tensor
     ) -> torch.Tensor:
-        """The reward of transitions from situations x (B, D) by v_t (B,) to x' (B, D), z (B, Z)."""
+        """Return f of transitions from situations x (B, D) by v_t (B,) to x' (B, D), z (B, Z)."""
         done = one_hot(actions, ACTIONS).to(x.dtype)
         base = self.reward(torch.cat([x, done, z], dim=-1))
         shaping = self._gamma * self.potential(torch.cat([after, z], dim=-1))
@@ -157,11 +157,11 @@ class Reward(torch.nn.Module):
 
 
 class Discriminator(torch.nn.Module):
-    """What learns together: the context encoder and the reward.
+    """The context encoder and the reward, which learn together.
 
-    ``width``, shape (Z,), is the log-variance with which L2 reads z off the policy's driving. The
-    bound holds for any; one of its own keeps the encoder's doubt about people apart from how
-    strangely a policy drives that has not learned yet, which else drowns z in noise.
+    ``width``, shape (Z,), is the log variance with which L2 estimates z from the policy's driving.
+    The bound holds for any. A separate one keeps the encoder's uncertainty about people apart from
+    that about an untrained policy, which would drown z in noise.
     """
 
     def __init__(self, card: TraitCard) -> None:
@@ -172,7 +172,7 @@ class Discriminator(torch.nn.Module):
 
 
 def make_policy(card: TraitCard) -> MLPModel:
-    """π(a | s, z), which reads a situation and z side by side."""
+    """Return π(a | s, z), with a situation and z as inputs."""
     template = TensorDict({"actor": torch.zeros(1, card.inputs("policy"))}, batch_size=[1])
     head = {"class_name": OneAction, "choices": ACTIONS}
     sizes = (template, GROUPS, "actor", 1, card.policy.hidden_dims, card.policy.activation)
@@ -180,18 +180,18 @@ def make_policy(card: TraitCard) -> MLPModel:
 
 
 def make_value(card: TraitCard) -> MLPModel:
-    """V(s, z) for the generator."""
+    """Return V(s, z) for the generator."""
     return make_critic(card.inputs("policy"), NetworkConfig((64, 64)))
 
 
 def log_policy(policy: MLPModel, x: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
-    """Log π(a | s, z) of every action, shape (..., 5)."""
+    """Return log π(a | s, z) of every action, shape (..., 5)."""
     logits: torch.Tensor = policy.mlp(torch.cat([x, z], dim=-1))
     return torch.log_softmax(logits, dim=-1)
 
 
 def log_likelihood(policy: MLPModel, batch: Batch, z: torch.Tensor) -> torch.Tensor:
-    """Log π(v_t | s_t, z) of every step that there was, in a batch whose pools have z (P, Z)."""
+    """Return log π(v_t | s_t, z) of every real step of a batch, given z of its pools, (P, Z)."""
     x, actions = batch.situations, batch.actions
     there = torch.arange(x.shape[2], device=x.device) < batch.length[..., None]
     every = log_policy(policy, x, z[:, None, None].expand(*x.shape[:3], -1))
@@ -201,7 +201,7 @@ def log_likelihood(policy: MLPModel, batch: Batch, z: torch.Tensor) -> torch.Ten
 def weights_of_model(
     discriminator: Discriminator, policy: MLPModel, units: Units
 ) -> dict[str, NDArray[np.float32]]:
-    """All weights, by the names of :attr:`TraitCard.shapes`."""
+    """Return all weights by the names of :attr:`TraitCard.shapes`."""
     encoder = discriminator.encoder
     weights = {"state.centre": units.centre, "state.scale": units.scale}
     weights |= {name: array_of(values) for name, values in encoder.folded().items()}

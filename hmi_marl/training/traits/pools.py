@@ -1,4 +1,4 @@
-"""Windows of driving, and pools of them that are one driver's: what the trait model learns from."""
+"""Windows of driving, and pools of windows of one driver, for learning the trait model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SMALLEST_SPREAD = 1e-6
 
 
 class Batch(NamedTuple):
-    """P pools of n windows, T steps long at most."""
+    """P pools of n windows of at most T steps."""
 
     situations: torch.Tensor
     """Shape (P, n, T, D)."""
@@ -36,11 +36,11 @@ class Transitions(NamedTuple):
     after: torch.Tensor
     """Shape (B, D)."""
     pool: torch.Tensor
-    """Which pool each is from, shape (B,)."""
+    """Pool of each transition, shape (B,)."""
 
 
 def transitions(batch: Batch) -> Transitions:
-    """All steps of a batch that another step follows."""
+    """Return all transitions of a batch: the steps that another step follows."""
     pools, windows, steps, _ = batch.situations.shape
     later = torch.arange(1, steps, device=batch.length.device) < batch.length[..., None]
     pool = torch.arange(pools, device=batch.length.device)[:, None, None]
@@ -54,35 +54,36 @@ def transitions(batch: Batch) -> Transitions:
 
 
 class Units(NamedTuple):
-    """What observed states are measured in, by the model: both of shape (D,)."""
+    """Units of the observed states in the model: both of shape (D,)."""
 
     centre: NDArray[np.float32]
     scale: NDArray[np.float32]
 
     @classmethod
     def of(cls, observed: Observed) -> Units:
-        """Mean and standard deviation over all steps; columns that never change keep their unit."""
+        """Take mean and standard deviation over all steps; constant columns keep their scale."""
         states = observed.states[observed.steps_taken].astype(np.float64)
         spread = states.std(axis=0)
         scale = np.where(spread > SMALLEST_SPREAD, spread, 1.0)
         return cls(states.mean(axis=0).astype(np.float32), scale.astype(np.float32))
 
     def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Situations in these units."""
+        """Return situations in these units."""
         return standardise(x, self.centre, self.scale)
 
 
 class Windows:
-    """Demonstrations, ready to draw pools of. Every episode is a window.
+    """Demonstrations from which pools are drawn. Every episode is a window.
 
     Args:
-        observed: the demonstrations. Windows whose driver is not known are never drawn, since they
+        observed: the demonstrations. Windows of an unknown driver are never drawn, since they
             cannot be pooled.
-        labels: of the windows, shape (E,), NaN where there is none.
-        units: of the states.
+        labels: labels of the windows, shape (E,), NaN where there is none.
+        units: units of the states.
 
     Raises:
-        ValueError: nobody is known by name, or labels of another shape, or a driver with several.
+        ValueError: no driver is known, or the labels' shape is wrong, or a driver has several
+            labels.
     """
 
     def __init__(self, observed: Observed, labels: NDArray[np.float64], units: Units) -> None:
@@ -92,38 +93,40 @@ class Windows:
         if not self._known.any():
             raise ValueError("no window's driver is known, so none can be pooled with another")
         if observed.length.max() < 2:
-            raise ValueError("windows of a single step lead nowhere; record longer ones")
-        for who in np.unique(observed.driver[self._known]):
-            theirs = labels[observed.driver == who]
-            if len(np.unique(theirs[~np.isnan(theirs)])) > 1:
-                raise ValueError(f"windows of {observed.names[who]} have different labels")
+            raise ValueError(
+                "all windows have a single step, so there are no transitions; record longer ones"
+            )
+        for number in np.unique(observed.driver[self._known]):
+            given = labels[observed.driver == number]
+            if len(np.unique(given[~np.isnan(given)])) > 1:
+                raise ValueError(f"windows of {observed.names[number]} have different labels")
         self._observed, self._labels = observed, labels
         x = situations(observed.states, observed.actions, observed.alerts)
         self._situations = units.standardise(x)
 
     def draw(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
-        """``count`` pools of ``size`` windows, each of one driver: indices (count, size)."""
+        """Draw ``count`` pools of ``size`` windows, each of one driver: indices (count, size)."""
         return draw_pools(rng, self._observed.driver, self._known, count, size)
 
     def draw_pairs(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
-        """The same for an even ``count``, where pools 2k and 2k + 1 are of the same driver.
+        """Draw an even ``count`` of pools, where pools 2k and 2k + 1 are of the same driver.
 
         The two share no window, unless their driver has fewer than ``2 size`` of them.
 
         Raises:
-            ValueError: an odd ``count``.
+            ValueError: ``count`` is odd.
         """
         if count % 2:
-            raise ValueError(f"pairs make an even number of pools, not {count}")
+            raise ValueError(f"count is an even number of pools, but got {count}")
         return self.draw(rng, count // 2, 2 * size).reshape(count, size)
 
     def draw_labelled(
         self, rng: np.random.Generator, count: int, size: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Pools of labelled windows, (count, size), and their labels, (count,).
+        """Draw pools of labelled windows, (count, size), with their labels, (count,).
 
         Raises:
-            ValueError: there is no label to draw by.
+            ValueError: no window has a label.
         """
         labelled = self._known & ~np.isnan(self._labels)
         if not labelled.any():
@@ -132,7 +135,7 @@ class Windows:
         return which, self._labels[which[:, 0]]
 
     def batch(self, which: NDArray[np.int64], device: str = "cpu") -> Batch:
-        """The windows of these indices, (P, n)."""
+        """Return the windows of these indices, (P, n)."""
         return Batch(
             torch.from_numpy(self._situations[which]).to(device),
             torch.from_numpy(self._observed.actions[which]).to(device),
@@ -147,23 +150,22 @@ def draw_pools(
     count: int,
     size: int,
 ) -> NDArray[np.int64]:
-    """Pools of windows of one driver each, drivers being equally likely.
+    """Draw pools of windows of one driver each, with all drivers equally likely.
 
-    No window stands twice in a pool, unless its driver has fewer than ``size`` of them.
+    No window is drawn twice for a pool, unless its driver has fewer than ``size`` of them.
 
     Args:
-        rng: to draw by.
-        driver: of each window, shape (E,).
+        rng: random generator.
+        driver: driver of each window, shape (E,).
         among: windows to draw from, shape (E,).
-        count, size: of the pools.
+        count: number of pools.
+        size: windows in each.
 
     Returns:
         Indices of windows, shape (count, size).
     """
     windows = np.flatnonzero(among)
     drivers = np.unique(driver[windows])
-    theirs = {who: windows[driver[windows] == who] for who in drivers}
-    chosen = rng.choice(drivers, count)
-    return np.stack(
-        [rng.choice(theirs[who], size, replace=len(theirs[who]) < size) for who in chosen]
-    )
+    by_driver = {number: windows[driver[windows] == number] for number in drivers}
+    drawn_from = [by_driver[number] for number in rng.choice(drivers, count)]
+    return np.stack([rng.choice(own, size, replace=len(own) < size) for own in drawn_from])

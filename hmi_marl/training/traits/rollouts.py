@@ -1,8 +1,8 @@
-"""Driving by the learned policy π(a | s, z), in the world that the demonstrations are from.
+"""Driving by the learned policy π(a | s, z), in the world of the demonstrations.
 
-The policy stands for the person and their lapses together, so its action is the applied action:
-the attention chain is out of play. Alerts sound as often as in the demonstrations, whatever
-happens, and the policy hears them.
+The policy stands for a person with their distraction, so its action is the applied action and the
+attention chain is switched off. Alerts are drawn at the rate of the demonstrations, and the policy
+observes them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.envs.worlds import make_world
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
-"""Never distracted, so that what they intend is what the car does."""
+"""A driver who is never distracted, so that the intended action is the applied one."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class Drives:
     speed: NDArray[np.float64]
     """After each step [m/s], shape (N, T)."""
     headway: NDArray[np.float64]
-    """Time headway after each step [s], shape (N, T); inf if nobody is ahead."""
+    """Time headway after each step [s], shape (N, T); inf if no vehicle is ahead."""
     crashed: NDArray[np.bool_]
     """Shape (N,)."""
     driving_return: NDArray[np.float64]
-    """True driving reward of each, all five terms, shape (N,)."""
+    """True driving return, the sum of all five terms, shape (N,)."""
 
 
 def drive(
@@ -55,14 +55,14 @@ def drive(
     seeds: NDArray[np.uint64],
     threads: int | None = None,
 ) -> Drives:
-    """Drive one episode for each seed; a crashed car stands until the time is over.
+    """Drive one episode for each seed; a crashed car stands until the end of the episode.
 
     Args:
-        config: of the teams that gave the demonstrations; the driver in it does not matter.
-        act: actions (N,) in situations (N, D), called once for each step.
-        alert_rate: how often an alert sounds.
-        seeds: of the episodes, shape (N,).
-        threads: of the world; all cores by default. Does not change results.
+        config: configuration of the teams that gave the demonstrations; its driver is not used.
+        act: returns actions (N,) for situations (N, D); called once in each step.
+        alert_rate: share of steps with an alert.
+        seeds: seeds of the episodes, shape (N,).
+        threads: threads of the world; all cores by default. Does not change results.
     """
     config = replace(config, driver=ATTENTIVE, reward="driving", end_at_crash=False)
     world = make_world("batched", config.scene, len(seeds), threads)
@@ -76,7 +76,7 @@ def drive(
 
 
 class _Alarm(RandomAlert):
-    """Sound at random, at the same time as the car acts, which hears it."""
+    """Alert at random, simultaneously with the driver, and pass the alerts on to the imitator."""
 
     sequential = False
 
@@ -92,7 +92,7 @@ class _Alarm(RandomAlert):
 
 
 class _Imitator(Memoryless, Observer):
-    """Drive by actions in situations, and keep the drives."""
+    """Drive by the policy, and record the drives."""
 
     def __init__(
         self, act: Callable[[NDArray[np.float32]], NDArray[np.int64]], teaming: Teaming
@@ -105,25 +105,25 @@ class _Imitator(Memoryless, Observer):
         self._rows: list[tuple[NDArray[Any], ...]] = []
 
     def hear(self, observations: NDArray[np.float32], alerts: NDArray[np.int64]) -> None:
-        """Come into the next situation: what can be seen, and the alert."""
+        """Take the observation and the alert as the next situation."""
         states = observations[:, self._columns]
         self._alerts = alerts
         self._situations.append(self._recent.situation(states, alerts))
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions in the situation that was heard last; the driver's own view is not read."""
+        """Act in the latest situation; the driver's own observation is not read."""
         self._actions = self._act(self._situations[-1])
         self._recent.acted(self._actions)
         return self._actions
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
-        """Keep the step."""
+        """Record the step."""
         speed, headway = teaming.ego.speed, teaming.time_headway()
         reward = result.rewards[DRIVER]
         self._rows.append((self._actions, self._alerts, speed, headway, reward))
 
     def drives(self, teaming: Teaming) -> Drives:
-        """All that was kept, once the episodes have ended."""
+        """Return the record, once the episodes have ended."""
         actions, alerts, speed, headway, rewards = (
             np.stack(rows) for rows in zip(*self._rows, strict=True)
         )

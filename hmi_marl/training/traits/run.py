@@ -1,12 +1,12 @@
-"""Learning latent traits in a folder, round by round, resumable.
+"""Learning of latent traits in a folder, round by round, resumable.
 
 First the policy learns to imitate, and the encoder from labels, if there are any
 (:attr:`TraitSettings.imitation_updates`). Then in every round the policy drives, given z of
 demonstrated pools; the discriminator learns from that and from demonstrations, while the policy
-goes on imitating; and the policy learns for the reward, by PPO.
+continues to imitate; and the policy learns from the learned reward, by PPO.
 
-The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``, ``curve.json``
-(a row for each round), ``tensorboard/``, and what was learned, ``traits.json`` with its weights.
+Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the learned
+model, ``traits.json`` with its weights.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-import hmi_marl
 from hmi_marl.agents.learned.trait_files import save_traits
 from hmi_marl.demonstrations.dataset import Demonstrations
 from hmi_marl.demonstrations.parquet import (
@@ -31,29 +30,27 @@ from hmi_marl.demonstrations.parquet import (
 from hmi_marl.demonstrations.windows import alert_rate, held_out, team_of
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
-from hmi_marl.files import json_value, make_folder, write_json
-from hmi_marl.training.runs.claim import SETTINGS, check_same, read_settings
-from hmi_marl.training.runs.jobs import CURVE
-from hmi_marl.training.runs.progress import Telling
+from hmi_marl.files import json_value
+from hmi_marl.training.runs.progress import Progress
 from hmi_marl.training.traits.labels import make_labels
 from hmi_marl.training.traits.settings import TraitSettings
 
 with needing("training"):
     import torch
 
-    from hmi_marl.training.runs.checkpoint import CHECKPOINT, Checkpoint
-    from hmi_marl.training.runs.processes import Processes
-    from hmi_marl.training.traits.adversary import Adversary, Labelled
+    from hmi_marl.training.runs.processes import ALONE
+    from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
+    from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
-    from hmi_marl.training.traits.pools import Units, Windows
+    from hmi_marl.training.traits.pools import Batch, Units, Windows
 
 PREPARING_POOLS = 64
-"""From which the encoder takes its units."""
-ADVERSARY, GENERATOR = "adversary", "generator"
-_TELLING = 10
-"""Imitation updates between two looks at how far they have come."""
-_IMITATING, _ROUNDS, _DONE = range(3)
+"""Pools from which the encoder takes its units."""
+DISCRIMINATOR, GENERATOR = "discriminator", "generator"
+_SHOWN_EVERY = 10
+"""Imitation updates between two changes of the progress bar."""
+_IMITATING, _ROUNDS = range(2)
 """Phases of a run."""
 
 
@@ -66,153 +63,137 @@ def learn_traits(
     command_line: str = "",
     line: int = 0,
 ) -> None:
-    """Learn from a dataset in ``folder``, going on where a run there was cut off.
+    """Learn from a dataset in ``folder``, resuming a run that was interrupted there.
 
     Args:
-        settings: what to learn, and how.
-        demonstrations: folder of the dataset. Its truth is opened for one thing alone: η of the
+        settings: settings of the learning.
+        demonstrations: folder of the dataset. Its truth is read for one thing alone: η of the
             labelled windows, in the preference-supervised setting without ``preferences``.
-        folder: of the run.
-        preferences: what people answered, by name, for the preference-supervised setting.
+        folder: folder of the run.
+        preferences: people's answers by name, for the preference-supervised setting.
         quiet: no progress bar and no TensorBoard.
-        typed: the command, kept with what was learned.
-        line: of the terminal for the progress bar.
+        command_line: command that started it, kept with the model.
+        line: line of the terminal for the progress bar.
 
     Raises:
-        FileNotFoundError: no demonstrations there.
+        FileNotFoundError: there are no demonstrations.
         ValueError: the folder holds another run, or demonstrations that cannot be learned from, or
-            preferences for a setting that asks for none.
+            preferences are given for a setting that does not use them.
     """
     if preferences is not None and settings.supervision != "preference":
         raise ValueError(
             f"preferences are for supervision 'preference', not {settings.supervision!r}"
         )
-    threads = torch.get_num_threads()
-    with torch.random.fork_rng():
-        torch.set_num_threads(settings.threads)
-        try:
-            run = _Run(settings, demonstrations, folder, preferences, command_line)
-            make_folder(folder)
-            run.go(quiet, line)
-        finally:
-            torch.set_num_threads(threads)
+    with own_torch_state(settings.threads):
+        shown = {"command_line": command_line, "quiet": quiet, "line": line}
+        _Run(settings, demonstrations, folder, preferences, **shown).go()
 
 
-class _Run:
+class _Run(Run):
+    phases = 2
+
     def __init__(
         self,
         settings: TraitSettings,
-        place: Path,
+        dataset: Path,
         folder: Path,
         preferences: Mapping[str, float] | None,
-        command_line: str,
+        **shown: Any,
     ) -> None:
-        self._settings, self._folder, self._typed = settings, folder, command_line
-        self._state = Checkpoint()
-        self._saved_at = time.monotonic()
         asks_truth = settings.supervision == "preference" and preferences is None
-        data = read_demonstrations(place) if asks_truth else Demonstrations(read_observed(place))
-        self._about: dict[str, Any] = {
+        data = (
+            read_demonstrations(dataset) if asks_truth else Demonstrations(read_observed(dataset))
+        )
+        about = {
             "protocol": "traits",
-            "version": hmi_marl.__version__,
-            "settings": json_value(settings),
             "preferences": json_value(preferences),
-            "demonstrations": sha256_of(place / OBSERVED),
+            "demonstrations": sha256_of(dataset / OBSERVED),
         }
+        super().__init__(settings, folder, about, **shown)
+        self._settings = settings
         if data.observed.about.get("team", {}).get("end_at_crash"):
             raise ValueError(
-                "these windows end at a crash, which would tell them from the policy's, whose "
-                "crashed car stands; collect with --no-end-at-crash"
+                "these windows end at a crash, which would distinguish them from the policy's, "
+                "in which a crashed car stands; collect with --no-end-at-crash"
             )
         learned = ~held_out(data.observed, settings.held_out)
         if not learned.any():
-            raise ValueError("held_out leaves no window to learn from; demonstrate more")
+            raise ValueError("held_out leaves no window to learn from; record more demonstrations")
         data = data.take(learned)
         observed = data.observed
-        rng = np.random.default_rng(self._draw(Stream.LEARNING, 0))
+        rng = np.random.default_rng(self.draw(Stream.LEARNING, 0))
         labels = make_labels(data, settings.supervision, settings.labelled, rng, preferences)
         self._units = Units.of(observed)
         self._windows = Windows(observed, labels, self._units)
         self._card = settings.card(observed.layout)
-        device = Processes().device(settings.device)
-        self._device = device
-        torch.manual_seed(self._draw(Stream.LEARNING, 1))
-        self._generator = Generator(
-            self._card, settings, team_of(observed), alert_rate(observed), self._units, device
+        self._device = ALONE.device(settings.device)
+        torch.manual_seed(self.draw(Stream.LEARNING, 1))
+        team, rate = team_of(observed), alert_rate(observed)
+        self._generator = Generator(self._card, settings, team, rate, self._units, self._device)
+        self._discriminator = DiscriminatorLearner(
+            self._card, settings, self._generator.policy, self._device
         )
-        self._adversary = Adversary(self._card, settings, self._generator.policy, device)
         pools = self._windows.draw(rng, PREPARING_POOLS, settings.pool)
-        self._adversary.prepare(self._windows.batch(pools, device))
+        self._discriminator.prepare(self._windows.batch(pools, self._device))
         self._about_data = {"drivers": list(observed.names), "about": json_value(observed.about)}
+        self._rounds = settings.rounds(self._generator.horizon)
 
-    def go(self, quiet: bool, line: int) -> None:
-        self._claim_folder()
-        state, settings = self._state, self._settings
-        if state.phase == _DONE:
-            return
-        name, board = self._folder.name, self._folder / "tensorboard"
+    def learn(self) -> None:
+        """See :meth:`Run.learn`."""
+        state, settings, name = self.state, self._settings, self.folder.name
         per_round = settings.num_teams * self._generator.horizon
-        total = per_round * settings.rounds(self._generator.horizon)
-        with Telling(board, name, total, state.steps, quiet, line) as telling:
+        with self.progress(name, per_round * self._rounds, state.steps) as progress:
             if state.phase == _IMITATING:
-                self._imitate(telling)
-                state.phase, state.iteration = _ROUNDS, 0
-                self._save()
-            telling.phase(name)
-            while state.iteration < settings.rounds(self._generator.horizon):
+                self._imitate(progress)
+                self.finish_phase()
+            progress.phase(name)
+            while state.iteration < self._rounds:
                 began = time.monotonic()
                 row = self._round()
-                state.iteration += 1
-                state.steps += per_round
-                spent = time.monotonic() - began
-                state.seconds += spent
-                row |= {"steps_per_second": per_round / spent, "seconds": state.seconds}
+                row |= self.count(began, per_round)
                 state.curve.append({"steps": state.steps} | row)
-                telling.batch(row, state.steps, per_round)
-                self._save_at_times()
-        weights = weights_of_model(self._adversary.model, self._generator.policy, self._units)
-        training = self._about | self._about_data | {"steps": state.steps, "command": self._typed}
-        save_traits(self._folder, replace(self._card, training=training), weights)
-        state.phase = _DONE
-        self._save()
+                progress.advance(per_round, row)
+                self.save_if_due()
+        weights = weights_of_model(self._discriminator.model, self._generator.policy, self._units)
+        about = self.about | self._about_data
+        training = about | {"steps": state.steps, "command": self.command_line}
+        save_traits(self.folder, replace(self._card, training=training), weights)
+        self.finish_phase()
 
-    def _imitate(self, telling: Telling) -> None:
-        state = self._state
-        updates = self._settings.imitation_updates
+    def _imitate(self, progress: Progress) -> None:
+        state, updates = self.state, self._settings.imitation_updates
         while state.iteration < updates:
-            if state.iteration % _TELLING == 0:
-                telling.phase(f"{self._folder.name}: imitating {state.iteration}/{updates}")
+            if state.iteration % _SHOWN_EVERY == 0:
+                progress.phase(f"{self.folder.name}: imitating {state.iteration}/{updates}")
             began = time.monotonic()
-            rng = self._seed(2 * state.iteration)
-            row = self._adversary.learn(*self._demonstrated(rng))
-            state.iteration += 1
-            state.seconds += time.monotonic() - began
-            state.curve.append({"steps": 0, "seconds": state.seconds} | row)
-            self._save_at_times()
+            rng = self._seed_update(2 * state.iteration)
+            row = self._discriminator.learn(*self._demonstrated(rng))
+            state.curve.append({"steps": 0} | self.count(began) | row)
+            self.save_if_due()
 
     def _round(self) -> dict[str, float]:
-        settings, iteration = self._settings, self._state.iteration
-        rng = self._seed(2 * iteration + 1)
-        self._generator.begin(iteration / settings.rounds(self._generator.horizon))
+        settings, iteration = self._settings, self.state.iteration
+        rng = self._seed_update(2 * iteration + 1)
+        self._generator.begin(iteration / self._rounds)
         pools = self._windows.draw(rng, settings.num_teams // settings.pool, settings.pool)
         with torch.no_grad():
-            z = self._adversary.encode(self._windows.batch(pools, self._device)).sample()
+            z = self._discriminator.encode(self._windows.batch(pools, self._device)).sample()
         number = np.arange(settings.num_teams) + iteration * settings.num_teams
         drives, driven = self._generator.drive(z, mix(settings.seed, Stream.TRAINING, number))
         rows = [
-            self._adversary.learn(*self._demonstrated(rng), driven, z)
+            self._discriminator.learn(*self._demonstrated(rng), driven, z)
             for _ in range(settings.updates)
         ]
         row = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
-        f = self._adversary.rewards(driven, z)
-        learns = iteration >= settings.settling * settings.rounds(self._generator.horizon)
-        row |= self._generator.learn(driven, z, f) if learns else {}
+        f = self._discriminator.rewards(driven, z)
+        if iteration >= settings.settling * self._rounds:
+            row |= self._generator.learn(driven, z, f)
         return row | {
             "speed": float(drives.speed.mean()),
             "crash_rate": float(drives.crashed.mean()),
         }
 
-    def _demonstrated(self, rng: np.random.Generator) -> tuple[Any, Labelled | None]:
+    def _demonstrated(self, rng: np.random.Generator) -> tuple[Batch, Labelled | None]:
         """A batch of demonstrations, and one of labelled ones if there are labels."""
         settings, windows = self._settings, self._windows
         which = windows.draw_pairs(rng, settings.expert_pools, settings.pool)
@@ -223,40 +204,29 @@ class _Run:
         batch = windows.batch(which, self._device)
         return experts, Labelled(batch, torch.from_numpy(labels).to(self._device))
 
-    def _seed(self, counter: int) -> np.random.Generator:
-        """Seed all that is drawn in one update or round."""
-        seed = self._draw(Stream.LEARNING, 2 + counter)
+    def _seed_update(self, counter: int) -> np.random.Generator:
+        """Seed torch for one update or round, and return NumPy's generator for it."""
+        seed = self.draw(Stream.LEARNING, 2 + counter)
         torch.manual_seed(seed)
         return np.random.default_rng(seed)
 
-    def _draw(self, stream: Stream, counter: int) -> int:
-        return int(mix(self._settings.seed, stream, counter))
-
-    def _claim_folder(self) -> None:
-        path, checkpoint = self._folder / SETTINGS, self._folder / CHECKPOINT
-        if not checkpoint.is_file():  # nothing was learned that could be lost
-            write_json(path, self._about | {"command": self._typed})
-            return
-        before = read_settings(path)
-        if before.get("demonstrations") != self._about["demonstrations"]:
-            raise ValueError(
-                f"{self._folder} holds a run that learned from other demonstrations; choose another "
-                "--out, or remove the folder"
-            )
-        check_same(before, self._about, self._folder)
-        self._state = Checkpoint.load(checkpoint)
-        self._adversary.load(self._state.tensors[ADVERSARY])
-        self._generator.learner.load(self._state.tensors[GENERATOR])
-
-    def _save_at_times(self) -> None:
-        if time.monotonic() - self._saved_at > self._settings.checkpoint_every:
-            self._save()
-
-    def _save(self) -> None:
-        self._saved_at = time.monotonic()
-        self._state.tensors = {
-            ADVERSARY: self._adversary.tensors(),
+    def tensors(self) -> Tensors:
+        """See :meth:`Run.tensors`."""
+        return {
+            DISCRIMINATOR: self._discriminator.tensors(),
             GENERATOR: self._generator.learner.tensors(),
         }
-        write_json(self._folder / CURVE, self._state.curve)  # first: a kill in between loses none
-        self._state.save(self._folder / CHECKPOINT)
+
+    def restore(self, tensors: Tensors) -> None:
+        """See :meth:`Run.restore`."""
+        self._discriminator.load(tensors[DISCRIMINATOR])
+        self._generator.learner.load(tensors[GENERATOR])
+
+    def check(self, before: dict[str, Any]) -> None:
+        """See :meth:`Run.check`; checksums of demonstrations would say nothing to a reader."""
+        if before.get("demonstrations") != self.about["demonstrations"]:
+            raise ValueError(
+                f"{self.folder} holds a run that learned from other demonstrations; choose another "
+                "--out, or remove the folder"
+            )
+        super().check(before)

@@ -11,7 +11,7 @@ from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import make_world
 from hmi_marl.training.evidence import drives as driving
-from hmi_marl.training.evidence.drives import Strangers, drive_all
+from hmi_marl.training.evidence.drives import MixedPopulation, drive_all
 from hmi_marl.training.evidence.settings import EvidenceSettings
 
 SETTINGS = EvidenceSettings(
@@ -35,13 +35,13 @@ def names(traits):
 
 def test_known_drivers_and_strangers_are_mixed_as_asked_for():
     seeds = mix(3, Stream.TRAINING, np.arange(2000, dtype=np.uint64))
-    drawn = names(Strangers(0.4).draw(seeds))
+    drawn = names(MixedPopulation(0.4).draw(seeds))
     share = np.mean([name is not None for name in drawn])
     assert abs(share - 0.4) < 4 * np.sqrt(0.24 / 2000)
     for name in DRIVERS:
         assert abs(drawn.count(name) / 2000 - 0.08) < 4 * np.sqrt(0.08 * 0.92 / 2000)
-    assert set(names(Strangers(1.0).draw(seeds))) == set(DRIVERS)
-    others = Strangers(0.0).draw(seeds)
+    assert set(names(MixedPopulation(1.0).draw(seeds))) == set(DRIVERS)
+    others = MixedPopulation(0.0).draw(seeds)
     assert set(names(others)) == {None}
     assert abs(others.beta.mean() - 0.5) < 4 * np.sqrt(1 / 12 / 2000)
     assert others.inflation.max() <= 9
@@ -50,7 +50,7 @@ def test_known_drivers_and_strangers_are_mixed_as_asked_for():
 def test_a_strangers_traits_do_not_tell_whether_a_known_driver_would_have_driven():
     # Else the share of the known would depend on β.
     seeds = mix(4, Stream.TRAINING, np.arange(4000, dtype=np.uint64))
-    mixed, others = Strangers(0.5).draw(seeds), Strangers(0.0).draw(seeds)
+    mixed, others = MixedPopulation(0.5).draw(seeds), MixedPopulation(0.0).draw(seeds)
     stranger = mixed.beta == others.beta
     above = others.beta > 0.5
     difference = stranger[above].mean() - stranger[~above].mean()
@@ -61,7 +61,7 @@ def test_drives_are_those_of_an_ordinary_team(driven):
     count = SETTINGS.drives
     seeds = mix(SETTINGS.seed, Stream.TRAINING, np.arange(count, dtype=np.uint64))
     assert driven.turns.shape == (count, 100, 6 + DERIVED)
-    team = replace(SETTINGS.team, driver=Strangers(SETTINGS.known))
+    team = replace(SETTINGS.team, driver=MixedPopulation(SETTINGS.known))
     for k, hmi_name in ((1, "never"), (8, "random:0.5")):
         driver, hmi = make_driver_policy("random", team), make_hmi(hmi_name, team)
         teaming = Teaming(team, 1, make_world("batched", team.scene, 1, 1))

@@ -14,7 +14,7 @@ from hmi_marl.agents.adaptive.evidence_model import (
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.envs.observations import traits_part
-from hmi_marl.training.evidence.model import LOOKED_AT, Evidence
+from hmi_marl.training.evidence.model import LOSS_EVERY, Evidence
 
 FIVE = list(DRIVERS.values())
 
@@ -81,7 +81,7 @@ def test_the_loss_by_hand():
     each = [
         np.log(np.exp(told[b, t]).sum()) - told[b, t, b]
         for b, length in enumerate(lengths)
-        for t in range(LOOKED_AT - 1, length, LOOKED_AT)
+        for t in range(LOSS_EVERY - 1, length, LOSS_EVERY)
     ]
     assert len(each) > 3
     assert loss == pytest.approx(np.mean(each), rel=1e-5)

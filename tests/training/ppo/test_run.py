@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+import hmi_marl
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
@@ -17,11 +18,10 @@ from hmi_marl.agents.learned.policy_files import load_policy, read_policy
 from hmi_marl.agents.vectors import make_vec
 from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.scene import Scene
-from hmi_marl.training.ppo import run
 from hmi_marl.training.ppo.run import train
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.alternating import Alternating
 from hmi_marl.training.protocols.joint import Joint
-from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.checkpoint import Checkpoint
@@ -102,7 +102,7 @@ def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
     )
     about = json.loads((tmp_path / "run.json").read_text())
     assert about["protocol"] == type(settings).__name__
-    assert about["settings"]["teams"] == 8
+    assert about["settings"]["num_teams"] == 8
     config = replace(
         TEAM,
         ai_sees_attention=settings.ai_sees_attention,
@@ -281,20 +281,22 @@ def test_a_folder_with_another_run_is_left_alone(settings, told, tmp_path):
     assert files(tmp_path) == before
 
 
-def test_a_run_from_before_there_were_strengths_goes_on(tmp_path):
+def test_a_run_whose_settings_lack_some_is_refused(tmp_path):
     before = learned(tmp_path, TWO_STAGE)
     about = json.loads((tmp_path / "run.json").read_text())
     for name in ("alert_strengths", "fatigue"):
         del about["settings"][name]
     (tmp_path / "run.json").write_text(json.dumps(about))
-    assert learned(tmp_path, TWO_STAGE) == before
-    with pytest.raises(ValueError, match=r"alert_strengths = \[1.0\], now \[0.5, 1.0\]"):
+    with pytest.raises(ValueError, match=r"\(alert_strengths = None, now \[1.0\]\)"):
+        train(TWO_STAGE, tmp_path, quiet=True)
+    with pytest.raises(ValueError, match=r"alert_strengths = None, now \[0.5, 1.0\]"):
         train(replace(TWO_STAGE, alert_strengths=(0.5, 1.0)), tmp_path, quiet=True)
+    assert files(tmp_path) == before
 
 
 def test_a_run_of_another_version_is_told(tmp_path, monkeypatch):
     train(TWO_STAGE, tmp_path, quiet=True)
-    monkeypatch.setattr(run.hmi_marl, "__version__", "99")
+    monkeypatch.setattr(hmi_marl, "__version__", "99")
     with pytest.raises(ValueError, match=r"version = .*, now '99'"):
         train(TWO_STAGE, tmp_path, quiet=True)
 

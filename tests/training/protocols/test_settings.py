@@ -5,9 +5,10 @@ import pytest
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.files import json_value
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.alternating import Alternating
 from hmi_marl.training.protocols.joint import Joint
-from hmi_marl.training.protocols.settings import PPOSettings, TrainSettings
+from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 
@@ -47,10 +48,14 @@ def test_what_ppo_may_be_told_at_the_edges():
     [
         ({"seed": -1}, ValueError, r"a seed lies in \[0, 2\^64\), but got -1"),
         ({"seed": 0.5}, TypeError, "a seed is an integer, not 0.5"),
-        ({"num_teams": 0}, ValueError, "at least one team, but got num_teams = 0"),
-        ({"snapshots": -1}, ValueError, "snapshots is a number of times, but got -1"),
-        ({"checkpoint_every": -1.0}, ValueError, "checkpoint_every is a time"),
-        ({"threads": 0}, ValueError, "at least one thread"),
+        ({"num_teams": 0}, ValueError, "num_teams is at least 1, but got 0"),
+        ({"snapshots": -1}, ValueError, "snapshots is at least 0, but got -1"),
+        (
+            {"checkpoint_every": -1.0},
+            ValueError,
+            "checkpoint_every is a number of at least 0, but got -1.0",
+        ),
+        ({"threads": 0}, ValueError, "threads is at least 1, but got 0"),
         (
             {"network": NetworkConfig(rnn_hidden_dim=3)},
             ValueError,
@@ -60,7 +65,7 @@ def test_what_ppo_may_be_told_at_the_edges():
         (
             {"num_teams": 4, "ppo": PPOSettings(num_mini_batches=5)},
             ValueError,
-            "4 teams make no 5 mini-batches of at least 1; choose more teams or fewer mini-batches",
+            "cannot split 4 teams into 5 mini-batches; lower --ppo.num-mini-batches",
         ),
         ({"hmi_reads": ("weather",)}, ValueError, "no part 'weather' to read; there are lidar"),
         ({"drivers": ("ned",)}, ValueError, "unknown driver 'ned'"),
@@ -85,12 +90,12 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
         (
             lambda: TwoStage(num_teams=8, rnn_hidden_dim=4, ppo=PPOSettings(num_mini_batches=5)),
-            "8 teams make no 5 mini-batches of at least 2; choose more teams or fewer",
+            "cannot split 8 teams into 5 mini-batches of at least 2 teams; lower --ppo",
         ),
         (lambda: Joint(steps=0), "steps is at least 1"),
         (
             lambda: Joint(rnn_hidden_dim=4),
-            "the composite policy has no memory; use another protocol, or 0",
+            "rnn_hidden_dim = 4, but the composite policy has no recurrent units",
         ),
         (lambda: Simultaneous(steps=-5), "steps is at least 1, but got -5"),
         (lambda: Alternating(rounds=0), "rounds is at least 1"),
@@ -113,7 +118,7 @@ def test_settings_are_fit_for_json_and_know_their_defaults(protocol):
     told = json_value(protocol())
     assert told["drivers"] == ["lisa", "marge", "bart", "homer"]
     assert told["ppo"]["gamma"] == 0.98
-    assert told["network"] == {"hidden": [64, 64], "activation": "relu", "rnn_hidden_dim": 0}
+    assert told["network"] == {"hidden_dims": [64, 64], "activation": "relu", "rnn_hidden_dim": 0}
     assert told["duration"] == 20.0
 
 
@@ -126,9 +131,8 @@ def test_a_driver_of_ones_own_may_drive():
 def test_telling_what_to_train_imports_no_torch():
     code = (
         "import sys\n"
-        "from hmi_marl.training import alternating, joint, simultaneous, two_stage\n"
-        "[p().phases() for p in (alternating.Alternating, joint.Joint, "
-        "simultaneous.Simultaneous, two_stage.TwoStage)]\n"
+        "from hmi_marl.training.protocols.registry import PROTOCOLS\n"
+        "[entry.value().phases() for entry in PROTOCOLS.values()]\n"
         "print(sorted(m for m in sys.modules if m.split('.')[0] in ('torch', 'rsl_rl')))"
     )
     command = [sys.executable, "-c", code]

@@ -8,7 +8,7 @@ from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.scene import Scene
-from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.traits.generator import Generator
 from hmi_marl.training.traits.model import log_policy
 from hmi_marl.training.traits.pools import Units
@@ -59,14 +59,14 @@ def test_it_learns_for_f_less_log_pi():
         given = Z[:, None, None].expand(2, 4, 5, 2)
         every = log_policy(one.policy, batch.situations, given)
     log_pi = every.gather(3, batch.actions[..., None]).squeeze(3)[:, :, :-1]
-    rewards = []
     storage = one.learner.ppo.storage
-    learn = one.learner.learn
-    one.learner.learn = lambda seen: rewards.append(storage.rewards.clone()) or learn(seen)
+    assert not storage.rewards.any()
+    given, learn = [], one.learner.learn
+    one.learner.learn = lambda seen, rewards: given.append(rewards) or learn(seen, rewards)
     row = one.learn(batch, Z, f)
-    scale = SETTINGS.ppo.reward_scale
-    expected = scale * (f - log_pi).reshape(8, 4).T[..., None]
-    torch.testing.assert_close(rewards[0], expected)
+    expected = (f - log_pi).reshape(8, 4).T
+    torch.testing.assert_close(given[0], expected)
+    torch.testing.assert_close(storage.rewards, SETTINGS.ppo.reward_scale * expected[..., None])
     assert row["return"] == pytest.approx((f - log_pi).sum(dim=2).mean().item(), rel=1e-5)
 
 

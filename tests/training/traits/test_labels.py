@@ -62,7 +62,7 @@ def test_which_windows_are_labelled_follows_from_the_generator():
     ("answers", "message"),
     [
         (None, "give their answers with --preferences"),
-        ({"ada": 0.5}, "say nothing of bob"),
+        ({"ada": 0.5}, "preferences lack bob"),
         ({"ada": 0.5, "bob": 1.5}, r"lies in \[0, 1\]"),
         ({"ada": 0.5, "bob": float("nan")}, r"lies in \[0, 1\]"),
     ],
@@ -83,10 +83,10 @@ def test_preferences_come_from_a_file(tmp_path):
 def test_other_files_are_no_preferences(text, tmp_path):
     path = tmp_path / "answers.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match="is to hold"):
+    with pytest.raises(ValueError, match="does not contain"):
         read_preferences(path)
     path.write_bytes(b"\xff{")
-    with pytest.raises(ValueError, match="is no JSON file"):
+    with pytest.raises(ValueError, match="is not a JSON file"):
         read_preferences(path)
 
 

@@ -165,11 +165,11 @@ def test_l3_with_softened_labels() -> None:
     # Labels one s apart: w = exp(-1/2). Points 1 apart under a margin of 3: w 1² + (1 - w) 2².
     w = math.exp(-0.5)
     points, labels = POINTS[[0, 2]], torch.tensor([0.1, 0.3])
-    loss = contrastive_loss(points, labels, margin=3.0, softness=0.2)
+    loss = contrastive_loss(points, labels, margin=3.0, bandwidth=0.2)
     assert loss.item() == near(w + 4 * (1 - w))
-    alike = contrastive_loss(points, torch.tensor([0.3, 0.3]), margin=3.0, softness=0.2)
+    alike = contrastive_loss(points, torch.tensor([0.3, 0.3]), margin=3.0, bandwidth=0.2)
     assert alike.item() == near(1.0)
-    apart = contrastive_loss(points, labels * 100, margin=3.0, softness=0.2)
+    apart = contrastive_loss(points, labels * 100, margin=3.0, bandwidth=0.2)
     assert apart.item() == near(4.0)
 
 
@@ -178,15 +178,15 @@ def test_graded_labels_are_equal_or_not_unless_softened() -> None:
     assert loss.item() == near(4.0)
 
 
-@pytest.mark.parametrize("softness", [0.0, 0.5])
+@pytest.mark.parametrize("bandwidth", [0.0, 0.5])
 @pytest.mark.parametrize("labels", [[0.0, 0.0], [0.0, 1.0]])
 def test_l3_of_a_pair_in_one_point_has_a_finite_gradient(
-    labels: list[float], softness: float
+    labels: list[float], bandwidth: float
 ) -> None:
     z = torch.ones(2, 2, requires_grad=True)
-    loss = contrastive_loss(z, torch.tensor(labels), margin=2.0, softness=softness)
+    loss = contrastive_loss(z, torch.tensor(labels), margin=2.0, bandwidth=bandwidth)
     loss.backward()
-    w = (math.exp(-2) if softness else 0.0) if labels[1] else 1.0  # (1 / 0.5)² / 2 = 2
+    w = (math.exp(-2) if bandwidth else 0.0) if labels[1] else 1.0  # (1 / 0.5)² / 2 = 2
     assert loss.item() == near(4 * (1 - w), 1e-4)
     assert z.grad is not None
     assert torch.isfinite(z.grad).all()
@@ -213,17 +213,17 @@ def test_l3_of_fewer_than_two_vectors_is_nothing(count: int) -> None:
 
 
 @given(seeds, st.permutations(range(5)), st.sampled_from([0.0, 0.7]))
-def test_l3_is_the_mean_over_ordered_pairs(seed: int, order: list[int], softness: float) -> None:
+def test_l3_is_the_mean_over_ordered_pairs(seed: int, order: list[int], bandwidth: float) -> None:
     z, labels = random(seed, 5, 2), torch.tensor([0.0, 0.0, 1.0, 1.0, 3.0])
     total = 0.0
     for k in range(5):
         for other in set(range(5)) - {k}:
             gap = float(labels[k] - labels[other])
-            w = math.exp(-(gap**2) / (2 * softness**2)) if softness else float(gap == 0)
+            w = math.exp(-(gap**2) / (2 * bandwidth**2)) if bandwidth else float(gap == 0)
             distance = float((z[k] - z[other]).norm())
             total += w * distance**2 + (1 - w) * max(0.0, 1.5 - distance) ** 2
     for way in ([0, 1, 2, 3, 4], order):
-        loss = contrastive_loss(z[way], labels[way], margin=1.5, softness=softness)
+        loss = contrastive_loss(z[way], labels[way], margin=1.5, bandwidth=bandwidth)
         assert loss.item() == near(total / 20)
 
 

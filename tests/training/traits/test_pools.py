@@ -133,7 +133,7 @@ def test_windows_that_cannot_be_pooled_are_told():
         Windows(nobody, LABELS, UNITS)
     with pytest.raises(ValueError, match="no window of a known driver has a label"):
         Windows(OBSERVED, np.where(np.arange(9) == 3, 1.0, NAN), UNITS).draw_labelled(rng(), 4, 2)
-    with pytest.raises(ValueError, match="pairs make an even number of pools, not 3"):
+    with pytest.raises(ValueError, match="count is an even number of pools, but got 3"):
         WINDOWS.draw_pairs(rng(), 3, 2)
 
 
@@ -188,7 +188,7 @@ def test_windows_of_a_single_step_have_no_transitions():
 
 def test_windows_that_cannot_be_learned_from_are_refused():
     single = made_up([1, 1], driver=[0, 0]).observed
-    with pytest.raises(ValueError, match="windows of a single step lead nowhere"):
+    with pytest.raises(ValueError, match="windows have a single step, so there are no"):
         Windows(single, np.full(2, NAN), Units.of(single))
     two = made_up([3, 3], driver=[0, 0]).observed
     with pytest.raises(ValueError, match="windows of lisa have different labels"):

@@ -21,7 +21,7 @@ from hmi_marl.demonstrations.parquet import (
 )
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TRAIT_NAMES
-from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.runs.checkpoint import Checkpoint
 from hmi_marl.training.traits import run
 from hmi_marl.training.traits.run import learn_traits
@@ -167,7 +167,7 @@ def test_people_answer_for_themselves(dataset, tmp_path):
     turned = {name: 1.0 - value for name, value in answers.items()}
     other = {**turned, "lisa": 0.1}
     assert learned(tmp_path / "two", dataset, settings, preferences=other) != one
-    with pytest.raises(ValueError, match="say nothing of bart, homer"):
+    with pytest.raises(ValueError, match="preferences lack bart, homer"):
         learned(tmp_path / "three", dataset, settings, preferences={"lisa": 0.0, "marge": 1.0})
 
 

@@ -6,8 +6,8 @@ import torch
 from demonstrations import LAYOUT, made_up
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.traits.adversary import Adversary, Labelled
+from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
 from hmi_marl.training.traits.model import log_policy, make_policy
 from hmi_marl.training.traits.pools import Units, Windows, transitions
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
@@ -40,7 +40,7 @@ def labelled():
 def adversary(**weights):
     torch.manual_seed(0)
     settings = replace(SETTINGS, weights=replace(LossWeights(), **weights))
-    one = Adversary(CARD, settings, make_policy(CARD), "cpu")
+    one = DiscriminatorLearner(CARD, settings, make_policy(CARD), "cpu")
     one.prepare(pools(8, seed=3))
     return one
 
@@ -65,7 +65,7 @@ def test_every_loss_is_there_when_there_is_what_it_needs():
     assert set(alone) == {"imitation", "L1", "L2", "L4"}
     every, told = one.losses(pools(4), labelled(), pools(2, seed=1), z)
     assert set(every) == {"imitation", "L1", "L2", "L3", "L4"}
-    assert set(told) == {"sigma", "width", "experts_told", "policy_told"}
+    assert set(told) == {"sigma", "width", "experts_recognised", "policy_recognised"}
     assert set(every) == set(LossWeights().by_loss())
 
 
@@ -102,8 +102,8 @@ def test_a_discriminator_learns_to_tell_the_policy_from_the_experts():
     for _ in range(150):
         last = one.learn(experts, None, driven, z)
     assert last["L1"] < first["L1"]
-    assert last["experts_told"] > 0.7
-    assert last["policy_told"] > 0.7
+    assert last["experts_recognised"] > 0.7
+    assert last["policy_recognised"] > 0.7
 
 
 def test_labels_pull_drivers_apart():
@@ -154,6 +154,6 @@ def test_it_goes_on_from_what_it_kept():
 
 
 def test_weights_of_another_model_are_refused():
-    other = Adversary(replace(CARD, encoder_units=6), SETTINGS, make_policy(CARD), "cpu")
+    other = DiscriminatorLearner(replace(CARD, encoder_units=6), SETTINGS, make_policy(CARD), "cpu")
     with pytest.raises(RuntimeError, match="size mismatch"):
         adversary().load(other.tensors())

@@ -34,22 +34,22 @@ _MODEL = "model."
 
 
 class Labelled(NamedTuple):
-    """Pools whose labels are known."""
+    """Labelled pools."""
 
     batch: Batch
     labels: torch.Tensor
     """Shape (P,)."""
 
 
-class Adversary:
-    """Tells demonstrations from the policy's driving, and encodes whose driving it is.
+class DiscriminatorLearner:
+    """Learn the discriminator: the context encoder and the reward, against a fixed policy.
 
     Args:
-        card: of the model.
-        settings: weights of the losses, and how fast it learns.
-        policy: π(a | s, z), whose driving it judges. It learns here too, by imitation; what is
-            judged is the driving of the round, with log π as it stands.
-        device: where it learns.
+        card: card of the model.
+        settings: weights of the losses and learning rates.
+        policy: π(a | s, z). It learns here too, but only by imitation; to the discriminator its
+            log π is a constant.
+        device: device to learn on.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Adversary:
             encoder.scale.copy_(raw.std(dim=0) + SMALLEST_SPREAD)
 
     def encode(self, batch: Batch) -> Posterior:
-        """q(z | τ) of every pool."""
+        """Return q(z | τ) of every pool."""
         posterior: Posterior = self.model.encoder(*batch)
         return posterior
 
@@ -85,29 +85,28 @@ class Adversary:
         driven: Batch | None = None,
         z: torch.Tensor | None = None,
     ) -> dict[str, float]:
-        """One update.
+        """Make one update.
 
         Args:
-            experts: demonstrations, whose labels are not known; pools 2k and 2k + 1 are of the
-                same driver.
+            experts: demonstrations without labels; pools 2k and 2k + 1 are of the same driver.
             labelled: demonstrations with labels, if there are any.
-            driven: what the policy drove, pool k of it given z k; without it only imitation
-                and L3 count.
-            z: shape (P, Z), for ``driven``.
+            driven: the policy's driving, in which pool k was given z k; without it only imitation
+                and L3 are learned from.
+            z: latent vectors of ``driven``, shape (P, Z).
 
         Returns:
-            The losses by name, each without its weight; the mean σ of z, and the one by which L2
-            reads it (``width``); and shares of the transitions that D takes rightly for
-            demonstrated and for driven.
+            Losses by name, each without its weight; the mean σ of z, and the σ that L2 uses
+            (``width``); and the shares of demonstrated and of driven transitions that D recognises
+            as such.
         """
-        losses, told = self.losses(experts, labelled, driven, z)
+        losses, measures = self.losses(experts, labelled, driven, z)
         weights = self._settings.weights.by_loss()
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         self._optimizer.zero_grad()
         total.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), LONGEST_GRADIENT)
         self._optimizer.step()
-        return {name: value.item() for name, value in (losses | told).items()}
+        return {name: value.item() for name, value in (losses | measures).items()}
 
     def losses(
         self,
@@ -116,14 +115,14 @@ class Adversary:
         driven: Batch | None = None,
         z: torch.Tensor | None = None,
     ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-        """The losses, and what else is worth telling; see :meth:`learn`."""
+        """Return the losses and the other measures of :meth:`learn`."""
         encoder, settings = self.model.encoder, self._settings
         read = encoder.read(*experts)
         known = None if labelled is None else encoder.read(*labelled.batch)
         units = encoder.units(read if known is None else torch.cat([read, known]))
         posterior = encoder.posterior(read, *units)
         z_experts = posterior.sample()
-        # The policy learns from all of it; what of that reaches the encoder is weighed.
+        # The policy learns from the whole gradient, the encoder from a share of it.
         z_imitated = z_experts.detach() + settings.weights.imitate * (
             z_experts - z_experts.detach()
         )
@@ -135,9 +134,9 @@ class Adversary:
                 encoder.posterior(known, *units).sample(),
                 labelled.labels,
                 settings.margin,
-                settings.softness,
+                settings.label_bandwidth,
             ) + cohesion_loss(z_experts[::2], z_experts[1::2])
-        told = {
+        measures = {
             "sigma": (0.5 * posterior.log_variance.detach()).exp().mean(),
             "width": (0.5 * self.model.width.detach()).exp().mean(),
         }
@@ -149,22 +148,25 @@ class Adversary:
             policy_f, policy_log_pi = self._judge(driven, z)
             losses["L1"] = adversarial_loss(expert_f, expert_log_pi, policy_f, policy_log_pi)
             half = math.log(0.5)
-            found = log_discriminator(expert_f, expert_log_pi).detach() > half
-            caught = log_discriminator(policy_f, policy_log_pi).detach() < half
-            told |= {"experts_told": found.float().mean(), "policy_told": caught.float().mean()}
-        return losses, told
+            experts_found = log_discriminator(expert_f, expert_log_pi).detach() > half
+            policy_found = log_discriminator(policy_f, policy_log_pi).detach() < half
+            measures |= {
+                "experts_recognised": experts_found.float().mean(),
+                "policy_recognised": policy_found.float().mean(),
+            }
+        return losses, measures
 
     def _judge(self, batch: Batch, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The reward f and log π of every transition of a batch whose pools have z (P, Z)."""
+        """Return the reward f and log π of every transition, given z of the pools, (P, Z)."""
         steps = transitions(batch)
         given = z[steps.pool]
-        with torch.no_grad():  # π is a given number to the discriminator
+        with torch.no_grad():
             all_log_pi = log_policy(self._policy, steps.before, given)
             log_pi = all_log_pi.gather(1, steps.actions[:, None]).squeeze(1)
         return self.model.reward(steps.before, steps.actions, steps.after, given), log_pi
 
     def rewards(self, driven: Batch, z: torch.Tensor) -> torch.Tensor:
-        """The reward f of every step but the last of what the policy drove, shape (P, n, T - 1)."""
+        """Return the reward f of every driven step but the last, shape (P, n, T - 1)."""
         steps = transitions(driven)
         with torch.no_grad():
             f: torch.Tensor = self.model.reward(
@@ -173,15 +175,15 @@ class Adversary:
         return f.reshape(*driven.length.shape, -1)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Everything that it has learned, optimiser included, by flat names."""
+        """Weights and the optimizer's state, by flat names."""
         tensors = {f"{_MODEL}{name}": value for name, value in self.model.state_dict().items()}
         return tensors | flat_moments(self._optimizer.state_dict())
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Go back to what :meth:`tensors` gave.
+        """Restore what :meth:`tensors` returned.
 
         Raises:
-            RuntimeError: they are of another model.
+            RuntimeError: the tensors belong to another model.
         """
         self.model.load_state_dict(
             {

@@ -1,0 +1,82 @@
+"""Checks of settings: every error gives the field, its range and the value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+
+def check_count(name: str, value: int, least: int = 1) -> int:
+    """Return a number of things.
+
+    Raises:
+        ValueError: it is below ``least``.
+    """
+    if value < least:
+        raise ValueError(f"{name} is at least {least}, but got {value}")
+    return value
+
+
+def check_positive(name: str, value: float, zero: bool = False) -> float:
+    """Return a finite number above 0.
+
+    Args:
+        name: of the setting.
+        value: of the setting.
+        zero: 0 is allowed too.
+
+    Raises:
+        ValueError: it is not finite, or too small.
+    """
+    if not (math.isfinite(value) and (value >= 0 if zero else value > 0)):
+        range_ = "a number of at least 0" if zero else "a positive number"
+        raise ValueError(f"{name} is {range_}, but got {value}")
+    return value
+
+
+def check_share(name: str, value: float, zero: bool = True, one: bool = True) -> float:
+    """Return a number between 0 and 1.
+
+    Args:
+        name: of the setting.
+        value: of the setting.
+        zero: 0 itself is allowed.
+        one: 1 itself is allowed.
+
+    Raises:
+        ValueError: it lies outside, or is not a number.
+    """
+    if not (0.0 < value < 1.0 or (zero and value == 0.0) or (one and value == 1.0)):
+        range_ = f"{'[' if zero else '('}0, 1{']' if one else ')'}"
+        raise ValueError(f"{name} lies in {range_}, but got {value}")
+    return value
+
+
+def check_choice(name: str, value: str, choices: Collection[str]) -> str:
+    """Return one of several words.
+
+    Raises:
+        ValueError: it is none of them.
+    """
+    if value not in choices:
+        raise ValueError(f"{name} is one of {', '.join(choices)}, not {value!r}")
+    return value
+
+
+def check_mini_batches(num_mini_batches: int, num_teams: int, least: int = 1) -> None:
+    """Check that the teams of a batch can be split into mini-batches.
+
+    Args:
+        num_mini_batches: parts of a batch.
+        num_teams: teams in a batch.
+        least: teams that a mini-batch needs.
+
+    Raises:
+        ValueError: there are too few teams.
+    """
+    if num_mini_batches * least > num_teams:
+        each = f" of at least {least} teams" if least > 1 else ""
+        raise ValueError(
+            f"cannot split {num_teams} teams into {num_mini_batches} mini-batches{each}; "
+            "lower --ppo.num-mini-batches or raise --num-teams"
+        )

@@ -1,0 +1,97 @@
+"""Files of a run's folder: its settings, by which it is resumed or refused, and its curve."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from hmi_marl.agents.catalogue import learned_file
+from hmi_marl.agents.learned.shipped import is_shipped
+from hmi_marl.envs.config import DRIVER
+from hmi_marl.files import json_value
+
+SETTINGS = "run.json"
+"""Settings of the run."""
+CURVE = "curve.json"
+"""Learning curve, a row for each batch."""
+CHECKPOINT = "checkpoint.safetensors"
+"""State to resume from."""
+POLICY = "driver_policy"
+FREE = ("device", "threads", "checkpoint_every")
+"""Settings of the machine, which may differ when a run is resumed."""
+
+
+def read_curve(folder: Path) -> list[dict[str, Any]]:
+    """Rows of a run's learning curve."""
+    rows: list[dict[str, Any]] = json.loads((folder / CURVE).read_text("utf-8"))
+    return rows
+
+
+def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
+    """Seconds that each run took in all, interruptions included, by its folder's name."""
+    return {run.name: read_curve(run)[-1]["seconds"] for run in runs}
+
+
+def run_settings(settings: object) -> dict[str, Any]:
+    """A run's settings, a dataclass, as JSON, with a driver policy named by its checksum.
+
+    Raises:
+        FileNotFoundError, ValueError: there is no such driver policy.
+    """
+    content: dict[str, Any] = json_value(settings)
+    name = content.get(POLICY)
+    weights = learned_file(name, DRIVER) if isinstance(name, str) else None
+    if isinstance(name, str) and weights is not None:
+        short = name.lower() if is_shipped(name) else Path(name).name
+        digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+        content[POLICY] = {"name": short, "sha256": digest}
+    return content
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Content of a run's ``run.json``.
+
+    Raises:
+        ValueError: the file is missing or damaged.
+    """
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path} is missing, but there is a checkpoint in its folder") from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
+    if not isinstance(about, dict):
+        raise ValueError(f"{path} does not contain the settings of a run")
+    return about
+
+
+def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> None:
+    """Check that the run in a folder has the settings that are asked for now.
+
+    Args:
+        before: ``run.json`` of the run in the folder.
+        now: the same of the run that is asked for.
+        folder: folder of the run.
+
+    Raises:
+        ValueError: something differs, other than settings of the machine.
+    """
+
+    def binding(about: dict[str, Any]) -> dict[str, Any]:
+        settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
+        policy = settings.get(POLICY)
+        if isinstance(policy, dict):  # whatever the name of its folder
+            settings[POLICY] = policy.get("sha256")
+        others = {k: v for k, v in about.items() if k not in ("settings", "command")}
+        return others | settings
+
+    old, new = binding(before), binding(now)
+    differing = [name for name in new if old.get(name) != new[name]]
+    if differing:
+        details = ", ".join(f"{n} = {old.get(n)!r}, now {new[n]!r}" for n in differing)
+        raise ValueError(
+            f"{folder} holds another run ({details}); choose another --out, or remove the folder"
+        )

@@ -1,0 +1,183 @@
+"""A run in a folder that can be resumed: claimed, restored, saved, timed and shown in one place.
+
+The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``, ``curve.json``
+(rows of losses and measures) and, unless the run is quiet, ``tensorboard/``. A subclass learns and
+saves its models there.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+import hmi_marl
+from hmi_marl.envs.streams import Stream, mix
+from hmi_marl.files import make_folder, write_json
+from hmi_marl.training.runs.checkpoint import Checkpoint
+from hmi_marl.training.runs.folder import (
+    CHECKPOINT,
+    CURVE,
+    SETTINGS,
+    check_same,
+    read_settings,
+    run_settings,
+)
+from hmi_marl.training.runs.processes import ALONE, Processes
+from hmi_marl.training.runs.progress import Progress
+
+Tensors = dict[str, dict[str, torch.Tensor]]
+
+
+class RunSettings(Protocol):
+    """Settings that every run has."""
+
+    @property
+    def seed(self) -> int:
+        """Random seed."""
+
+    @property
+    def checkpoint_every(self) -> float:
+        """Least time between checkpoints [s]."""
+
+
+class Run(ABC):
+    """One run in its folder. Same seed, same weights, however often it was interrupted.
+
+    Args:
+        settings: settings of the run.
+        folder: folder of the run.
+        about: more facts that must be the same when the run is resumed.
+        processes: processes that learn together; the first one writes.
+        command_line: command that started it, kept with the results.
+        quiet: no progress bar and no TensorBoard.
+        line: line of the terminal for the progress bar, where several runs go side by side.
+    """
+
+    phases: int = 1
+    """Number of phases, after which the run is finished."""
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        folder: Path,
+        about: Mapping[str, Any],
+        processes: Processes = ALONE,
+        command_line: str = "",
+        quiet: bool = False,
+        line: int = 0,
+    ) -> None:
+        self.folder, self.processes = folder, processes
+        self.command_line = command_line
+        self.state = Checkpoint()
+        self.about: dict[str, Any] = {
+            "version": hmi_marl.__version__,
+            "settings": run_settings(settings),
+            **about,
+        }
+        self._seed, self._checkpoint_every = settings.seed, settings.checkpoint_every
+        self._quiet, self._line = quiet or not processes.is_first, line
+        self._saved_at = time.monotonic()
+
+    @abstractmethod
+    def learn(self) -> None:
+        """Learn from ``state`` on until the last phase, and save the models."""
+
+    @abstractmethod
+    def tensors(self) -> Tensors:
+        """Everything learned so far, by the name of the learner."""
+
+    @abstractmethod
+    def restore(self, tensors: Tensors) -> None:
+        """Restore what :meth:`tensors` returned when the run was interrupted."""
+
+    def check(self, before: dict[str, Any]) -> None:
+        """Check that the run in the folder, begun with ``before``, is this one.
+
+        Raises:
+            ValueError: it is another.
+        """
+        check_same(before, self.about, self.folder)
+
+    def go(self) -> None:
+        """Learn what is not learned yet.
+
+        Raises:
+            OSError: the folder cannot be written to.
+            ValueError: the folder holds another run, or a damaged one.
+        """
+        if self.processes.is_first:
+            make_folder(self.folder)
+        settings, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
+        if checkpoint.is_file():  # otherwise nothing was learned that could be lost
+            self.check(read_settings(settings))
+            self.state = Checkpoint.load(checkpoint)
+            self.restore(self.state.tensors)
+        elif self.processes.is_first:
+            write_json(settings, self.about | {"command": self.command_line})
+        self.processes.wait()
+        if self.state.phase < self.phases:
+            self.learn()
+            self.processes.wait()  # until the last checkpoint is written
+
+    def finish_phase(self) -> None:
+        """Save, and begin the next phase."""
+        self.state.phase, self.state.iteration = self.state.phase + 1, 0
+        self.save()
+
+    def draw(self, stream: Stream, counter: int) -> int:
+        """Random number that follows from the run's seed, a stream and a counter."""
+        return int(mix(self._seed, stream, counter))
+
+    def progress(self, name: str, total: int, done: int = 0, unit: str = "steps") -> Progress:
+        """Progress bar, with curves for TensorBoard if the unit is environment steps."""
+        board = self.folder / "tensorboard" if unit == "steps" else None
+        return Progress(name, total, done, unit, self._quiet, self._line, board)
+
+    def count(self, began: float, steps: int = 0) -> dict[str, float]:
+        """Count one iteration.
+
+        Args:
+            began: time at which it began, by ``time.monotonic()``.
+            steps: environment steps taken in it.
+
+        Returns:
+            Seconds of the whole run so far and, if there are ``steps``, their number per second.
+        """
+        spent = time.monotonic() - began
+        self.state.iteration += 1
+        self.state.steps += steps
+        self.state.seconds += spent
+        seconds = {"seconds": self.state.seconds}
+        return {"steps_per_second": steps / spent} | seconds if steps else seconds
+
+    def save_if_due(self) -> None:
+        """Save, unless that was done a short time ago."""
+        if time.monotonic() - self._saved_at > self._checkpoint_every:
+            self.save()
+
+    def save(self) -> None:
+        """Write a checkpoint, and the curve up to it."""
+        self._saved_at = time.monotonic()
+        if not self.processes.is_first:
+            return
+        self.state.tensors |= self.tensors()
+        write_json(self.folder / CURVE, self.state.curve)  # first: a kill in between loses none
+        self.state.save(self.folder / CHECKPOINT)
+
+
+@contextmanager
+def own_torch_state(threads: int) -> Iterator[None]:
+    """Run a block with its own random state and number of threads in torch."""
+    before = torch.get_num_threads()
+    with torch.random.fork_rng():
+        torch.set_num_threads(threads)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(before)
