@@ -181,7 +181,7 @@ SUBCOMMANDS = (
             ),
             Subcommand(
                 "evaluate",
-                "Judge trait models on held-out driving: drivers named, traits found, imitation.",
+                "Judge trait models on held-out driving: drivers identified, traits, imitation.",
                 "commands.traits:EvaluateTraits",
                 _PARQUET + _PROBES,
             ),

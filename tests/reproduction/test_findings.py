@@ -184,7 +184,7 @@ def traits(
         }
         for name, average, accuracy in zip(("none", "id", "preference"), kl, named, strict=True)
     }
-    return {"traits": {"pool": 8, "settings": settings}}
+    return {"traits": {"pool": 8, "supervisions": settings}}
 
 
 ONE_PLACE = dict.fromkeys(PAPER_DRIVERS, (0.0, 0.0))
