@@ -69,3 +69,8 @@ EXPERIMENTS.register(
     "Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.",
     Where("hmi_marl.experiments.graded_alerts:GradedAlerts"),
 )
+EXPERIMENTS.register(
+    "protocols",
+    "Train by every protocol with equal environment steps and several seeds, and compare them.",
+    Where("hmi_marl.experiments.protocols.experiment:ProtocolComparison", in_suite=False),
+)

@@ -172,8 +172,7 @@ class TraitEvaluation(_Judged):
 class LatentTraits(_Judged):
     """Learn latent traits in the paper's three settings and judge what was learned.
 
-    Goes on where it was cut off. With --seeds 5 every setting is learned five times, and accuracies
-    and KL get intervals.
+    With --seeds 5 every setting is learned five times, and accuracies and KL get intervals.
 
     Raises:
         ValueError: a size below its least, or a setting that the experiment sets itself.
