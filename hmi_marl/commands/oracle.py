@@ -25,14 +25,14 @@ class Oracle:
     driver: str = "homer"
     """lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     window: int = oracle.DEFAULT_WINDOW
-    """N, for how many steps an alert stays in effect."""
+    """N, the steps for which an alert stays in effect."""
     horizon: int = oracle.DEFAULT_HORIZON
     """Steps in an episode (5 per second)."""
     alert_strengths: tuple[float, ...] = FULL
     """Strengths of alert that the HMI can choose from, rising within (0, 1]."""
     fatigue: tuple[int, int, float] | None = None
-    """LEVELS PER_ALERT EFFECT, how alerts that pile up lose their effect, for example 10 2 0.5;
-    they do not by default."""
+    """LEVELS PER_ALERT EFFECT: how repeated alerts lose their effect, for example 10 2 0.5; by
+    default they do not."""
     out: Path = Path("runs/oracle")
     """Folder for the JSON."""
 

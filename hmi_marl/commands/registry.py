@@ -1,7 +1,7 @@
-"""The subcommands of ``hmi-marl``: names, one-line helps and the extras that each needs.
+"""Subcommands of ``hmi-marl``: names, one-line helps and the extras that each needs.
 
-A subcommand is an entry here and a typed dataclass with ``run(typed)`` in a module of its own,
-which is imported only when the subcommand is asked for.
+A subcommand is an entry here and a typed dataclass with ``run(command_line)`` in a module of its
+own, which is imported only when the subcommand is asked for.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _PARQUET, _PROBES, _MINARI = ("pyarrow",), ("sklearn",), ("minari", "h5py")
 
 @dataclass(frozen=True)
 class Option:
-    """An option that needs modules of its own."""
+    """Option that needs modules of its own."""
 
     shown: str
-    """As it is typed, for the table and the error."""
+    """Option as it is typed, for the table and the error."""
     needs: tuple[str, ...]
     """Modules of extras."""
     chosen: Callable[[Any], bool]
@@ -31,11 +31,11 @@ class Option:
 
 @dataclass(frozen=True)
 class Subcommand:
-    """A subcommand, or one that chooses among several."""
+    """Subcommand, or one that chooses among several."""
 
     name: str
     help: str
-    """The first line of its class's docstring."""
+    """First line of its class's docstring."""
     where: str | type[Any]
     """Its class, or MODULE:CLASS below ``hmi_marl``, or a function there that makes it of its
     name."""
@@ -45,7 +45,7 @@ class Subcommand:
     choices: tuple[Subcommand, ...] | Callable[[], tuple[Subcommand, ...]] = ()
     """Subcommands to choose among, or a function that imports and lists them."""
     choice: str = ""
-    """The attribute of its class that holds the part chosen."""
+    """Attribute of its class that holds the part chosen."""
 
     @property
     def parts(self) -> tuple[Subcommand, ...]:
@@ -77,7 +77,7 @@ class Subcommand:
                 need(f"{path} {option.shown}", *option.needs)
 
     def leaves(self, path: str = "") -> Iterator[tuple[str, Subcommand]]:
-        """All that can be run, with what is typed for each."""
+        """List all that can be run, with the words that are typed for each."""
         path = f"{path} {self.name}".lstrip()
         if not self.parts:
             yield path, self
@@ -201,12 +201,12 @@ SUBCOMMANDS = (
         ),
     ),
 )
-"""All of them, in the order in which ``hmi-marl --help`` lists them."""
+"""All subcommands, in the order in which ``hmi-marl --help`` lists them."""
 BY_NAME: Mapping[str, Subcommand] = {each.name: each for each in SUBCOMMANDS}
 
 
 def extras_table() -> str:
-    """A Markdown table of the extras that each subcommand needs."""
+    """Write a Markdown table of the extras that each subcommand needs."""
     rows = ["| command | needs | for an option |", "| --- | --- | --- |"]
     for subcommand in SUBCOMMANDS:
         for path, leaf in subcommand.leaves():

@@ -31,7 +31,7 @@ class ReproduceAll:
     """
 
     quick: bool = False
-    """A coarse one in a quarter of an hour instead."""
+    """Run a coarse version of a quarter of an hour instead."""
     seed: int = 0
     """Seed of everything."""
     workers: int | None = None
@@ -60,7 +60,7 @@ class ReproduceOne:
 
     settings: Experiment[Any]
     quick: bool = False
-    """A coarse version in minutes instead."""
+    """Run a coarse version of minutes instead."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
     out: Path | None = None
@@ -145,7 +145,8 @@ def experiment_command(name: str) -> type[ReproduceOne]:
 @cache
 def _command_of(name: str, kind: type[Experiment[Any]]) -> type[ReproduceOne]:
     base = ReproduceWithDriver if kind.uses_driver else ReproduceOne
-    unprefixed = Annotated[kind, tyro.conf.arg(name="")]  # groups within keep their prefixes
+    # Groups within keep their prefixes.
+    unprefixed = Annotated[kind, tyro.conf.arg(name="")]  # type: ignore[valid-type]
     settings = ("settings", unprefixed, field(default_factory=kind))
     command = make_dataclass(kind.__name__, [settings], bases=(base,), frozen=True)
     about = inspect.cleandoc(kind.__doc__ or "").partition("\n\nRaises:")[0]

@@ -26,7 +26,7 @@ class Watch(TeamSettings):
     """never, always, random[:RATE], when-distracted, optimal[:DRIVER], average, belief[:DRIVER],
     the folder of a trained run, or trained:NAME."""
     policy: str = "rule"
-    """Who steers: rule, random, the folder of a trained run, or trained:NAME."""
+    """Driver policy: rule, random, the folder of a trained run, or trained:NAME."""
     seed: int = 0
     """Seed of the episode."""
     out: Path | None = None

@@ -25,7 +25,7 @@ class AlertProblem:
     window: int
     horizon: int
     returns: dict[str, AlertReturns]
-    """By HMI."""
+    """Returns by HMI."""
     reachable: Reachable
     audited: list[AuditedCell]
     alerts: Alerts = PLAIN

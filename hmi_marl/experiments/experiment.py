@@ -103,7 +103,7 @@ class Experiment(ABC, Generic[R]):
     title: ClassVar[str]
     """Heading of its report."""
     paper: ClassVar[str] = ""
-    """What the paper shows of it, and how ours corresponds to it."""
+    """Text on what the paper shows of it, and how ours corresponds to it."""
     uses_driver: ClassVar[bool] = False
     """Whether it plays with the driver policy that the experiments of a reproduction share."""
 

@@ -57,7 +57,7 @@ class HiddenRow:
     revealing: float
     """Share of steps, after the first, in which a^H differs from the last applied action."""
     attention_return: dict[str, Estimate]
-    """By HMI."""
+    """Returns by HMI."""
     learned_minus_bayes: Estimate
     """Own HMIs, paired by episode."""
     own_minus_average: Estimate

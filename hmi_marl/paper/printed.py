@@ -28,7 +28,7 @@ SPEED_RETURNS: Mapping[str, Row] = MappingProxyType(
 AVERAGE_KL: Mapping[str, float] = MappingProxyType(
     {"none": 435.0, "id": 4940.0, "preference": 2872.0}
 )
-"""Average KL divergence between driver types, by supervision [nats]; under its figure of embeddings."""
+"""Average KL divergence between driver types [nats], by supervision; under the figure."""
 DRIVER_TRAITS: Mapping[str, tuple[float, float, float, float]] = MappingProxyType(
     {
         "lisa": (0.2, 0.8, 0.01, 3.0),

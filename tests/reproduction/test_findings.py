@@ -184,7 +184,7 @@ def traits(
         }
         for name, average, accuracy in zip(("none", "id", "preference"), kl, named, strict=True)
     }
-    return {"traits": {"pool": 8, "settings": settings}}
+    return {"traits": {"pool": 8, "supervisions": settings}}
 
 
 ONE_PLACE = dict.fromkeys(PAPER_DRIVERS, (0.0, 0.0))
@@ -242,7 +242,7 @@ def test_the_scenario_hides_who_drives_only_if_nobody_can_tell() -> None:
     assert verdict(check, traits(alike, exact=0.9)) == Outcome.SUPPORTED
     assert verdict(check, traits(alike)) == Outcome.NOT_SUPPORTED  # they could be
     blind = traits()
-    for setting in blind["traits"]["settings"].values():
+    for setting in blind["traits"]["supervisions"].values():
         for row in setting["seeds"][0]["identified"]:
             row["ceilings"] = None
     assert verdict(check, blind) == Outcome.NOT_RUN

@@ -37,8 +37,8 @@ if __name__ == "__main__":
         MetricsTable(1, 1, 4, 16),
         AttentiveDrivers(1, 1, 8, 16),
         HiddenAttention(1, 1, 4, 4, 16),
-        Adaptation(320, 1, 1, 4, 16, judging=AdaptSettings(4, 2, 1, 2, 2)),
-        LatentTraits(1, 2000, 4, learn, judging=AssessSettings(10, 1, 2)),
+        Adaptation(320, 1, 1, 4, 16, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
+        LatentTraits(1, 2000, 4, learn, evaluation=AssessSettings(10, 1, 2)),
         GradedAlerts(1, 4, 16),
     ]
     folder = Path(sys.argv[1])

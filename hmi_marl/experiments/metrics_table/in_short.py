@@ -1,4 +1,4 @@
-"""A table in three sentences: what was learned, why rows are alike or differ, what to try next.
+"""Summary of a table: what was learned, why rows are alike or differ, what to try next.
 
 Every sentence is made from the table's cells. One that the cells do not support is left out.
 """
@@ -25,11 +25,11 @@ LEARNED, ALIKE, DIFFER, NEXT = (
 _ROUNDING = 1e-6
 """Shortfall of a rule, in attention return, that is due to rounding."""
 _MANY = 6
-"""Drivers from which on a range is given instead of a number for each."""
+"""Number of drivers from which on a range is given instead of a number for each."""
 
 
 def in_short(config: TableConfig, cells: Sequence[Cell]) -> list[Text]:
-    """At most three sentences about a table, in the order of the module's first line."""
+    """Summarise a table in at most three sentences."""
     rows = _rows(config, cells)
     said = [what_was_learned(config, rows), why_alike(config, rows), what_next(config, rows)]
     return [remark for remark in said if remark is not None]
@@ -218,7 +218,7 @@ def what_next(config: TableConfig, rows: Sequence[Row]) -> Text:
 
 
 def team_flags(config: TeamSettings) -> list[str]:
-    """Options that set a command's teams as these are, where they are not the default."""
+    """Write the options that set a command's teams like these, where they are not the default."""
     flags: list[str] = []
     for field in fields(TeamSettings):
         value, name = getattr(config, field.name), field.name.replace("_", "-")
@@ -262,7 +262,7 @@ def _best(config: TableConfig) -> str:
 
 
 def _by_driver(shares: Mapping[str, float], whole: str) -> str:
-    """A percentage of ``whole`` for each driver, or one if all are the same; empty for none."""
+    """Write a percentage of ``whole`` for each driver, or one if all are the same."""
     shown = {driver: _percent(share) for driver, share in shares.items()}
     if not shown:
         return ""
@@ -275,7 +275,7 @@ def _by_driver(shares: Mapping[str, float], whole: str) -> str:
 
 
 def _percent(share: float) -> str:
-    """Rounded down, so that 100 % means all."""
+    """Write a share in percent, rounded down, so that 100 % means all."""
     text = f"{math.floor(share * 1000 + 1e-6) / 10:.1f}"
     return f"{text.removesuffix('.0')} %"
 
