@@ -141,7 +141,7 @@ EXAMPLES = tuple(
     for name, needs in {
         "turn_taking": CORE,
         "new_driver": CORE,
-        "new_experiment": TRAIN,
+        "new_experiment": CORE,
         "new_hmi": CORE,
         "new_protocol": TRAIN,
         "new_world": CORE,
