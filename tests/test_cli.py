@@ -194,13 +194,13 @@ def test_what_is_watched_depends_on_the_rules(tmp_path: Path, option: list[str])
 
 def test_watch_works_with_hidden_attention(tmp_path: Path) -> None:
     path = tmp_path / "clip.gif"
-    arguments = ["watch", *SMALL, "--duration", "1", "--hide-attention", "--out", str(path)]
+    arguments = ["watch", *SMALL, "--duration", "1", "--no-ai-sees-attention", "--out", str(path)]
     assert main(arguments) == 0
     assert path.stat().st_size > 0
 
 
 def test_hidden_attention_reaches_the_hmi(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["watch", "--hmi", "when-distracted", "--hide-attention", "--out", "clip.gif"]
+    arguments = ["watch", "--hmi", "when-distracted", "--no-ai-sees-attention", "--out", "clip.gif"]
     assert main(arguments) == 2
     assert "ai_sees_attention=False hides" in capsys.readouterr().err
 
@@ -301,7 +301,7 @@ def test_an_interrupt_is_reported_in_one_line(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hmi_marl.commands.oracle.alert_report", interrupt)
+    monkeypatch.setattr("hmi_marl.commands.oracle.alert_problem", interrupt)
     assert main(["oracle"]) == 130
     assert capsys.readouterr().err == "hmi-marl: interrupted\n"
 
