@@ -47,13 +47,6 @@ class Driving:
     time_headway: float
     """Median over episodes of each episode's median while a vehicle is ahead [s]."""
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return vars(self) | {
-            "speed_return": self.speed_return.as_json(),
-            "crash_rate": self.crash_rate.as_json(),
-        }
-
 
 @dataclass(frozen=True)
 class AttentiveDrivers(Experiment[list[Driving]]):
@@ -116,7 +109,7 @@ class AttentiveDrivers(Experiment[list[Driving]]):
 
     def numbers(self, results: list[Driving]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [json_value(row.as_json()) for row in results]}
+        return {"rows": json_value(results)}
 
     def judge(self, results: list[Driving]) -> list[Verdict]:
         """Judge the drivers after all learning."""

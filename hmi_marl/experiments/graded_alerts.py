@@ -125,10 +125,7 @@ class GradedRow:
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
-        return vars(self) | {
-            "case": vars(self.case),
-            "learned": self.learned.as_json(),
-            "optimal_played": self.optimal_played.as_json(),
+        return json_value(self) | {
             "share_of_gain_over_silence": self.share,
             "shortfall": self.shortfall,
             "holds": self.holds,
@@ -233,7 +230,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
 
     def numbers(self, results: list[GradedRow]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [json_value(row.as_json()) for row in results]}
+        return {"rows": [row.as_json() for row in results]}
 
     def judge(self, results: list[GradedRow]) -> list[Verdict]:
         """Judge each learned HMI by the exact optimum."""

@@ -32,6 +32,7 @@ from hmi_marl.experiments.policies import (
     MODELS,
     driver_job,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
@@ -75,15 +76,6 @@ class HiddenRow:
         """
         bayes = self.attention_return[BAYES_OWN].mean
         return self.learned_minus_bayes.mean >= -BAYES_MARGIN * abs(bayes)
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return vars(self) | {
-            "attention_return": {k: e.as_json() for k, e in self.attention_return.items()},
-            "learned_minus_bayes": self.learned_minus_bayes.as_json(),
-            "own_minus_average": self.own_minus_average.as_json(),
-            "as_good_as_bayes": self.as_good,
-        }
 
 
 @dataclass(frozen=True)
@@ -183,7 +175,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
 
     def numbers(self, results: list[HiddenRow]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [row.as_json() for row in results]}
+        return {"rows": [json_value(row) | {"as_good_as_bayes": row.as_good} for row in results]}
 
     def judge(self, results: list[HiddenRow]) -> list[Verdict]:
         """Judge each learned HMI by the Bayes filter."""

@@ -6,8 +6,9 @@ which it can be read again: a report assembled later, from files, shows the same
 
 from __future__ import annotations
 
-import base64
 import re
+from abc import ABC, abstractmethod
+from base64 import b64decode, b64encode
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from html import escape
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from hmi_marl.files import json_value
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -26,8 +28,32 @@ _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPO
 """Style classes of the page by outcome; grey for the others."""
 
 
+class Block(ABC):
+    """Part of a report."""
+
+    kind: ClassVar[str]
+    """Name of its class in JSON."""
+
+    @abstractmethod
+    def as_text(self) -> str:
+        """Render for a terminal."""
+
+    @abstractmethod
+    def as_html(self) -> str:
+        """Render for a page."""
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content, from which :func:`block_from` reads it again."""
+        return {"kind": self.kind} | {
+            name: b64encode(value).decode("ascii")
+            if isinstance(value, bytes)
+            else json_value(value)
+            for name, value in vars(self).items()
+        }
+
+
 @dataclass(frozen=True)
-class Heading:
+class Heading(Block):
     """Title of a section."""
 
     text: str
@@ -44,13 +70,9 @@ class Heading:
         anchor = f' id="{escape(self.anchor)}"' if self.anchor else ""
         return f"<h2{anchor}>{escape(self.text)}</h2>"
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {"kind": self.kind} | vars(self)
-
 
 @dataclass(frozen=True)
-class Text:
+class Text(Block):
     """Paragraph; commands in it stand between backticks."""
 
     text: str
@@ -68,13 +90,9 @@ class Text:
         lead = f"<b>{escape(self.lead)}</b><br>" if self.lead else ""
         return f"<p>{lead}{_with_commands(self.text)}</p>"
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {"kind": self.kind} | vars(self)
-
 
 @dataclass(frozen=True)
-class Table:
+class Table(Block):
     """Table whose rows begin with their heading; entries may have several lines."""
 
     title: str
@@ -111,14 +129,9 @@ class Table:
         note = f'\n<p class="small">{escape(self.note)}</p>' if self.note else ""
         return f'{title}<div class="wide"><table><tr>{top}</tr>{body}</table></div>{note}'
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        rows = [list(row) for row in self.rows]
-        return {"kind": self.kind} | vars(self) | {"head": list(self.head), "rows": rows}
-
 
 @dataclass(frozen=True)
-class Figure:
+class Figure(Block):
     """PNG of a figure."""
 
     name: str
@@ -144,16 +157,9 @@ class Figure:
         source = f'<source media="(max-width: 40rem)" srcset="{narrow}">'
         return f"<picture>{source}{shown}</picture>"
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {"kind": self.kind, "name": self.name, "description": self.description} | {
-            name: None if png is None else base64.b64encode(png).decode("ascii")
-            for name, png in (("content", self.content), ("narrow", self.narrow))
-        }
-
 
 @dataclass(frozen=True)
-class Clip:
+class Clip(Block):
     """Animated GIF of an episode."""
 
     name: str
@@ -173,14 +179,9 @@ class Clip:
         source = _data(self.suffix, self.content)
         return f'<img class="clip" alt="{alt}" src="{source}"><p>{escape(self.caption)}</p>'
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        content = base64.b64encode(self.content).decode("ascii")
-        return {"kind": self.kind, "name": self.name, "caption": self.caption, "content": content}
-
 
 @dataclass(frozen=True)
-class Verdicts:
+class Verdicts(Block):
     """Statements with their outcomes and reasons."""
 
     verdicts: Sequence[Verdict]
@@ -217,14 +218,6 @@ class Verdicts:
             f"<th>verdict</th></tr>{rows}</table></div>"
         )
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        verdicts = [verdict.as_json() for verdict in self.verdicts]
-        return {"kind": self.kind, "title": self.title, "note": self.note, "verdicts": verdicts}
-
-
-Block = Heading | Text | Table | Figure | Clip | Verdicts
-
 
 def block_from(content: dict[str, Any]) -> Block:
     """Read a block from its JSON content.
@@ -232,29 +225,22 @@ def block_from(content: dict[str, Any]) -> Block:
     Raises:
         ValueError: the content describes no block.
     """
-    given = dict(content)
+    given, kinds = dict(content), {block.kind: block for block in Block.__subclasses__()}
     kind = given.pop("kind", None)
+    if kind not in kinds:
+        raise ValueError(f"a report has no blocks of kind {kind!r}")
     try:
-        match kind:
-            case "heading":
-                return Heading(**given)
-            case "text":
-                return Text(**given)
-            case "table":
-                return Table(**given)
-            case "figure":
-                return Figure(**given | {n: _bytes(given[n]) for n in ("content", "narrow")})
-            case "clip":
-                return Clip(**given | {"content": _bytes(given["content"])})
-            case "verdicts":
-                verdicts = [
-                    Verdict(**each | {"outcome": Outcome(each["outcome"])})
-                    for each in given["verdicts"]
-                ]
-                return Verdicts(**given | {"verdicts": verdicts})
+        for name in ("content", "narrow"):
+            if given.get(name) is not None:
+                given[name] = b64decode(given[name])
+        if "verdicts" in given:
+            given["verdicts"] = [
+                Verdict(**each | {"outcome": Outcome(each["outcome"])})
+                for each in given["verdicts"]
+            ]
+        return kinds[kind](**given)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"a damaged block of a report: {error!r}") from None
-    raise ValueError(f"a report has no blocks of kind {kind!r}")
 
 
 def as_text(blocks: Iterable[Block]) -> str:
@@ -282,12 +268,8 @@ def _in_brackets(reason: str) -> str:
     return f" ({reason})" if reason else ""
 
 
-def _bytes(content: str | None) -> bytes | None:
-    return None if content is None else base64.b64decode(content)
-
-
 def _data(suffix: str, content: bytes) -> str:
-    return f"data:image/{suffix};base64,{base64.b64encode(content).decode('ascii')}"
+    return f"data:image/{suffix};base64,{b64encode(content).decode('ascii')}"
 
 
 def _with_commands(text: str) -> str:
