@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import tempfile
 from collections.abc import Callable, Mapping
@@ -75,13 +76,19 @@ def sha256_of(path: Path) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """Return ``value`` as JSON has it: a dataclass as a dict, types unknown to JSON by repr."""
+    """Convert ``value`` to JSON content.
+
+    A dataclass becomes a dict, an array a list, a number that is not finite None, and anything
+    that JSON does not know its repr.
+    """
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: json_value(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [json_value(item) for item in value]
-    if isinstance(value, np.generic):
-        return value.item()
+    if isinstance(value, (np.generic, np.ndarray)):
+        return json_value(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     return value if value is None or isinstance(value, (bool, int, float, str)) else repr(value)

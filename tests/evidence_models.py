@@ -104,14 +104,12 @@ def small_evaluation(monkeypatch: Any) -> None:
     """Let the evaluation of adaptive HMIs take trips of 2 s, on one thread, of a few groups."""
     import numba
 
-    from hmi_marl.experiments.adaptation import clip as adapt_clip
     from hmi_marl.experiments.adaptation import evaluation as adapt
 
     every, team = adapt.groups, replace(HIDDEN, duration=2.0)
     wanted = "lisa", "bart", "population", "change to bart"
     monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
     monkeypatch.setattr(adapt, "TEAM", team)
-    monkeypatch.setattr(adapt_clip, "TEAM", team)
     monkeypatch.setattr(adapt, "CHANGE_STEP", team.horizon // 2)
     monkeypatch.setattr(adapt, "RECOVERED", 5)
     monkeypatch.setattr(

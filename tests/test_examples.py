@@ -12,7 +12,7 @@ SB3 = "sb3_parameter_sharing"
 TINY = {
     "turn_taking": (["--duration", "2"], "vehicle_ai  return"),
     "new_driver": ([], "with the optimal one"),
-    "new_experiment": (["--episodes", "2", "--windows", "1", "7"], "supported  homer: fewer alerts"),
+    "new_experiment": (["--episodes", "2", "--windows", "1", "7"], "homer: fewer alerts"),
     "new_hmi": (["--episodes", "2", "--duration", "2"], "optimum"),
     "new_protocol": (
         ["--steps", "160", "--teams", "16", "--duration", "2", "--out", "runs/first"],

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import tyro
 
-from hmi_marl.experiments.speed_config import BenchConfig
-from hmi_marl.files import make_folder, write_json
+from hmi_marl.experiments.speed import BenchConfig, bench, make_report, measurements
+from hmi_marl.files import make_folder
+from hmi_marl.reporting.blocks import as_text
 
 
 @dataclass(frozen=True)
@@ -19,22 +20,19 @@ class Bench:
     """
 
     bench: tyro.conf.OmitArgPrefixes[BenchConfig] = field(default_factory=BenchConfig)
-    """What to measure."""
+    """Settings of the bench."""
     out: Path = Path("runs/bench")
-    """Folder for the JSON."""
+    """Folder for the report."""
 
     def run(self, command_line: str) -> None:
         """Measure, write and print."""
         from tqdm import tqdm
 
-        from hmi_marl.experiments import speed as bench
-
         self.bench.check()
         make_folder(self.out)
-        with tqdm(total=bench.measurements(self.bench), unit=" turns", desc="bench") as bar:
-            rows = bench.bench(self.bench, bar.update)
-        write_json(
-            self.out / "bench.json", bench.as_json(self.bench, rows) | {"command": command_line}
-        )
-        print(bench.as_text(rows))
+        with tqdm(total=measurements(self.bench), unit=" turns", desc="bench") as bar:
+            rows = bench(self.bench, bar.update)
+        report = make_report(self.bench, rows, command_line)
+        report.write(self.out)
+        print(as_text(report.blocks))
         print(f"\nwritten: {self.out / 'bench.json'}")

@@ -8,8 +8,9 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.experiments.protocols.settings import CompareSettings, quick
-from hmi_marl.files import make_folder
+from hmi_marl.experiments.experiment import Place, conduct
+from hmi_marl.experiments.protocols.experiment import ProtocolComparison
+from hmi_marl.reporting.report import PAGE
 from hmi_marl.workers import check_workers
 
 
@@ -18,14 +19,16 @@ class Compare:
     """Train by every protocol with equal environment steps and several seeds, and compare them.
 
     Learning curves, final returns and their terms, crashes, alerts, wall time, swapped partners,
-    and whether it pays to crash. Writes text, JSON, figures and an HTML page. Goes on by itself
-    where it was cut off; a trained run is not trained again.
+    and whether crashing pays. Writes text, JSON, figures and an HTML page. Goes on by itself where
+    it was cut off; a trained run is not trained again.
 
     Example: hmi-marl compare --protocols two-stage simultaneous --steps 1_000_000 --seeds 2
     """
 
-    size: tyro.conf.OmitArgPrefixes[CompareSettings] = field(default_factory=CompareSettings)
-    """What to compare, and how large."""
+    settings: tyro.conf.OmitArgPrefixes[ProtocolComparison] = field(
+        default_factory=ProtocolComparison
+    )
+    """Protocols to compare, and sizes."""
     quick: bool = False
     """A coarse one instead: 300k steps, 2 seeds, 200 episodes, 128 teams."""
     workers: int | None = None
@@ -36,21 +39,8 @@ class Compare:
     def run(self, command_line: str) -> None:
         """Learn what is not learned yet, play, write and print."""
         use_quiet_threads()
-        from tqdm import tqdm
-
-        from hmi_marl.experiments.protocols import play as compare_play
-        from hmi_marl.experiments.protocols import report as compare_report
-        from hmi_marl.experiments.protocols.analysis import Comparison
-        from hmi_marl.training.runs.jobs import train_all
-
-        size = quick(self.size) if self.quick else self.size
+        settings = self.settings.coarse() if self.quick else self.settings
         out = self.out or Path("runs") / ("compare-quick" if self.quick else "compare")
-        workers = check_workers(self.workers)
-        make_folder(out)
-        train_all(size.jobs(out), workers, command_line)
-        with tqdm(total=len(size.pairs()) * size.episodes, unit=" episodes", desc="playing") as bar:
-            played = compare_play.play_all(size, out, workers, bar.update)
-        comparison = Comparison(size, played, compare_play.read_curves(size, out), workers)
-        page = compare_report.write_report(out, comparison, command_line)
-        print(compare_report.as_text(comparison))
-        print(f"\nthe page: {page.resolve().as_uri()}")
+        place = Place(out, out, check_workers(self.workers), command_line)
+        print(conduct(settings, place).text)
+        print(f"\nthe page: {(out / PAGE).resolve().as_uri()}")

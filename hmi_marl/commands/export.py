@@ -14,20 +14,20 @@ from hmi_marl.agents.learned.shipped import is_shipped
 class Export:
     """Write a learned policy as ONNX, for use outside of Python.
 
-    Its metadata say which columns it reads.
+    Its metadata name the columns that it reads.
 
     Example: hmi-marl export --policy runs/homer --seat vehicle_ai --out hmi.onnx
     """
 
     policy: Path
-    """The folder of a trained run, a policy's .json, or trained:NAME."""
+    """Folder of a trained run, a policy's .json, or trained:NAME."""
     seat: Literal["driver", "vehicle_ai"] = "vehicle_ai"
-    """Whose policy."""
+    """Seat of the policy."""
     out: Path | None = None
-    """The file; by default beside the policy, of one that came with the package in this folder."""
+    """File to write; by default next to the policy, for one from the package in this folder."""
 
     def run(self, command_line: str) -> None:
-        """Read, write and say where."""
+        """Read the policy, write the file and print its path."""
         from hmi_marl.agents.learned.onnx_export import export_onnx
 
         source = find_policy(self.policy, self.seat)

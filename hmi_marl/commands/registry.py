@@ -1,7 +1,7 @@
-"""The subcommands of ``hmi-marl``: names, one-line helps and the extras that each needs.
+"""Subcommands of ``hmi-marl``: names, one-line helps and the extras that each needs.
 
-A subcommand is an entry here and a typed dataclass with ``run(typed)`` in a module of its own,
-which is imported only when the subcommand is asked for.
+A subcommand is an entry here and a typed dataclass with ``run(command_line)`` in a module of its
+own, which is imported only when the subcommand is asked for.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.extras import EXTRAS, TRAINING, need
 
 _PARQUET, _PROBES, _MINARI = ("pyarrow",), ("sklearn",), ("minari", "h5py")
@@ -18,10 +19,10 @@ _PARQUET, _PROBES, _MINARI = ("pyarrow",), ("sklearn",), ("minari", "h5py")
 
 @dataclass(frozen=True)
 class Option:
-    """An option that needs modules of its own."""
+    """Option that needs modules of its own."""
 
     shown: str
-    """As it is typed, for the table and the error."""
+    """Option as it is typed, for the table and the error."""
     needs: tuple[str, ...]
     """Modules of extras."""
     chosen: Callable[[Any], bool]
@@ -30,20 +31,21 @@ class Option:
 
 @dataclass(frozen=True)
 class Subcommand:
-    """A subcommand, or one that chooses among several."""
+    """Subcommand, or one that chooses among several."""
 
     name: str
     help: str
-    """The first line of its class's docstring."""
+    """First line of its class's docstring."""
     where: str | type[Any]
-    """Its class, or MODULE:CLASS below ``hmi_marl``."""
+    """Its class, or MODULE:CLASS below ``hmi_marl``, or a function there that makes it of its
+    name."""
     needs: tuple[str, ...] = ()
     """Modules of extras, without which it does not begin."""
     options: tuple[Option, ...] = ()
     choices: tuple[Subcommand, ...] | Callable[[], tuple[Subcommand, ...]] = ()
     """Subcommands to choose among, or a function that imports and lists them."""
     choice: str = ""
-    """The attribute of its class that holds the part chosen."""
+    """Attribute of its class that holds the part chosen."""
 
     @property
     def parts(self) -> tuple[Subcommand, ...]:
@@ -55,7 +57,8 @@ class Subcommand:
         if not isinstance(self.where, str):
             return self.where
         module, _, name = self.where.partition(":")
-        kind: type[Any] = getattr(importlib.import_module(f"hmi_marl.{module}"), name)
+        found = getattr(importlib.import_module(f"hmi_marl.{module}"), name)
+        kind: type[Any] = found if isinstance(found, type) else found(self.name)
         return kind
 
     def check(self, command: Any, path: str = "") -> None:
@@ -74,7 +77,7 @@ class Subcommand:
                 need(f"{path} {option.shown}", *option.needs)
 
     def leaves(self, path: str = "") -> Iterator[tuple[str, Subcommand]]:
-        """All that can be run, with what is typed for each."""
+        """List all that can be run, with the words that are typed for each."""
         path = f"{path} {self.name}".lstrip()
         if not self.parts:
             yield path, self
@@ -87,6 +90,27 @@ def _protocols() -> tuple[Subcommand, ...]:
 
     return tuple(
         Subcommand(name, entry.help, entry.value, TRAINING) for name, entry in PROTOCOLS.items()
+    )
+
+
+def _experiments() -> tuple[Subcommand, ...]:
+    """Parts of ``hmi-marl reproduce``: all registered experiments, all at once, and shipping."""
+    return (
+        Subcommand(
+            "all",
+            "Reproduce every table and figure of the paper, with a verdict on each claim.",
+            "commands.reproduce:ReproduceAll",
+            TRAINING + _PARQUET + _PROBES,
+        ),
+        *(
+            Subcommand(name, entry.help, "commands.reproduce:experiment_command", entry.value.needs)
+            for name, entry in EXPERIMENTS.items()
+        ),
+        Subcommand(
+            "ship",
+            "Copy the agents of a finished reproduction to where the package ships them from.",
+            "commands.reproduce:ReproduceShip",
+        ),
     )
 
 
@@ -128,56 +152,8 @@ SUBCOMMANDS = (
     Subcommand(
         "reproduce",
         "Reproduce the paper's results, each number with its exact value and a verdict.",
-        "commands.reproduce:Reproduce",
-        choices=(
-            Subcommand(
-                "all",
-                "Reproduce every table and figure of the paper, with a verdict on each claim.",
-                "commands.reproduce:ReproduceAll",
-                TRAINING + _PARQUET + _PROBES,
-            ),
-            Subcommand(
-                "table",
-                "Learn every policy of the paper's table of HMIs and drivers, and make the table.",
-                "commands.reproduce:ReproduceTable",
-                TRAINING,
-            ),
-            Subcommand(
-                "driver",
-                "Learn to drive without distraction: speed, crashes and headway by steps.",
-                "commands.reproduce:ReproduceDriver",
-                TRAINING,
-            ),
-            Subcommand(
-                "hidden",
-                "Compare learned HMIs that do not see attention with Bayes filters, by driver.",
-                "commands.reproduce:ReproduceHidden",
-                TRAINING,
-            ),
-            Subcommand(
-                "adapt",
-                "Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.",
-                "commands.reproduce_adapt:ReproduceAdapt",
-                TRAINING,
-            ),
-            Subcommand(
-                "traits",
-                "Learn latent traits in the paper's three settings and judge what was learned.",
-                "commands.reproduce:ReproduceTraits",
-                TRAINING + _PARQUET + _PROBES,
-            ),
-            Subcommand(
-                "graded",
-                "Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.",
-                "commands.reproduce_graded:ReproduceGraded",
-                TRAINING,
-            ),
-            Subcommand(
-                "ship",
-                "Copy the agents of a finished reproduction to where the package ships them from.",
-                "commands.reproduce:ReproduceShip",
-            ),
-        ),
+        "commands.reproduce:reproduce_command",
+        choices=_experiments,
         choice="what",
     ),
     Subcommand(
@@ -205,7 +181,7 @@ SUBCOMMANDS = (
             ),
             Subcommand(
                 "evaluate",
-                "Judge trait models on held-out driving: drivers named, traits found, imitation.",
+                "Judge trait models on held-out driving: drivers identified, traits, imitation.",
                 "commands.traits:EvaluateTraits",
                 _PARQUET + _PROBES,
             ),
@@ -225,12 +201,12 @@ SUBCOMMANDS = (
         ),
     ),
 )
-"""All of them, in the order in which ``hmi-marl --help`` lists them."""
+"""All subcommands, in the order in which ``hmi-marl --help`` lists them."""
 BY_NAME: Mapping[str, Subcommand] = {each.name: each for each in SUBCOMMANDS}
 
 
 def extras_table() -> str:
-    """A Markdown table of the extras that each subcommand needs."""
+    """Write a Markdown table of the extras that each subcommand needs."""
     rows = ["| command | needs | for an option |", "| --- | --- | --- |"]
     for subcommand in SUBCOMMANDS:
         for path, leaf in subcommand.leaves():

@@ -2,172 +2,97 @@
 
 from __future__ import annotations
 
+import inspect
 import shlex
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, make_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, Union
 
 import tyro
 
-from hmi_marl.commands.fields import only
-from hmi_marl.commands.reproduce_adapt import ReproduceAdapt
-from hmi_marl.commands.reproduce_graded import ReproduceGraded
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.experiments.attentive_drivers import AttentiveSettings
-from hmi_marl.experiments.hidden_attention import HiddenSettings
-from hmi_marl.experiments.latent_traits.settings import TraitReproduction
-from hmi_marl.experiments.metrics_table.reproduction import ReproductionSettings
-from hmi_marl.files import write_bytes
+from hmi_marl.experiments.experiment import Experiment, Place, conduct, with_seed
+from hmi_marl.experiments.registry import EXPERIMENTS
+from hmi_marl.files import make_folder, write_bytes
 from hmi_marl.workers import check_workers
+
+RUNS = Path("runs/reproduce")
+SHIPPED_DRIVER = Path("trained:driver")
 
 
 @dataclass(frozen=True)
 class ReproduceAll:
     """Reproduce every table and figure of the paper, with a verdict on each claim.
 
-    Goes on by itself where it was cut off.
+    Resumes where it was cut off.
 
     Example: hmi-marl reproduce --quick
     """
 
     quick: bool = False
-    """A coarse one in a quarter of an hour instead."""
+    """Run a coarse version of a quarter of an hour instead."""
     seed: int = 0
-    """Of everything."""
+    """Seed of everything."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
     out: Path | None = None
     """Folder; by default runs/reproduce/all, with --quick runs/reproduce/all-quick."""
 
     def run(self, command_line: str) -> None:
-        """Do what is not done yet, write the report and say where it is."""
+        """Run what is not done yet, write the report and print its address."""
         use_quiet_threads()
-        from hmi_marl.reproduction.suite import QUICK, FullSettings, reproduce_all
+        from hmi_marl.reproduction.report import full_report
+        from hmi_marl.reproduction.suite import full_suite, run_suite, shared_driver
 
-        settings = (QUICK if self.quick else FullSettings()).with_seed(self.seed)
-        out = self.out or Path("runs/reproduce") / ("all-quick" if self.quick else "all")
-        told = ["hmi-marl", "reproduce", *["--quick"] * self.quick]
-        told += ["--seed", str(self.seed)] if self.seed else []
-        page = reproduce_all(
-            settings, out, check_workers(self.workers), command_line, shlex.join(told)
-        )
-        print(f"the page: {page.resolve().as_uri()}")
+        suite, workers = full_suite(self.quick, self.seed), check_workers(self.workers)
+        out = self.out or RUNS / ("all-quick" if self.quick else "all")
+        # The report names the command without what does not change results.
+        again = ["hmi-marl", "reproduce", *["--quick"] * self.quick]
+        again += ["--seed", str(self.seed)] if self.seed else []
+        records = run_suite(suite, out, shared_driver(suite, out), workers, command_line)
+        _print_page(full_report(records, shlex.join(again)).write(out))
 
 
 @dataclass(frozen=True)
-class ReproduceTable:
-    """Learn every policy of the paper's table of HMIs and drivers, and make the table.
+class ReproduceOne:
+    """Run one experiment; the subclasses have its settings."""
 
-    Goes on by itself where it was cut off.
-
-    Example: hmi-marl reproduce table --quick
-    """
-
-    size: tyro.conf.OmitArgPrefixes[ReproductionSettings] = field(
-        default_factory=ReproductionSettings
-    )
-    """How large."""
+    settings: Experiment[Any]
     quick: bool = False
-    """A coarse one in a few minutes instead."""
+    """Run a coarse version of minutes instead."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
     out: Path | None = None
-    """Folder; by default runs/reproduce/table, with --quick runs/reproduce/table-quick."""
+    """Folder; by default runs/reproduce/ and the experiment's name, with --quick NAME-quick."""
+
+    driver_run: ClassVar[Path | None] = None
 
     def run(self, command_line: str) -> None:
-        """Learn what is not learned yet, play, write and print."""
+        """Learn what is not learned yet, play, judge, write and print."""
         use_quiet_threads()
-        from hmi_marl.experiments.paper_stages import TableStage
-        from hmi_marl.experiments.stages import Place
-        from hmi_marl.reproduction.suite import QUICK_TABLE
-
-        size = self.size
+        experiment, workers = self.settings, check_workers(self.workers)
         if self.quick:
-            if replace(size, seed=0) != ReproductionSettings():
+            kind, seed = type(experiment), experiment.seed  # type: ignore[attr-defined]
+            if experiment != with_seed(kind(), seed):
                 raise ValueError("--quick sets the sizes itself; leave it out to choose them")
-            size = replace(QUICK_TABLE, seed=size.seed)
-        out = self.out or Path("runs/reproduce") / ("table-quick" if self.quick else "table")
-        place = Place(out, out, check_workers(self.workers), command_line)
-        print(TableStage(size).run(place).text)
-        _tell_page(out)
+            experiment = with_seed(kind.quick(), seed)
+        out = self.out or RUNS / (experiment.name + "-quick" * self.quick)
+        driver_run = self.driver_run
+        if driver_run is None and experiment.uses_driver:
+            driver_run = _learn_driver(experiment, out, command_line)
+        place = Place(out, driver_run or out, workers, command_line)
+        print(conduct(experiment, place).text)
+        _print_page(out / "index.html")
 
 
 @dataclass(frozen=True)
-class ReproduceDriver:
-    """Learn to drive without distraction: speed, crashes and headway by steps.
+class ReproduceWithDriver(ReproduceOne):
+    """Run one experiment that plays with a driver policy."""
 
-    Example: hmi-marl reproduce driver --steps 18_000_000
-    """
-
-    size: tyro.conf.OmitArgPrefixes[AttentiveSettings] = field(default_factory=AttentiveSettings)
-    """How large."""
-    out: Path = Path("runs/reproduce/driver")
-    """Folder."""
-
-    def run(self, command_line: str) -> None:
-        """Learn, play, write and print."""
-        use_quiet_threads()
-        from hmi_marl.experiments.paper_stages import DriverStage
-        from hmi_marl.experiments.stages import Place
-
-        print(DriverStage(self.size).run(Place(self.out, self.out, 1, command_line)).text)
-
-
-@dataclass(frozen=True)
-class ReproduceHidden:
-    """Compare learned HMIs that do not see attention with Bayes filters, by driver.
-
-    Example: hmi-marl reproduce hidden --driver-run trained:driver
-    """
-
-    size: tyro.conf.OmitArgPrefixes[HiddenSettings] = field(default_factory=HiddenSettings)
-    """How large."""
-    driver_run: Path | None = None
-    """A trained run whose driver to take; without it one is trained here."""
-    workers: int | None = None
-    """Trainings at a time; all cores by default. Does not change results."""
-    out: Path = Path("runs/reproduce/hidden")
-    """Folder."""
-
-    def run(self, command_line: str) -> None:
-        """Learn what is not learned yet, play, write and print."""
-        use_quiet_threads()
-        from hmi_marl.experiments.paper_stages import HiddenStage, learn_driver
-        from hmi_marl.experiments.stages import Place
-
-        workers = check_workers(self.workers)
-        driver_run = self.driver_run or learn_driver(self.size.driver_job(self.out), command_line)
-        print(HiddenStage(self.size).run(Place(self.out, driver_run, workers, command_line)).text)
-
-
-@dataclass(frozen=True)
-class ReproduceTraits(TraitReproduction):
-    """Learn latent traits in the paper's three settings and judge what was learned.
-
-    Goes on where it was cut off. With --seeds 5 every setting is learned five times, and accuracies
-    and KL get intervals.
-
-    Example: hmi-marl reproduce traits --driver-run trained:driver
-    """
-
-    driver_run: Path | None = None
-    """A trained run whose driver to take; without it one is trained here."""
-    workers: int | None = None
-    """Trainings at a time; all cores by default. Does not change results."""
-    out: Path = Path("runs/reproduce/traits")
-    """Folder."""
-
-    def run(self, command_line: str) -> None:
-        """Do what is not done yet, judge, write and print."""
-        use_quiet_threads()
-        from hmi_marl.experiments.paper_stages import TraitsStage, learn_driver
-        from hmi_marl.experiments.stages import Place
-
-        workers = check_workers(self.workers)
-        size = only(TraitReproduction, self)
-        driver_run = self.driver_run or learn_driver(size.driver_job(self.out), command_line)
-        print(TraitsStage(size).run(Place(self.out, driver_run, workers, command_line)).text)
-        _tell_page(self.out)
+    driver_run: Path | None = None  # type: ignore[misc]
+    """Trained run with the driver to take, or trained:NAME; by default a driver is trained here
+    where the experiment trains one, else trained:driver."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +104,7 @@ class ReproduceShip:
 
     out: Path
     """Folder for the agents and their index; what was in it before is replaced."""
-    run_folder: Annotated[Path, tyro.conf.arg(name="run")] = Path("runs/reproduce/all")
+    run_folder: Annotated[Path, tyro.conf.arg(name="run")] = RUNS / "all"
     """Folder of the reproduction."""
     report: Path | None = None
     """Folder to which the report and its numbers are copied as well."""
@@ -188,30 +113,14 @@ class ReproduceShip:
         """Copy, without this machine's paths, and print what was copied."""
         from hmi_marl.reproduction.report import NUMBERS, PAGE
         from hmi_marl.reproduction.shipping import ship
-        from hmi_marl.reproduction.suite import FullSettings, shared_driver
+        from hmi_marl.reproduction.suite import full_suite, shared_driver
 
-        stages = FullSettings().stages()
-        for agent in ship(stages, self.run_folder, shared_driver(self.run_folder), self.out):
+        suite = full_suite()
+        for agent in ship(suite, self.run_folder, shared_driver(suite, self.run_folder), self.out):
             print(f"{agent.name:<20} {agent.what}")
         if self.report is not None:
             for name in (PAGE, NUMBERS):
                 write_bytes(self.report / name, (self.run_folder / name).read_bytes())
-
-
-def _tell_page(out: Path) -> None:
-    print(f"\nthe page: {(out / 'index.html').resolve().as_uri()}")
-
-
-What = (
-    Annotated[ReproduceAll, tyro.conf.subcommand("all")]
-    | Annotated[ReproduceTable, tyro.conf.subcommand("table")]
-    | Annotated[ReproduceDriver, tyro.conf.subcommand("driver")]
-    | Annotated[ReproduceHidden, tyro.conf.subcommand("hidden")]
-    | Annotated[ReproduceAdapt, tyro.conf.subcommand("adapt")]
-    | Annotated[ReproduceTraits, tyro.conf.subcommand("traits")]
-    | Annotated[ReproduceGraded, tyro.conf.subcommand("graded")]
-    | Annotated[ReproduceShip, tyro.conf.subcommand("ship")]
-)
 
 
 @dataclass(frozen=True)
@@ -221,11 +130,59 @@ class Reproduce:
     Example: hmi-marl reproduce --quick
     """
 
-    what: Annotated[tyro.conf.OmitSubcommandPrefixes[What], tyro.conf.arg(prefix_name=False)] = (
-        field(default_factory=ReproduceAll)
-    )
-    """Which part of it."""
+    what: Any
 
     def run(self, command_line: str) -> None:
-        """Make it."""
+        """Run the part that was chosen."""
         self.what.run(command_line)
+
+
+def experiment_command(name: str) -> type[ReproduceOne]:
+    """Make the subcommand of a registered experiment: its settings, and where to run it."""
+    return _command_of(name, EXPERIMENTS[name].value.load())
+
+
+@cache
+def _command_of(name: str, kind: type[Experiment[Any]]) -> type[ReproduceOne]:
+    base = ReproduceWithDriver if kind.uses_driver else ReproduceOne
+    # Groups within keep their prefixes.
+    unprefixed = Annotated[kind, tyro.conf.arg(name="")]  # type: ignore[valid-type]
+    settings = ("settings", unprefixed, field(default_factory=kind))
+    command = make_dataclass(kind.__name__, [settings], bases=(base,), frozen=True)
+    about = inspect.cleandoc(kind.__doc__ or "").partition("\n\nRaises:")[0]
+    about, _, example = about.partition("\n\nExample:")
+    example = example or f" hmi-marl reproduce {name} --quick"
+    command.__doc__ = f"{about}\n\nResumes where it was cut off.\n\nExample:{example}"
+    return command
+
+
+def reproduce_command(name: str = "reproduce") -> type[Reproduce]:
+    """Make the command that chooses among all experiments, ``all`` and ``ship``."""
+    return _choice_of(tuple((name, experiment_command(name)) for name in EXPERIMENTS))
+
+
+@cache
+def _choice_of(experiments: tuple[tuple[str, type[Any]], ...]) -> type[Reproduce]:
+    parts = (("all", ReproduceAll), *experiments, ("ship", ReproduceShip))
+    kinds = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in parts)
+    choice = tyro.conf.OmitSubcommandPrefixes[Union[kinds]]  # type: ignore[valid-type] # noqa: UP007
+    what = ("what", Annotated[choice, tyro.conf.arg(prefix_name=False)])
+    command = make_dataclass(
+        "Reproduce", [(*what, field(default_factory=ReproduceAll))], bases=(Reproduce,), frozen=True
+    )
+    command.__doc__ = Reproduce.__doc__
+    return command
+
+
+def _learn_driver(experiment: Experiment[Any], folder: Path, command_line: str) -> Path:
+    """Learn the driver policy that an experiment plays with; returns its run."""
+    job = experiment.driver_job(folder)
+    if job is None:
+        return SHIPPED_DRIVER
+    make_folder(job.folder)
+    Place(folder, job.folder, 1, command_line).train([job])
+    return job.folder
+
+
+def _print_page(page: Path) -> None:
+    print(f"\nthe page: {page.resolve().as_uri()}")

@@ -11,6 +11,7 @@ import tyro
 from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
 from hmi_marl.experiments.metrics_table.table import TableConfig, TableSettings, make_table
 from hmi_marl.files import make_folder
+from hmi_marl.reporting.blocks import Clip, Text, as_text
 from hmi_marl.workers import check_workers
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class Table:
     """
 
     table: tyro.conf.OmitArgPrefixes[TableSettings] = field(default_factory=TableSettings)
-    """What is in the table."""
+    """Settings of the table."""
     workers: int | None = None
     """Processes to share the episodes among; all cores by default. Does not change results."""
     clip: bool = True
@@ -37,43 +38,39 @@ class Table:
     """Folder for everything that is written."""
 
     def run(self, command_line: str) -> None:
-        """Play, sum up, write and print; the page says what was ``typed``."""
+        """Play, sum up, write and print."""
         from tqdm import tqdm
 
-        from hmi_marl.experiments.metrics_table import report
         from hmi_marl.experiments.metrics_table.in_short import in_short
+        from hmi_marl.experiments.metrics_table.report import NOTE, metric_tables, write_report
 
         config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
         make_folder(self.out)
         total = config.episodes * len(config.drivers) * len(config.hmis)
         with tqdm(total=total, unit=" episodes", desc="table") as bar:
             cells = make_table(config, workers, bar.update)
-        captions: list[str] = []
-
-        def record(path: Path) -> str:
-            captions.append(_record(config, path))
-            return captions[0]
-
-        page = report.write_report(
-            self.out, config, cells, record if self.clip else None, command_line
-        )
-        print(f"{report.as_text(config, cells)}\n\n{report.NOTE}\n")
-        for remark in in_short(config, cells):
-            print(f"{remark.plain()}\n")
-        print(f"the page: {page.resolve().as_uri()}")
-        for caption in captions:
-            print(f"the clip: {page.parent / 'clip.gif'}\n  {caption}")
+        clip = _record(config, self.out) if self.clip else None
+        page = write_report(self.out, config, cells, command_line, clip)
+        remarks = in_short(config, cells)
+        print(as_text([*metric_tables(config, cells), Text(NOTE), *remarks]))
+        print(f"\nthe page: {page.resolve().as_uri()}")
+        if clip:
+            print(f"the clip: {self.out / 'clip.gif'}\n  {clip.caption}")
 
 
-def _record(config: TableConfig, path: Path) -> str:
-    """Record the best part of the last driver's episodes with the last HMI; says what it shows."""
+def _record(config: TableConfig, folder: Path) -> Clip:
+    """Record the best part of the last driver's episodes with the last HMI."""
     from tqdm import tqdm
 
+    from hmi_marl.experiments.metrics_table.report import CLIP
     from hmi_marl.reporting import highlight
+
+    path = folder / f"{CLIP}.gif"
 
     def progress(pictures: Pictures, count: int) -> Pictures:
         return iter(tqdm(pictures, total=count, unit=" frames", desc=path.name))
 
     seeds = range(config.seed, config.seed + config.episodes)
     team, hmi, policy = config.team(config.drivers[-1]), config.hmis[-1], config.driver_policy
-    return highlight.record(path, team, hmi, policy, seeds, CLIP_FRAMES_PER_STEP, progress)
+    caption = highlight.record(path, team, hmi, policy, seeds, CLIP_FRAMES_PER_STEP, progress)
+    return Clip(CLIP, caption, path.read_bytes())

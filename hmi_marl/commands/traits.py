@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.experiments.latent_traits.settings import AssessSettings
-from hmi_marl.files import make_folder
+from hmi_marl.experiments.latent_traits.experiment import AssessSettings, TraitEvaluation
+from hmi_marl.reporting.report import PAGE
 from hmi_marl.training.traits.settings import TraitSettings
 
 
@@ -40,18 +39,17 @@ class TrainTraits(TraitSettings):
 
         out = self.out or Path(f"runs/traits-{self.supervision}")
         answers = None if self.preferences is None else read_preferences(self.preferences)
-        learn_traits(
-            only(TraitSettings, self), self.demonstrations, out, answers, command_line=command_line
-        )
+        settings = TraitSettings(**{f.name: getattr(self, f.name) for f in fields(TraitSettings)})
+        learn_traits(settings, self.demonstrations, out, answers, command_line=command_line)
         print(f"learned: {out}; curves: tensorboard --logdir {out}")
         print(f"evaluate it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")
 
 
 @dataclass(frozen=True)
 class EvaluateTraits:
-    """Judge trait models on held-out driving: drivers named, traits found, imitation.
+    """Judge trait models on held-out driving: drivers identified, traits, imitation.
 
-    Every accuracy is quoted beside the exact Bayes classifier of the same windows.
+    Every accuracy is shown with that of the exact Bayes classifier of the same windows.
 
     Example: hmi-marl traits evaluate runs/traits-none runs/traits-id
     """
@@ -59,13 +57,13 @@ class EvaluateTraits:
     runs: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of trained runs, one for each supervision, or several that differ in their seed."""
     demonstrations: Path = Path("runs/demonstrations")
-    """What they learned from; the windows that they held out are judged."""
+    """Demonstrations that they learned from; the windows that they held out are judged."""
     population: Path | None = None
     """Demonstrations of drivers they have not learned from, to regress traits over."""
     driver_policy: str | None = None
-    """The run whose driver the demonstrations are of; by default as they tell it."""
+    """Run of the driver policy of the demonstrations; by default as recorded in them."""
     size: tyro.conf.OmitArgPrefixes[AssessSettings] = field(default_factory=AssessSettings)
-    """How much each model is tried."""
+    """Size of the evaluation of each model."""
     out: Path = Path("runs/traits")
     """Folder for the page, its figures and the numbers."""
 
@@ -73,15 +71,13 @@ class EvaluateTraits:
         """Judge, write and print."""
         if not self.runs:
             raise ValueError("name the folder of at least one trained run")
-        from hmi_marl.experiments.latent_traits.reproduction import assess_runs, write_report
+        from hmi_marl.experiments.experiment import Place, conduct
 
-        make_folder(self.out)
-        assessments, pool = assess_runs(
+        evaluation = TraitEvaluation(
             self.runs, self.demonstrations, self.population, self.driver_policy, self.size
         )
-        told = write_report(self.out, assessments, pool, {}, command_line, vars(self.size))
-        print(told.text)
-        print(f"\nthe page: {(self.out / 'index.html').resolve().as_uri()}")
+        print(conduct(evaluation, Place(self.out, self.out, command_line=command_line)).text)
+        print(f"\nthe page: {(self.out / PAGE).resolve().as_uri()}")
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
-"""What is known exactly about alerting one driver, for people and as JSON."""
+"""Exact values of the alert problem of one driver, and the audit of the paper's table."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,53 +13,51 @@ from hmi_marl.exact import oracle
 from hmi_marl.exact.oracle import AlertReturns, Reachable
 from hmi_marl.files import json_value
 from hmi_marl.paper import audit
-from hmi_marl.paper.audit import AuditedCell
+from hmi_marl.paper.audit import HORIZONS, AuditedCell
+from hmi_marl.reporting.blocks import Block, Table, Text
 
 
 @dataclass(frozen=True)
-class AlertReport:
+class AlertProblem:
     """Exact returns of some alert rules for one driver, and the audit of the paper's table."""
 
     driver: Driver
     window: int
     horizon: int
     returns: dict[str, AlertReturns]
-    """By HMI."""
+    """Returns by HMI."""
     reachable: Reachable
     audited: list[AuditedCell]
     alerts: Alerts = PLAIN
-    """What alerts there are; the audit is of the paper's alone."""
+    """Alerts of the problem; the audit is of the paper's alone."""
 
-    def as_text(self) -> str:
-        """For people."""
+    def blocks(self) -> list[Block]:
+        """Blocks of the report."""
         driver = self.driver
-        lines = [
+        about = (
             f"{driver.name}: β = {driver.beta:g}, α = {driver.alpha:g}, η = {driver.eta:g}; "
-            f"N = {self.window}, {self.horizon} steps. Exact expectations over one episode:",
-            *([] if self.alerts.plain else [self._about_alerts()]),
-            "",
-            f"{'HMI':<17}{'attention return':>17}{'distraction return':>20}{'alerts':>9}",
-        ]
-        lines += [
-            f"{name:<17}{row.total_return:>17.2f}{row.distraction_return:>20.2f}{row.alerts:>9.2f}"
-            for name, row in self.returns.items()
-        ]
-        lines += [
-            "",
-            f"Distraction returns that any alert policy can reach: {self.reachable.least:.2f} to "
-            f"{self.reachable.most:.2f}",
-            "",
-            audit.audit_text(self.audited, self.window),
-        ]
-        return "\n".join(lines)
-
-    def _about_alerts(self) -> str:
-        strengths = ", ".join(f"{strength:g}" for strength in self.alerts.strengths)
-        fatigue = "none" if self.alerts.fatigue is None else f"{self.alerts.fatigue}"
-        return (
-            f"Alerts of strength {strengths}, of which plain rules give the strongest; "
-            f"fatigue: {fatigue}."
+            f"N = {self.window}, {self.horizon} steps. Exact expectations over one episode:"
         )
+        if not self.alerts.plain:
+            strengths = ", ".join(f"{strength:g}" for strength in self.alerts.strengths)
+            fatigue = "none" if self.alerts.fatigue is None else f"{self.alerts.fatigue}"
+            about += (
+                f"\nAlerts of strength {strengths}, of which plain rules give the strongest; "
+                f"fatigue: {fatigue}."
+            )
+        rows = [
+            [name, f"{r.total_return:.2f}", f"{r.distraction_return:.2f}", f"{r.alerts:.2f}"]
+            for name, r in self.returns.items()
+        ]
+        return [
+            Text(about),
+            Table("", ["HMI", "attention return", "distraction return", "alerts"], rows),
+            Text(
+                f"Distraction returns that any alert policy can reach: {self.reachable.least:.2f} "
+                f"to {self.reachable.most:.2f}"
+            ),
+            audit_table(self.audited, self.window),
+        ]
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
@@ -81,10 +80,10 @@ class AlertReport:
         }
 
 
-def alert_report(
+def alert_problem(
     driver: str | Driver, window: int, horizon: int, alerts: Alerts = PLAIN
-) -> AlertReport:
-    """Solve the alert problem and hold some plain rules beside the optimum.
+) -> AlertProblem:
+    """Solve the alert problem of a driver, and evaluate some plain rules.
 
     Raises:
         ValueError: unknown driver, window < 1 or horizon < 1.
@@ -100,4 +99,29 @@ def alert_report(
     returns: dict[str, AlertReturns] = {"optimal": oracle.solve_alerts(*problem, **given)}
     returns |= {name: oracle.evaluate(rule, *problem, **given) for name, rule in rules.items()}
     reachable = oracle.reachable(*problem, **given)
-    return AlertReport(*problem, returns, reachable, audit.audit(window), alerts)
+    return AlertProblem(*problem, returns, reachable, audit.audit(window), alerts)
+
+
+def audit_table(cells: Sequence[AuditedCell], window: int) -> Table:
+    """Table of the paper's distraction returns, and what any alert policy can reach."""
+
+    def ends(low: float, high: float) -> str:
+        return f"{low:.0f} to {high:.0f}"
+
+    rows = [
+        [
+            f"{cell.hmi}, {cell.driver}",
+            f"{cell.paper:.0f}",
+            ends(cell.least, cell.most),
+            ends(*cell.optimum),
+            ends(*cell.optimum_if_eta_1),
+            "reachable" if cell.reachable else "OUT OF REACH of every alert policy",
+        ]
+        for cell in cells
+    ]
+    return Table(
+        f"The paper's distraction returns, and what any alert policy can reach at N = {window} "
+        f"over {HORIZONS[0]} to {HORIZONS[-1]} steps",
+        ["HMI, driver", "paper", "reachable", "optimum", "optimum, η = 1", "verdict"],
+        rows,
+    )

@@ -1,8 +1,8 @@
-"""How good an HMI's alerts are, step by step, measured against the exact optimum.
+"""Quality of an HMI's alerts, step by step, measured by the exact optimum.
 
-Returns of a few hundred episodes differ by luck far more than good HMIs differ from each other.
-What each alert gives away (:func:`hmi_marl.exact.oracle.alert_losses`) does not: an optimal HMI
-gives away nothing in every single step.
+Returns of a few hundred episodes differ by luck far more than good HMIs differ from each other. The
+loss of each alert (:func:`hmi_marl.exact.oracle.alert_losses`) does not: that of an optimal HMI is
+0 in every single step.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class AlertQuality:
     followed: NDArray[np.int64]
     """Steps with the strongest alert if the driver was distracted one step before, else none."""
     lost: NDArray[np.float64]
-    """Attention return given away against the optimum."""
+    """Attention return lost against the optimum."""
 
     @classmethod
     def nothing_yet(cls, count: int) -> AlertQuality:
@@ -50,10 +50,10 @@ class AlertQuality:
 
 
 class AlertJudge:
-    """Judges every alert that is given to one driver.
+    """Judge of the alerts that are given to one driver.
 
     Args:
-        team: with a single driver.
+        team: settings with a single driver.
 
     Raises:
         ValueError: the driver is drawn from a population.
@@ -79,7 +79,7 @@ class AlertJudge:
 
 
 def exact_settings(team: TeamConfig) -> dict[str, Any]:
-    """Keywords that the oracle's functions take to be about this team.
+    """Keywords by which the oracle's functions solve this team's problem.
 
     Raises:
         ValueError: the driver is drawn from a population.
@@ -101,15 +101,15 @@ class ExactRules:
     """Exact attention returns over an episode that runs its whole time, for one driver."""
 
     optimum: float
-    """Of the best alerts, attention seen."""
+    """Return of the best alerts, attention seen."""
     when_distracted: float
-    """Of the strongest alert exactly when the driver was distracted one step before."""
+    """Return of the strongest alert exactly when the driver was distracted one step before."""
     never: float
-    """Of no alerts."""
+    """Return without alerts."""
 
     @classmethod
     def of(cls, team: TeamConfig) -> ExactRules:
-        """Work them out for the team's driver."""
+        """Compute them for the team's driver."""
         settings = exact_settings(team)
         rule = strongest_alert(team.alerts, 0.0, 1.0)
         return cls(
@@ -122,7 +122,7 @@ class ExactRules:
         """Share of what the best alerts gain over none: 1 for the optimum, 0 for no alerts.
 
         Args:
-            lost_per_episode: attention return given away in an episode of the whole time.
+            lost_per_episode: attention return lost in an episode of the whole time.
 
         Returns:
             None where alerts can gain nothing.
@@ -132,4 +132,4 @@ class ExactRules:
 
 
 _NOTHING = 1e-6
-"""Attention return below which two exact values are the same but for rounding."""
+"""Difference in attention return below which two exact values are equal but for rounding."""

@@ -1,4 +1,4 @@
-"""Playing seeded episodes and keeping what they were worth."""
+"""Play seeded episodes, and keep their lengths, returns, alerts and headways."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from hmi_marl.experiments.alert_quality import AlertJudge, AlertQuality
 
 @dataclass(frozen=True)
 class Episodes:
-    """What E episodes came to. Arrays have shape (E,)."""
+    """Results of E episodes. Arrays have shape (E,)."""
 
     seeds: NDArray[np.uint64]
     length: NDArray[np.int64]
-    """Steps."""
+    """Length [steps]."""
     crashed: NDArray[np.bool_]
     alerts: NDArray[np.int64]
     distracted: NDArray[np.int64]
     """Steps with d = 1."""
     min_time_headway: NDArray[np.float64]
-    """[s], inf if nobody was ever ahead."""
+    """Shortest time headway [s]; inf if no vehicle was ever ahead."""
     median_time_headway: NDArray[np.float64]
-    """[s], over the steps in which somebody was ahead; inf if nobody ever was."""
+    """Median over the steps with a vehicle ahead [s]; inf if there was none."""
     returns: dict[str, NDArray[np.float64]]
     """Sum of each reward term."""
     alerting: AlertQuality | None = None
-    """How good the alerts were, where a judge was there."""
+    """Quality of the alerts; None without a judge."""
 
     def attention_return(self) -> NDArray[np.float64]:
         """Distraction, alert and accept-alert terms together."""
@@ -58,7 +58,7 @@ class Episodes:
 
 
 class _Totals(Observer):
-    """Sum up what N episodes come to."""
+    """Add up the results of N episodes."""
 
     def __init__(self, count: int, horizon: int, judge: AlertJudge | None) -> None:
         self.returns = {name: np.zeros(count) for name in TERMS}
@@ -95,12 +95,12 @@ def play_episodes(
     """Play one episode for each seed, side by side until the last has ended.
 
     Args:
-        config: of the teams.
+        config: settings of the teams.
         driver: policy for the driver's seat.
         hmi: policy for the vehicle AI's seat.
         seeds: shape (E,).
-        world: which world to drive in.
-        judge: of the alerts; none by default.
+        world: world to drive in.
+        judge: judges the alerts; by default they are not judged.
     """
     seeds = np.asarray(seeds, np.uint64)
     totals = _Totals(len(seeds), config.horizon, judge)
@@ -119,7 +119,7 @@ def play_episodes(
 
 
 def _medians(headways: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The median over steps of the finite values of each column of (steps, E); inf if none."""
+    """Median of the finite values of each column of (steps, E); inf if there are none."""
     ordered = np.sort(headways, axis=0)
     known = np.isfinite(ordered).sum(axis=0)
     below, above = np.maximum(known - 1, 0) // 2, known // 2

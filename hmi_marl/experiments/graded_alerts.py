@@ -1,14 +1,13 @@
-"""HMIs that learn to give graded alerts, with fatigue and without, beside the exact optimum.
+"""HMIs that learn to give graded alerts, with fatigue and without, against the exact optimum.
 
-Every case is one driver with one set of alerts. An HMI learns beside the rule-based driver, which
-costs no generality: what attention does, and what alerts earn, does not depend on a^H. A crash
-does not end an episode here, so that all have the same number of steps, and the optimum over that
-many is exact.
+Every case is one driver with one set of alerts. An HMI learns with the rule-based driver, which
+costs no generality: attention, and the reward of alerts, do not depend on a^H. A crash does not end
+an episode here, so that all have the same number of steps, over which the optimum is exact.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,34 +17,41 @@ import numpy as np
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import strongest_alert
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.checks import check_count
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.exact import oracle
+from hmi_marl.experiments.criteria import GRADED_OPTIMUM_SHARE
 from hmi_marl.experiments.episodes import play_episodes
-from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED
+from hmi_marl.experiments.experiment import Agent, Experiment, Place
+from hmi_marl.experiments.policies import EVALUATION_SEED
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.page import text_table
+from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 
-LEAST_SHARE = 0.97
-"""Of the exact optimum that a learned HMI is to reach."""
 READS = ("time", "distracted", "accepted", "counter", "fatigue")
-"""What the optimum depends on. Lidar and lanes would only have to be ignored."""
-
+"""Observation parts that the optimum depends on; an HMI would have to ignore lidar and lanes."""
 LEARNER = PPOSettings(
     gamma=0.99, num_learning_epochs=8, num_mini_batches=8, learning_rate=2e-3, entropy_coef=0.02
 )
 """Many gradient steps on few numbers. With the defaults, a ninth as many, HMIs stay with alerting
-whenever the driver is distracted, which fatigue makes a bad habit."""
+whenever the driver is distracted, which is far from the optimum under fatigue."""
+CAPTION = (
+    "Attention returns per episode: of the learned HMI, of the exact optimum over the same steps, "
+    "and exact of two rules: the strongest alert when distracted, and silence. share: of the "
+    "optimum's gain over silence. shortfall: of the optimum's size."
+)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One driver and the alerts that there are."""
+    """One driver and the alerts that the HMI can give."""
 
     name: str
     driver: str
@@ -54,11 +60,11 @@ class Case:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """What there is of ``READS``."""
+        """Parts of ``READS`` that this case has."""
         return READS if self.fatigue else READS[:-1]
 
     def describe(self) -> str:
-        """For a table."""
+        """Describe the case for a table."""
         strengths = " ".join(f"{strength:g}" for strength in self.strengths)
         if self.fatigue is None:
             return f"{self.driver}, {strengths}"
@@ -79,11 +85,59 @@ CASES = (
 
 
 @dataclass(frozen=True)
-class GradedSettings:
-    """How large the comparison is.
+class GradedRow:
+    """Attention returns of one case, over the same episodes."""
+
+    case: Case
+    learned: Estimate
+    optimal_played: Estimate
+    """Policy of the exact optimum, played in the same episodes."""
+    optimum: float
+    """Exact optimum over as many steps."""
+    strongest: float
+    """Exact return of the strongest alert exactly when distracted, the optimum of one bit."""
+    silent: float
+    """Exact return without alerts."""
+    alerts: float
+    """Alerts per episode of the learned HMI."""
+    optimal_alerts: tuple[float, ...]
+    """Expected alerts of the optimum, by strength."""
+
+    @property
+    def share(self) -> float:
+        """Share of the optimum's gain over silence that was learned."""
+        return (self.learned.mean - self.silent) / (self.optimum - self.silent)
+
+    @property
+    def shortfall(self) -> float:
+        """Difference to the optimum, as a share of its size."""
+        return (self.optimum - self.learned.mean) / abs(self.optimum)
+
+    @property
+    def holds(self) -> bool:
+        """Whether enough was learned.
+
+        Where the optimum is positive, by the return itself; otherwise, since a share of a loss says
+        little, by the gain over silence.
+        """
+        reached = 1.0 - self.shortfall if self.optimum > 0 else self.share
+        return reached >= GRADED_OPTIMUM_SHARE
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content."""
+        return json_value(self) | {
+            "share_of_gain_over_silence": self.share,
+            "shortfall": self.shortfall,
+            "holds": self.holds,
+        }
+
+
+@dataclass(frozen=True)
+class GradedAlerts(Experiment[list[GradedRow]]):
+    """Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.
 
     Raises:
-        ValueError: no steps or no episodes.
+        ValueError: no steps, episodes or teams.
     """
 
     hmi_steps: int = 800_000
@@ -93,14 +147,27 @@ class GradedSettings:
     num_teams: int = 128
     """Teams that train side by side."""
     seed: int = 0
-    """Of all training."""
+    """Seed of all training."""
+
+    name = "graded"
+    title = "Graded alerts, and alert fatigue"
+    paper = (
+        "The paper's alert is one bit, which it says can be extended to any discrete signal "
+        "(Sec. IV). Below an alert has one of several strengths, and alerts that pile up may lose "
+        "their effect. The optimum is exact here too."
+    )
 
     def __post_init__(self) -> None:
         for name in ("hmi_steps", "episodes", "num_teams"):
             check_count(name, getattr(self, name))
 
+    @classmethod
+    def quick(cls) -> GradedAlerts:
+        """Make a coarse version of a minute, too short to reach the optimum everywhere."""
+        return cls(hmi_steps=200_000, episodes=200)
+
     def training(self, case: Case) -> TwoStage:
-        """How the HMI of a case learns."""
+        """Settings by which the HMI of a case learns."""
         return TwoStage(
             hmi_for=case.driver,
             driver_policy="rule",
@@ -119,145 +186,89 @@ class GradedSettings:
         )
 
     def team(self, case: Case) -> TeamConfig:
-        """The teams of a case."""
+        """Teams of a case."""
         return self.training(case).team(case.driver, "attention")
 
-    def jobs(self, folder: Path) -> list[Job]:
-        """A training for each case."""
-        return [Job(self.training(case), folder / case.name) for case in CASES]
+    def settings(self) -> dict[str, Any]:
+        """JSON content of the settings and the cases."""
+        return super().settings() | {"cases": json_value(CASES)}
 
+    def run(self, place: Place) -> list[GradedRow]:
+        """Learn an HMI for each case, and play it and the optimum in the same episodes."""
+        place.train([Job(self.training(case), place.folder / case.name) for case in CASES])
+        return [self.assess(case, place.folder) for case in place.each(CASES, "cases")]
 
-QUICK = GradedSettings(hmi_steps=200_000, episodes=200)
-"""A coarse one, in a minute, too short to reach the optimum everywhere."""
-
-
-@dataclass(frozen=True)
-class GradedRow:
-    """What came of one case: attention returns, over the same episodes."""
-
-    case: Case
-    learned: Estimate
-    optimal_played: Estimate
-    """The exact optimum's policy, played in the same episodes."""
-    optimum: float
-    """Exact, over as many steps."""
-    strongest: float
-    """Exact, of the strongest alert exactly when distracted, the optimum of one bit."""
-    silent: float
-    """Exact, without alerts."""
-    alerts: float
-    """Per episode, of the learned HMI."""
-    optimal_alerts: tuple[float, ...]
-    """Of the optimum, expected for each strength."""
-
-    @property
-    def share(self) -> float:
-        """Of what the optimum earns more than silence: how much of it was learned."""
-        return (self.learned.mean - self.silent) / (self.optimum - self.silent)
-
-    @property
-    def shortfall(self) -> float:
-        """What is missing to the optimum, as a share of its size."""
-        return (self.optimum - self.learned.mean) / abs(self.optimum)
-
-    @property
-    def holds(self) -> bool:
-        """Whether enough was learned.
-
-        Where the optimum is positive the return itself is held against it, otherwise, since a
-        share of a loss says little, the gain over silence.
-        """
-        reached = 1.0 - self.shortfall if self.optimum > 0 else self.share
-        return reached >= LEAST_SHARE
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return vars(self) | {
-            "case": vars(self.case),
-            "learned": self.learned.as_json(),
-            "optimal_played": self.optimal_played.as_json(),
-            "share_of_gain_over_silence": self.share,
-            "shortfall": self.shortfall,
-            "holds": self.holds,
+    def assess(self, case: Case, folder: Path) -> GradedRow:
+        """Play the HMI that was learned for a case, and the optimum, in the same episodes."""
+        team = self.team(case)
+        seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + self.episodes, dtype=np.uint64)
+        played = {}
+        for name in (str(folder / case.name), "optimal"):
+            seats = make_driver_policy("rule", team), make_hmi(name, team)
+            played[name] = play_episodes(team, *seats, seeds, world="batched")
+        learned, optimal = played.values()
+        problem: dict[str, Any] = {
+            "driver": get_driver(case.driver),
+            "window": team.alert_window,
+            "horizon": team.horizon,
+            "strengths": team.alert_strengths,
+            "fatigue": team.fatigue,
         }
+        best = oracle.solve_alerts(**problem)
+        rule = partial(strongest_alert, team.alerts)
+        steps = learned.length
+        return GradedRow(
+            case=case,
+            learned=statistics.mean(learned.attention_return()),
+            optimal_played=statistics.mean(optimal.attention_return()),
+            optimum=float(best.return_after(steps).mean()),
+            strongest=float(oracle.evaluate(rule(0.0, 1.0), **problem).return_after(steps).mean()),
+            silent=float(oracle.evaluate(0.0, **problem).return_after(steps).mean()),
+            alerts=float(learned.alerts.mean()),
+            optimal_alerts=tuple(best.rate_by_strength.sum(axis=1).tolist()),
+        )
 
+    def numbers(self, results: list[GradedRow]) -> dict[str, Any]:
+        """JSON content."""
+        return {"rows": [row.as_json() for row in results]}
 
-def assess(settings: GradedSettings, case: Case, folder: Path) -> GradedRow:
-    """Play the HMI that was learned for a case, and the optimum, in the same episodes."""
-    team = settings.team(case)
-    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + settings.episodes, dtype=np.uint64)
-    played = {}
-    for name in (str(folder / case.name), "optimal"):
-        seats = make_driver_policy("rule", team), make_hmi(name, team)
-        played[name] = play_episodes(team, *seats, seeds, world="batched")
-    learned, optimal = played.values()
-    problem: dict[str, Any] = {
-        "driver": get_driver(case.driver),
-        "window": team.alert_window,
-        "horizon": team.horizon,
-        "strengths": team.alert_strengths,
-        "fatigue": team.fatigue,
-    }
-    best = oracle.solve_alerts(**problem)
-    rule = partial(strongest_alert, team.alerts)
-    steps = learned.length
-    return GradedRow(
-        case=case,
-        learned=statistics.mean(learned.attention_return()),
-        optimal_played=statistics.mean(optimal.attention_return()),
-        optimum=float(best.return_after(steps).mean()),
-        strongest=float(oracle.evaluate(rule(0.0, 1.0), **problem).return_after(steps).mean()),
-        silent=float(oracle.evaluate(0.0, **problem).return_after(steps).mean()),
-        alerts=float(learned.alerts.mean()),
-        optimal_alerts=tuple(best.rate_by_strength.sum(axis=1).tolist()),
-    )
-
-
-def compare_graded(
-    settings: GradedSettings, folder: Path, progress: Callable[[str], object]
-) -> list[GradedRow]:
-    """Assess every case; ``progress`` is told its name when it is done."""
-    rows = []
-    for case in CASES:
-        rows.append(assess(settings, case, folder))
-        progress(case.name)
-    return rows
-
-
-CAPTION = (
-    "Attention returns per episode: of the learned HMI, of the exact optimum over the same steps, "
-    "and exact of two rules: the strongest alert when distracted, and silence. share: of the "
-    "optimum's gain over silence. shortfall: of the optimum's size."
-)
-HEAD = (
-    "driver, strengths",
-    "learned",
-    "optimum",
-    "strongest",
-    "silent",
-    "share",
-    "shortfall",
-    f"{100 * LEAST_SHARE:.0f} %",
-)
-
-
-def table_rows(rows: list[GradedRow]) -> list[list[str]]:
-    """A line for each case."""
-    return [
-        [
-            row.case.describe(),
-            f"{row.learned.mean:.1f} [{row.learned.low:.1f}, {row.learned.high:.1f}]",
-            f"{row.optimum:.1f}",
-            f"{row.strongest:.1f}",
-            f"{row.silent:.1f}",
-            f"{100 * row.share:.1f} %",
-            f"{100 * row.shortfall:.1f} %",
-            "holds" if row.holds else "MISSED",
+    def judge(self, results: list[GradedRow]) -> list[Verdict]:
+        """Judge each learned HMI by the exact optimum."""
+        return [
+            Verdict.of_parts(
+                f"{row.case.describe()}: {100 * GRADED_OPTIMUM_SHARE:.0f} % of the exact optimum",
+                [row.holds],
+                f"{row.learned.shown()} of {row.optimum:.1f}",
+            )
+            for row in results
         ]
-        for row in rows
-    ]
 
+    def blocks(self, results: list[GradedRow]) -> Sequence[Block]:
+        """Table of every case."""
+        head = ["driver, strengths", "learned", "optimum", "strongest", "silent", "share"]
+        head += ["shortfall", f"{100 * GRADED_OPTIMUM_SHARE:.0f} %"]
+        rows = [
+            [
+                row.case.describe(),
+                row.learned.shown(),
+                f"{row.optimum:.1f}",
+                f"{row.strongest:.1f}",
+                f"{row.silent:.1f}",
+                f"{100 * row.share:.1f} %",
+                f"{100 * row.shortfall:.1f} %",
+                "holds" if row.holds else "MISSED",
+            ]
+            for row in results
+        ]
+        return [Text(CAPTION), Table("Attention returns", head, rows)]
 
-def as_text(rows: list[GradedRow]) -> str:
-    """For a terminal."""
-    return f"{CAPTION}\n\n{text_table(HEAD, table_rows(rows))}"
+    def agents(self, place: Place) -> list[Agent]:
+        """HMI of every case."""
+        return [
+            Agent(
+                case.name,
+                find_policy(place.folder / case.name, VEHICLE_AI),
+                f"alerts {case.describe()}, attention seen",
+            )
+            for case in CASES
+        ]

@@ -1,4 +1,4 @@
-"""HMIs that do not see attention: learned ones beside Bayes filters, for each driver.
+"""HMIs that do not see attention: learned ones against Bayes filters, for each driver.
 
 Here knowing the driver can be worth something. Every HMI plays the same episodes with the same
 driver, so that differences between them are paired.
@@ -6,7 +6,7 @@ driver, so that differences between them are paired.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,24 +15,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.checks import check_count
-from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
+from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
+from hmi_marl.experiments.criteria import BAYES_MARGIN
 from hmi_marl.experiments.episodes import play_episodes
-from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED, driver_job
+from hmi_marl.experiments.experiment import Agent, Experiment, Place
+from hmi_marl.experiments.policies import (
+    EVALUATION_SEED,
+    HIDDEN_EXPERIMENT,
+    HIDDEN_RUN,
+    MODELS,
+    driver_job,
+)
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.page import text_table
+from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.jobs import Job
 
-MARGIN = 0.01
-"""A learned HMI is as good as the Bayes filter if it is within this share of its return."""
-MODELS = (*PAPER_DRIVERS, "average")
 LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
     "learned, own",
     "learned, AvgHMI",
@@ -43,8 +51,36 @@ LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
 
 
 @dataclass(frozen=True)
-class HiddenSettings:
-    """How large the comparison is.
+class HiddenRow:
+    """One driver with every HMI: attention returns over the same episodes."""
+
+    driver: str
+    revealing: float
+    """Share of steps, after the first, in which a^H differs from the last applied action."""
+    attention_return: dict[str, Estimate]
+    """Returns by HMI."""
+    learned_minus_bayes: Estimate
+    """Own HMIs, paired by episode."""
+    own_minus_average: Estimate
+    """Learned HMIs, paired by episode: the worth of knowing the driver."""
+    exact_own: float
+    """Expectation of the rule that is optimal on the belief, if steps reveal d independently with
+    that probability and the episode runs its whole time."""
+
+    @property
+    def as_good(self) -> bool:
+        """Whether the learned HMI does as well as the Bayes filter.
+
+        The filter's rule is the optimum if steps reveal d independently, so a learned HMI can earn
+        about as much at most. A difference within the margin counts as none, whatever the interval.
+        """
+        bayes = self.attention_return[BAYES_OWN].mean
+        return self.learned_minus_bayes.mean >= -BAYES_MARGIN * abs(bayes)
+
+
+@dataclass(frozen=True)
+class HiddenAttention(Experiment[list[HiddenRow]]):
+    """Compare learned HMIs that do not see attention with Bayes filters, by driver.
 
     Raises:
         ValueError: no steps or no episodes.
@@ -61,18 +97,33 @@ class HiddenSettings:
     num_teams: int = 512
     """Teams that train side by side."""
     seed: int = 0
-    """Of all training."""
+    """Seed of all training."""
+
+    name = HIDDEN_EXPERIMENT
+    title = "Attention hidden: what knowing the driver is worth"
+    paper = (
+        "The paper's claim is that an HMI for the driver at the wheel does better than one for the "
+        "average driver; its HMIs see distraction. Ours below do not: they infer it from what the "
+        "car does. That is not in the paper, and it is where knowing the driver can be worth "
+        "something. The Bayes filter, which knows the traits, is the ceiling."
+    )
+    uses_driver = True
 
     def __post_init__(self) -> None:
         for name in ("driver_steps", "hmi_steps", "rnn_hidden_dim", "episodes"):
             check_count(name, getattr(self, name))
 
+    @classmethod
+    def quick(cls) -> HiddenAttention:
+        """Make a coarse version that takes minutes."""
+        return cls(hmi_steps=400_000, episodes=400)
+
     def driver_job(self, folder: Path) -> Job:
-        """One driver policy over the four drivers and the average one."""
+        """Training of one driver policy over the four drivers and the average one."""
         return driver_job(MODELS, self.driver_steps, self.num_teams, self.seed, folder)
 
     def hmi_jobs(self, folder: Path, driver_run: Path) -> list[Job]:
-        """An HMI with a memory for each driver model."""
+        """Training of a recurrent HMI for each driver model."""
         return [
             Job(
                 TwoStage(
@@ -87,41 +138,101 @@ class HiddenSettings:
                     num_teams=self.num_teams,
                     seed=self.seed,
                 ),
-                folder / f"hmi-{model}",
+                folder / HIDDEN_RUN.format(model),
+            )
+            for model in MODELS
+        ]
+
+    def run(self, place: Place) -> list[HiddenRow]:
+        """Learn the HMIs, and play every driver with every HMI."""
+        place.train(self.hmi_jobs(place.folder, place.driver_run))
+        return [self._play(model, place) for model in place.each(MODELS, "drivers")]
+
+    def _play(self, model: str, place: Place) -> HiddenRow:
+        seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + self.episodes, dtype=np.uint64)
+        team = TeamConfig(driver=model, ai_sees_attention=False)
+        share = revealing_share(team, place.driver_run, seeds[:500] + np.uint64(10**6))
+        hmis = {
+            LEARNED_OWN: str(place.folder / HIDDEN_RUN.format(model)),
+            LEARNED_AVERAGE: str(place.folder / HIDDEN_RUN.format("average")),
+            BAYES_OWN: f"belief:{model}:{share}",
+            BAYES_AVERAGE: f"belief:average:{share}",
+            NONE: "never",
+        }
+        returns = {}
+        for label, hmi in hmis.items():
+            seats = make_driver_policy(str(place.driver_run), team), make_hmi(hmi, team)
+            returns[label] = play_episodes(team, *seats, seeds, world="batched").attention_return()
+        exact = solve_belief(DRIVERS[model], team.alert_window, team.horizon, team.weights, share)
+        return HiddenRow(
+            driver=model,
+            revealing=share,
+            attention_return={k: statistics.mean(values) for k, values in returns.items()},
+            learned_minus_bayes=statistics.mean(returns[LEARNED_OWN] - returns[BAYES_OWN]),
+            own_minus_average=statistics.mean(returns[LEARNED_OWN] - returns[LEARNED_AVERAGE]),
+            exact_own=exact.total_return,
+        )
+
+    def numbers(self, results: list[HiddenRow]) -> dict[str, Any]:
+        """JSON content."""
+        return {"rows": [json_value(row) | {"as_good_as_bayes": row.as_good} for row in results]}
+
+    def judge(self, results: list[HiddenRow]) -> list[Verdict]:
+        """Judge each learned HMI by the Bayes filter."""
+        return [
+            Verdict.of_parts(
+                f"{row.driver}: learned HMI as good as the Bayes filter, within "
+                f"{100 * BAYES_MARGIN:.0f} %",
+                [row.as_good],
+                f"{row.learned_minus_bayes.shown('+.1f')} per episode",
+            )
+            for row in results
+        ]
+
+    def blocks(self, results: list[HiddenRow]) -> Sequence[Block]:
+        """Tables of returns and of paired differences."""
+        returns = [
+            [row.driver, f"{100 * row.revealing:.1f} %", f"{row.exact_own:.1f}"]
+            + [estimate.shown() for estimate in row.attention_return.values()]
+            for row in results
+        ]
+        differences = [
+            [
+                row.driver,
+                row.learned_minus_bayes.shown("+.1f"),
+                row.own_minus_average.shown("+.1f"),
+                "as good as Bayes" if row.as_good else "MISSED",
+            ]
+            for row in results
+        ]
+        return [
+            Table(
+                "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if "
+                "steps reveal d independently with the share that was measured)",
+                ["driver", "revealing", "exact, own", *results[0].attention_return],
+                returns,
+            ),
+            Table(
+                "Paired differences per episode",
+                ["driver", "learned - Bayes, own", "own - AvgHMI, learned", "verdict"],
+                differences,
+            ),
+        ]
+
+    def agents(self, place: Place) -> list[Agent]:
+        """HMIs that do not see attention."""
+        return [
+            Agent(
+                f"hidden-{model}",
+                find_policy(place.folder / HIDDEN_RUN.format(model), VEHICLE_AI),
+                f"alerts {model}, attention hidden",
             )
             for model in MODELS
         ]
 
 
-@dataclass(frozen=True)
-class HiddenRow:
-    """One driver with every HMI: attention returns over the same episodes."""
-
-    driver: str
-    revealing: float
-    """Share of steps, after the first, in which a^H differs from the last applied action."""
-    attention_return: dict[str, Estimate]
-    """By HMI."""
-    learned_minus_bayes: Estimate
-    """Own HMIs, paired by episode."""
-    own_minus_average: Estimate
-    """Learned HMIs, paired by episode: what knowing the driver is worth."""
-    exact_own: float
-    """Expectation of the rule that is optimal on the belief, if steps reveal d independently with
-    that probability and the episode runs its whole time."""
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return vars(self) | {
-            "attention_return": {k: e.as_json() for k, e in self.attention_return.items()},
-            "learned_minus_bayes": self.learned_minus_bayes.as_json(),
-            "own_minus_average": self.own_minus_average.as_json(),
-            "as_good_as_bayes": as_good(self),
-        }
-
-
 def revealing_share(team: TeamConfig, driver_run: Path, seeds: NDArray[np.uint64]) -> float:
-    """How often what a learned driver does shows whether they are distracted."""
+    """Measure the share of steps in which a learned driver's action reveals distraction."""
     driver, hmi = make_driver_policy(str(driver_run), team), make_hmi("belief", team)
     reveals = _Reveals()
     play(begin(team, driver, hmi, seeds, "batched"), driver, hmi, [reveals])
@@ -141,103 +252,3 @@ class _Reveals(Observer):
         """Compare the intents with them."""
         self.shown += int((self._counts & (teaming.intended != self._last)).sum())
         self.steps += int(self._counts.sum())
-
-
-def compare_hidden(
-    settings: HiddenSettings,
-    folder: Path,
-    driver_run: Path,
-    progress: Callable[[str], object],
-) -> list[HiddenRow]:
-    """Play every driver with every HMI; ``progress`` is told each driver's name when done."""
-    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + settings.episodes, dtype=np.uint64)
-    rows = []
-    for name in MODELS:
-        team = TeamConfig(driver=name, ai_sees_attention=False)
-        share = revealing_share(team, driver_run, seeds[:500] + np.uint64(10**6))
-        hmis = {
-            LEARNED_OWN: str(folder / f"hmi-{name}"),
-            LEARNED_AVERAGE: str(folder / "hmi-average"),
-            BAYES_OWN: f"belief:{name}:{share}",
-            BAYES_AVERAGE: f"belief:average:{share}",
-            NONE: "never",
-        }
-        returns = {}
-        for label, hmi in hmis.items():
-            seats = make_driver_policy(str(driver_run), team), make_hmi(hmi, team)
-            returns[label] = play_episodes(team, *seats, seeds, world="batched").attention_return()
-        exact = solve_belief(DRIVERS[name], team.alert_window, team.horizon, team.weights, share)
-        rows.append(
-            HiddenRow(
-                driver=name,
-                revealing=share,
-                attention_return={k: statistics.mean(values) for k, values in returns.items()},
-                learned_minus_bayes=statistics.mean(returns[LEARNED_OWN] - returns[BAYES_OWN]),
-                own_minus_average=statistics.mean(returns[LEARNED_OWN] - returns[LEARNED_AVERAGE]),
-                exact_own=exact.total_return,
-            )
-        )
-        progress(name)
-    return rows
-
-
-def table_head(rows: list[HiddenRow]) -> list[str]:
-    """Of the returns."""
-    return ["driver", "revealing", "exact, own", *rows[0].attention_return]
-
-
-def table_rows(rows: list[HiddenRow]) -> list[list[str]]:
-    """Attention returns by driver and HMI."""
-    return [
-        [row.driver, f"{100 * row.revealing:.1f} %", f"{row.exact_own:.1f}"]
-        + [f"{e.mean:.1f} [{e.low:.1f}, {e.high:.1f}]" for e in row.attention_return.values()]
-        for row in rows
-    ]
-
-
-DIFFERENCES_HEAD = ["driver", "learned - Bayes, own", "own - AvgHMI, learned", "verdict"]
-
-
-def difference_rows(rows: list[HiddenRow]) -> list[list[str]]:
-    """Paired differences by driver."""
-    return [
-        [
-            row.driver,
-            *(
-                f"{e.mean:+.1f} [{e.low:+.1f}, {e.high:+.1f}]"
-                for e in (row.learned_minus_bayes, row.own_minus_average)
-            ),
-            "as good as Bayes" if as_good(row) else "MISSED",
-        ]
-        for row in rows
-    ]
-
-
-CAPTION = (
-    "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if steps reveal d "
-    "independently with the share that was measured)"
-)
-PAIRED = "Paired differences per episode"
-
-
-def as_text(rows: list[HiddenRow]) -> str:
-    """For a terminal."""
-    return "\n".join(
-        [
-            CAPTION,
-            text_table(table_head(rows), table_rows(rows)),
-            "",
-            PAIRED,
-            text_table(DIFFERENCES_HEAD, difference_rows(rows)),
-        ]
-    )
-
-
-def as_good(row: HiddenRow) -> bool:
-    """Whether the learned HMI does as well as the Bayes filter.
-
-    The filter's rule is the optimum if steps reveal d independently, so a learned one can at most
-    come to about as much. A difference counts as none within ``MARGIN`` of the filter's return,
-    whatever the interval.
-    """
-    return row.learned_minus_bayes.mean >= -MARGIN * abs(row.attention_return[BAYES_OWN].mean)

@@ -1,8 +1,8 @@
-"""How fast is it, side by side in one run: highway-env, the batched world, the whole team step.
+"""Speed of highway-env, the batched world and the whole team step, measured in one run.
 
 Every contestant drives the same scene with as many vehicles, by the same mix of actions, and begins
 a new episode after a crash or 20 s; resets are counted in. Each is measured for a while in turn,
-several rounds over, after a warm-up, and the median round counts.
+several rounds over, after a warm-up, and the median round counts. numba is imported only then.
 """
 
 from __future__ import annotations
@@ -10,30 +10,57 @@ from __future__ import annotations
 import importlib.util
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.scene import Scene, draw_start
 from hmi_marl.envs.teaming import Teaming
-from hmi_marl.envs.worlds.batched import BatchedWorld
-from hmi_marl.experiments.speed_config import BenchConfig
+from hmi_marl.reporting.blocks import Table
+from hmi_marl.reporting.report import Report
+
+if TYPE_CHECKING:
+    from hmi_marl.envs.worlds.batched import BatchedWorld
 
 MIX = (1, 1, 1, 3, 4)
-"""Actions drawn from: mostly keep_speed, some speed_up and slow_down."""
+"""Actions to draw from: mostly keep_speed, some speed_up and slow_down."""
 SCALING_TEAMS = 1024
 
 Run = Callable[[float], float]
-"""Runs for about so many seconds and tells how many steps a second it made."""
+"""Runs for about so many seconds and returns its steps per second."""
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Settings of a bench."""
+
+    teams: tuple[int, ...] = (1, 64, 1024, 4096)
+    """Sizes of the batches."""
+    threads: tuple[int, ...] = ()
+    """Thread counts; one and all cores by default."""
+    vehicles: int = 20
+    """Vehicles in every scene, besides the driver's car and the one on the ramp."""
+    scaling: tuple[int, ...] = (5, 10, 20, 40)
+    """Numbers of vehicles that show how the cost grows."""
+    seconds: float = 1.0
+    """Duration of each measurement [s]."""
+    rounds: int = 3
+    """Turns of each contestant."""
+
+    def check(self) -> None:
+        """Raise ValueError where a number is not positive."""
+        numbers = (*self.teams, *self.threads, self.vehicles, *self.scaling, self.seconds)
+        if min(*numbers, self.rounds) <= 0 or not self.teams:
+            raise ValueError("everything that a bench counts is positive")
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One contestant's speed."""
+    """Speed of one contestant."""
 
     name: str
     teams: int
@@ -41,7 +68,7 @@ class Measured:
     vehicles: int
     steps_per_s: float
     ratio: float
-    """To highway-env in one process in the same run, with as many vehicles as the bench has."""
+    """Ratio to highway-env in one process in the same run, with the bench's number of vehicles."""
     bytes_per_team: int | None
 
 
@@ -56,14 +83,14 @@ class _Contestant:
 
 
 def bench(config: BenchConfig, progress: Callable[[int], Any] = id) -> list[Measured]:
-    """Measure everybody in turns.
+    """Measure all contestants in turns.
+
+    Args:
+        config: settings of the bench.
+        progress: called with 1 after each of :func:`measurements`.
 
     Raises:
         ValueError: a number in ``config`` that is not positive, or more threads than there are.
-
-    Args:
-        config: what to measure.
-        progress: called with 1 after each of :func:`measurements`.
     """
     config.check()
     with ExitStack() as stack:
@@ -93,7 +120,7 @@ def bench(config: BenchConfig, progress: Callable[[int], Any] = id) -> list[Meas
 
 
 def measurements(config: BenchConfig) -> int:
-    """How many measurements a bench of this configuration takes."""
+    """Count the measurements that a bench takes."""
     threads = len(_thread_counts(config))
     envpool = int(importlib.util.find_spec("envpool") is not None)
     each = 2 + envpool + 2 * threads * len(config.teams) + len(config.scaling)
@@ -109,6 +136,8 @@ def _scene(vehicles: int) -> Scene:
 
 
 def _contestants(config: BenchConfig, stack: ExitStack) -> Iterator[_Contestant]:
+    from hmi_marl.envs.worlds.batched import BatchedWorld
+
     vehicles, scene = config.vehicles, _scene(config.vehicles)
     threads = _thread_counts(config)
     yield _Contestant("highway-env, one process", 1, 1, vehicles, _highway_env(scene))
@@ -138,7 +167,7 @@ def _contestants(config: BenchConfig, stack: ExitStack) -> Iterator[_Contestant]
 
 
 def _repeat(step: Callable[[], int], seconds: float) -> float:
-    """Steps a second, where ``step`` tells how many steps it took."""
+    """Measure the steps per second of ``step``, which returns the number of steps it took."""
     start, taken = time.perf_counter(), 0
     while (spent := time.perf_counter() - start) < seconds:
         taken += step()
@@ -146,7 +175,7 @@ def _repeat(step: Callable[[], int], seconds: float) -> float:
 
 
 def _highway_env(scene: Scene) -> Run:
-    """highway-env's own step with its own lidar."""
+    """Run highway-env's own step with its own lidar."""
     from hmi_marl.envs.worlds.highway import MergeScene
 
     env = MergeScene(scene)
@@ -169,7 +198,7 @@ def _highway_env(scene: Scene) -> Run:
 
 
 def _async_highway_env(scene: Scene, stack: ExitStack) -> Run:
-    """highway-env's registered environment in a process for each core."""
+    """Run highway-env's registered environment in a process for each core."""
     from functools import partial
 
     import gymnasium
@@ -208,17 +237,17 @@ def _envpool(teams: int) -> Run:
 
 
 def _world(world: BatchedWorld) -> Run:
-    """Physics, one lidar and resets."""
+    """Run physics, one lidar and resets."""
     count, horizon = world.num_worlds, round(20 * world.scene.policy_frequency)
-    everybody, inflation = np.ones(count, np.bool_), np.ones(count)
+    every, inflation = np.ones(count, np.bool_), np.ones(count)
     rng = np.random.default_rng(0)
     actions = rng.choice(MIX, (64, count))
     steps, seeds, turn = np.zeros(count, np.int64), np.arange(count, dtype=np.uint64), 0
-    world.reset(seeds, inflation, everybody)
+    world.reset(seeds, inflation, every)
 
     def step() -> int:
         nonlocal steps, seeds, turn
-        world.step(actions[turn % len(actions)], everybody)
+        world.step(actions[turn % len(actions)], every)
         world.lidar(inflated=False)
         turn, steps = turn + 1, steps + 1
         over = world.ego().crashed | (steps >= horizon)
@@ -232,7 +261,9 @@ def _world(world: BatchedWorld) -> Run:
 
 
 def _team(scene: Scene, count: int, threads: int) -> Run:
-    """Chain, rewards, both seats' observations, taking turns, and resets."""
+    """Run the whole team step, sequentially: chain, rewards, both observations, and resets."""
+    from hmi_marl.envs.worlds.batched import BatchedWorld
+
     config = TeamConfig(driver=["lisa", "marge", "bart", "homer"], scene=scene)
     teams = Teaming(config, count, BatchedWorld(config.scene, count, threads))
     rng = np.random.default_rng(0)
@@ -255,20 +286,21 @@ def _team(scene: Scene, count: int, threads: int) -> Run:
     return lambda seconds: _repeat(step, seconds)
 
 
-def as_text(rows: list[Measured]) -> str:
-    """A table for people."""
-    lines = [
-        f"{'':<40}{'teams':>7}{'threads':>9}{'vehicles':>10}{'steps/s':>12}{'ratio':>9}{'kB/team':>9}"
+def make_report(config: BenchConfig, rows: Sequence[Measured], command_line: str) -> Report:
+    """Make the report of a bench."""
+    entries = [
+        [
+            row.name,
+            f"{row.teams}",
+            f"{row.threads}",
+            f"{row.vehicles}",
+            f"{row.steps_per_s:,.0f}",
+            f"{row.ratio:,.1f}",
+            "-" if row.bytes_per_team is None else f"{row.bytes_per_team / 1000:.1f}",
+        ]
+        for row in rows
     ]
-    for row in rows:
-        size = "-" if row.bytes_per_team is None else f"{row.bytes_per_team / 1000:.1f}"
-        lines.append(
-            f"{row.name:<40}{row.teams:>7}{row.threads:>9}{row.vehicles:>10}"
-            f"{row.steps_per_s:>12,.0f}{row.ratio:>9,.1f}{size:>9}"
-        )
-    return "\n".join(lines)
-
-
-def as_json(config: BenchConfig, rows: list[Measured]) -> dict[str, Any]:
-    """JSON content."""
-    return {"config": asdict(config), "rows": [asdict(row) for row in rows]}
+    head = ["", "teams", "threads", "vehicles", "steps/s", "ratio", "kB/team"]
+    numbers = {"rows": [asdict(row) for row in rows]}
+    table = Table("Speed, and its ratio to highway-env's own step", head, entries)
+    return Report("bench", "Speed of the worlds", [table], numbers, command_line, asdict(config))

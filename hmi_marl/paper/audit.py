@@ -63,27 +63,6 @@ def _exact_ranges(driver: Driver, window: int) -> list[tuple[float, float]]:
     return ranges
 
 
-def audit_text(cells: list[AuditedCell], window: int) -> str:
-    """Return the audit as a text table."""
-    rows = [
-        f"The paper's distraction returns, and what any alert policy can reach at N = {window} "
-        f"over {HORIZONS[0]} to {HORIZONS[-1]} steps",
-        f"{'HMI':<8}{'driver':<8}{'paper':>7}{'reachable':>18}{'optimum':>18}"
-        f"{'optimum, η = 1':>18}  verdict",
-    ]
-    for cell in cells:
-        verdict = "reachable" if cell.reachable else "OUT OF REACH for every alert policy"
-        reach = f"{cell.least:.0f} .. {cell.most:.0f}"
-        optimum, eta_1 = (
-            f"{low:.0f} .. {high:.0f}" for low, high in (cell.optimum, cell.optimum_if_eta_1)
-        )
-        rows.append(
-            f"{cell.hmi:<8}{cell.driver:<8}{cell.paper:>7.0f}{reach:>18}{optimum:>18}"
-            f"{eta_1:>18}  {verdict}"
-        )
-    return "\n".join(rows)
-
-
 def audit_json(cells: list[AuditedCell]) -> list[dict[str, Any]]:
     """Return the audit as JSON content."""
     return [asdict(cell) for cell in cells]

@@ -25,6 +25,10 @@ SPEED_RETURNS: Mapping[str, Row] = MappingProxyType(
         "NoHMI": {"lisa": 451.0, "marge": 423.0, "bart": 428.0, "homer": 404.0},
     }
 )
+AVERAGE_KL: Mapping[str, float] = MappingProxyType(
+    {"none": 435.0, "id": 4940.0, "preference": 2872.0}
+)
+"""Average KL divergence between driver types [nats], by supervision; under the figure."""
 DRIVER_TRAITS: Mapping[str, tuple[float, float, float, float]] = MappingProxyType(
     {
         "lisa": (0.2, 0.8, 0.01, 3.0),

@@ -1,123 +1,289 @@
-"""What a report shows, piece by piece: paragraphs, tables and pictures, as JSON and as HTML.
+"""Blocks of a report: paragraphs, tables, figures, clips and verdicts.
 
-A report that is put together later, from files, shows the same pieces as the one that is written
-where they were made.
+One description of a block renders as text for a terminal, as HTML for a page and as JSON, from
+which it can be read again: a report assembled later, from files, shows the same blocks.
 """
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from abc import ABC, abstractmethod
+from base64 import b64decode, b64encode
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from hmi_marl.reporting.page import html_table, image, page
+from hmi_marl.files import json_value
+from hmi_marl.reporting.verdicts import Outcome, Verdict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
+"""Colours of figures, in their order."""
+_CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPORTED: "bad"}
+"""Style classes of the page by outcome; grey for the others."""
 
 
-@dataclass(frozen=True)
-class Told:
-    """A paragraph."""
+class Block(ABC):
+    """Part of a report."""
 
-    text: str
+    kind: ClassVar[str]
+    """Name of its class in JSON."""
 
+    @abstractmethod
+    def as_text(self) -> str:
+        """Render for a terminal."""
+
+    @abstractmethod
     def as_html(self) -> str:
-        """For a page."""
-        return f"<p>{escape(self.text)}</p>"
+        """Render for a page."""
 
     def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {"kind": "told", "text": self.text}
+        """JSON content, from which :func:`block_from` reads it again."""
+        return {"kind": self.kind} | {
+            name: b64encode(value).decode("ascii")
+            if isinstance(value, bytes)
+            else json_value(value)
+            for name, value in vars(self).items()
+        }
 
 
 @dataclass(frozen=True)
-class Table:
-    """A table with its heading; every row begins with its own."""
+class Heading(Block):
+    """Title of a section."""
+
+    text: str
+    anchor: str = ""
+    """Name for links; titles that have one are listed at the top of the page."""
+    kind: ClassVar = "heading"
+
+    def as_text(self) -> str:
+        """Render for a terminal."""
+        return f"{self.text}\n{'=' * len(self.text)}"
+
+    def as_html(self) -> str:
+        """Render for a page."""
+        anchor = f' id="{escape(self.anchor)}"' if self.anchor else ""
+        return f"<h2{anchor}>{escape(self.text)}</h2>"
+
+
+@dataclass(frozen=True)
+class Text(Block):
+    """Paragraph; commands in it stand between backticks."""
+
+    text: str
+    lead: str = ""
+    """A few words in bold before it."""
+    kind: ClassVar = "text"
+
+    def as_text(self) -> str:
+        """Render for a terminal."""
+        text = self.text.replace("`", "")
+        return f"{self.lead}: {text}" if self.lead else text
+
+    def as_html(self) -> str:
+        """Render for a page."""
+        lead = f"<b>{escape(self.lead)}</b><br>" if self.lead else ""
+        return f"<p>{lead}{_with_commands(self.text)}</p>"
+
+
+@dataclass(frozen=True)
+class Table(Block):
+    """Table whose rows begin with their heading; entries may have several lines."""
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
+    note: str = ""
+    """Explanation below the table."""
+    kind: ClassVar = "table"
+
+    def as_text(self) -> str:
+        """Render in columns for a terminal."""
+        lines = [list(self.head)]
+        for row in self.rows:
+            entries = [entry.split("\n") for entry in row]
+            for k in range(max(map(len, entries))):
+                lines.append([entry[k] if k < len(entry) else "" for entry in entries])
+        widths = [max(len(line[column]) for line in lines) for column in range(len(self.head))]
+        shown = [
+            "  " + "  ".join(e.ljust(w) for e, w in zip(line, widths, strict=True)).rstrip()
+            for line in lines
+        ]
+        return "\n".join([*([self.title] if self.title else []), *shown, *_lines(self.note)])
 
     def as_html(self) -> str:
-        """For a page."""
-        return f"<h3>{escape(self.title)}</h3>\n{html_table(self.head, self.rows)}"
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        rows = [list(row) for row in self.rows]
-        return {"kind": "table", "title": self.title, "head": list(self.head), "rows": rows}
+        """Render for a page."""
+        top = "".join(f"<th>{_entry(name)}</th>" for name in self.head)
+        body = "".join(
+            f"<tr><th>{_entry(row[0])}</th>"
+            + "".join(f"<td>{_entry(entry)}</td>" for entry in row[1:])
+            + "</tr>"
+            for row in self.rows
+        )
+        title = f"<h3>{escape(self.title)}</h3>\n" if self.title else ""
+        note = f'\n<p class="small">{escape(self.note)}</p>' if self.note else ""
+        return f'{title}<div class="wide"><table><tr>{top}</tr>{body}</table></div>{note}'
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A PNG."""
+class Figure(Block):
+    """PNG of a figure."""
 
+    name: str
+    """Name of its file, without the suffix."""
     description: str
+    """Text for readers who do not see it."""
     content: bytes
+    narrow: bytes | None = None
+    """PNG for narrow screens."""
+    kind: ClassVar = "figure"
+    suffix: ClassVar = "png"
+
+    def as_text(self) -> str:
+        """Nothing on a terminal."""
+        return ""
 
     def as_html(self) -> str:
-        """For a page, within it."""
-        return image("png", self.content, self.description)
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        content = base64.b64encode(self.content).decode("ascii")
-        return {"kind": "picture", "description": self.description, "png": content}
-
-
-Exhibit = Told | Table | Picture
+        """Render for a page, with the picture inside it."""
+        shown = f'<img alt="{escape(self.description)}" src="{_data(self.suffix, self.content)}">'
+        if self.narrow is None:
+            return shown
+        narrow = _data(self.suffix, self.narrow)
+        source = f'<source media="(max-width: 40rem)" srcset="{narrow}">'
+        return f"<picture>{source}{shown}</picture>"
 
 
-def exhibit_from(content: dict[str, Any]) -> Exhibit:
-    """The piece that ``as_json`` told.
+@dataclass(frozen=True)
+class Clip(Block):
+    """Animated GIF of an episode."""
+
+    name: str
+    """Name of its file, without the suffix."""
+    caption: str
+    content: bytes
+    kind: ClassVar = "clip"
+    suffix: ClassVar = "gif"
+
+    def as_text(self) -> str:
+        """Render the caption for a terminal."""
+        return self.caption
+
+    def as_html(self) -> str:
+        """Render for a page, with the clip inside it."""
+        alt = escape(self.caption or "clip of one episode")
+        source = _data(self.suffix, self.content)
+        return f'<img class="clip" alt="{alt}" src="{source}"><p>{escape(self.caption)}</p>'
+
+
+@dataclass(frozen=True)
+class Verdicts(Block):
+    """Statements with their outcomes and reasons."""
+
+    verdicts: Sequence[Verdict]
+    title: str = "Verdicts"
+    note: str = ""
+    kind: ClassVar = "verdicts"
+
+    def as_text(self) -> str:
+        """Render in columns for a terminal."""
+        width = max((len(verdict.outcome) for verdict in self.verdicts), default=0)
+        lines = [
+            f"  {verdict.outcome:<{width}}  {verdict.claim}" + _in_brackets(verdict.reason)
+            for verdict in self.verdicts
+        ]
+        return "\n".join([self.title, *lines, *_lines(self.note)])
+
+    def as_html(self) -> str:
+        """Render for a page, outcomes coloured."""
+        counts = Counter(verdict.outcome for verdict in self.verdicts)
+        summary = ", ".join(
+            f"{counts[outcome]} {outcome}" for outcome in Outcome if counts[outcome]
+        )
+        rows = "".join(
+            f"<tr><td>{escape(verdict.claim)}"
+            + (f"<br><span class='small'>{escape(verdict.where)}</span>" if verdict.where else "")
+            + f"</td><td>{escape(verdict.reason)}</td>"
+            f"<td class='{_CLASSES.get(verdict.outcome, 'small')}'>{verdict.outcome}</td></tr>"
+            for verdict in self.verdicts
+        )
+        note = f" {escape(self.note)}" if self.note else ""
+        return (
+            f"<h3>{escape(self.title)}</h3>\n<p>{escape(summary)}.{note}</p>\n"
+            "<div class='wide'><table><tr><th>claim</th><th>by the numbers of this run</th>"
+            f"<th>verdict</th></tr>{rows}</table></div>"
+        )
+
+
+def block_from(content: dict[str, Any]) -> Block:
+    """Read a block from its JSON content.
 
     Raises:
-        ValueError: no such piece.
+        ValueError: the content describes no block.
     """
+    given, kinds = dict(content), {block.kind: block for block in Block.__subclasses__()}
+    kind = given.pop("kind", None)
+    if kind not in kinds:
+        raise ValueError(f"a report has no blocks of kind {kind!r}")
     try:
-        match content["kind"]:
-            case "told":
-                return Told(content["text"])
-            case "table":
-                return Table(content["title"], content["head"], content["rows"])
-            case "picture":
-                return Picture(content["description"], base64.b64decode(content["png"]))
+        for name in ("content", "narrow"):
+            if given.get(name) is not None:
+                given[name] = b64decode(given[name])
+        if "verdicts" in given:
+            given["verdicts"] = [
+                Verdict(**each | {"outcome": Outcome(each["outcome"])})
+                for each in given["verdicts"]
+            ]
+        return kinds[kind](**given)
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"a damaged piece of a report: {error!r}") from None
-    raise ValueError(f"a report has no pieces of kind {content['kind']!r}")
+        raise ValueError(f"a damaged block of a report: {error!r}") from None
 
 
-def held(verdicts: Mapping[str, bool]) -> tuple[Exhibit, ...]:
-    """What was asked, and whether it holds."""
-    return tuple(Told(f"{'holds' if h else 'MISSED'}: {claim}") for claim, h in verdicts.items())
+def as_text(blocks: Iterable[Block]) -> str:
+    """Render blocks for a terminal."""
+    return "\n\n".join(text for text in (block.as_text() for block in blocks) if text)
 
 
-def show(exhibits: Iterable[Exhibit]) -> str:
-    """All of them as HTML, one below the other."""
-    return "\n".join(exhibit.as_html() for exhibit in exhibits)
+def as_html(blocks: Iterable[Block]) -> str:
+    """Render blocks as HTML, one below the other."""
+    return "\n".join(block.as_html() for block in blocks)
 
 
-def pictures(exhibits: Iterable[Exhibit]) -> list[bytes]:
-    """The PNGs among them."""
-    return [exhibit.content for exhibit in exhibits if isinstance(exhibit, Picture)]
+def png(drawing: Drawing, dpi: int = 110) -> bytes:
+    """Draw a matplotlib figure as a PNG."""
+    content = BytesIO()
+    drawing.savefig(content, format="png", dpi=dpi)
+    return content.getvalue()
 
 
-def page_of(
-    title: str,
-    exhibits: Iterable[Exhibit],
-    seconds: Mapping[str, float],
-    command: str,
-    settings: Mapping[str, Any],
-) -> str:
-    """A page that needs nothing besides itself.
+def _lines(note: str) -> list[str]:
+    return [f"  {note}"] if note else []
 
-    Args:
-        title: its heading.
-        exhibits: what it shows.
-        seconds: how long each part took; nothing is told if that is not known.
-        command: that makes the page again.
-        settings: all of them, for the small print.
-    """
-    rows = [[part, f"{spent:.0f} s"] for part, spent in seconds.items()]
-    times = [Table("Time of each part", ["part", "time"], rows)] if rows else []
-    return page(title, show([*exhibits, *times]), command, settings)
+
+def _in_brackets(reason: str) -> str:
+    return f" ({reason})" if reason else ""
+
+
+def _data(suffix: str, content: bytes) -> str:
+    return f"data:image/{suffix};base64,{b64encode(content).decode('ascii')}"
+
+
+def _with_commands(text: str) -> str:
+    """Render a text whose commands stand between backticks; options are not broken in two."""
+    parts = text.split("`")
+    return "".join(_command(part) if k % 2 else escape(part) for k, part in enumerate(parts))
+
+
+def _command(text: str) -> str:
+    words = (f'<span class="word">{escape(word)}</span>' for word in text.split(" "))
+    return f"<code>{' '.join(words)}</code>"
+
+
+def _entry(text: str) -> str:
+    """Render an entry of a table; intervals in brackets are not broken over lines."""
+    whole = re.sub(r"[\[(][^\])]{1,24}[\])]", r'<span class="whole">\g<0></span>', escape(text))
+    return whole.replace("\n", "<br>")

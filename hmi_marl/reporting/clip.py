@@ -1,4 +1,4 @@
-"""Clips and live windows: one episode, watched."""
+"""Clips of an episode, and live windows."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ NO_HOLDS: Mapping[int, float] = MappingProxyType({})
 def episode(
     config: TeamConfig, hmi: str, driver_policy: str, seed: int, world: str = "highway"
 ) -> Iterator[tuple[Snapshot, TeamStatus]]:
-    """Play one episode, taking turns; yields each moment, the first included.
+    """Play one episode sequentially; yields each moment, the first included.
 
     Args:
-        config: of the team.
-        hmi: a name that the catalogue knows.
-        driver_policy: a name that the catalogue knows.
-        seed: of the episode.
-        world: which world to drive in.
+        config: settings of the team.
+        hmi: name in the catalogue.
+        driver_policy: name in the catalogue.
+        seed: seed of the episode.
+        world: world to drive in.
 
     Raises:
         ValueError: an unknown name or a bad seed; at once, before the first moment.
@@ -63,7 +63,7 @@ def moments(
     Args:
         teaming: the team.
         driver, ai: policies in its seats.
-        hand_over: before which step another driver takes the wheel, and their traits.
+        hand_over: step before which another driver takes the wheel, and their traits.
     """
     yield _moment(teaming, ai)
     for _ in turns(teaming, driver, ai, [] if hand_over is None else [HandsOver(*hand_over)]):
@@ -79,7 +79,7 @@ def _moment(teaming: Teaming, ai: Policy) -> tuple[Snapshot, TeamStatus]:
 
 
 def frames(shown: Iterator[tuple[Snapshot, TeamStatus]], viewer: Viewer, per_step: int) -> Pictures:
-    """Pictures of an episode, ``per_step`` for each policy step, with positions in between."""
+    """Draw an episode, ``per_step`` pictures for each policy step, with positions in between."""
     before, status = next(shown)
     yield viewer.draw(before, status, per_step)
     for after, status in shown:
@@ -118,12 +118,12 @@ def record(
 
     Args:
         path: a .gif, or an .mp4 with the video extra.
-        config: of the team.
+        config: settings of the team.
         moments: from :func:`episode`.
         per_step: pictures for each policy step.
         perceived: draw the other objects' perceived sizes.
-        progress: is handed the pictures and hands them on, one by one.
-        holds: seconds for which the clip stands still, by the number of the moment, 0 the first.
+        progress: receives the pictures and passes them on, one by one.
+        holds: duration for which the clip stands still [s], by the number of the moment from 0 on.
     """
     check_suffix(path)
     pictures = frames(moments, Viewer(config, perceived=perceived), per_step)
@@ -149,10 +149,10 @@ def write_clip(
     """Write pictures of shape (height, width, 3) as GIF or MP4, by the file's suffix.
 
     Args:
-        path: of the file.
+        path: path of the file.
         pictures: at least one.
-        frequency: pictures a second.
-        holds: seconds to show a picture for instead, by its number, 0 the first.
+        frequency: pictures per second [Hz].
+        holds: duration for which a picture is shown instead [s], by its number from 0 on.
     """
     write = _write_gif if check_suffix(path).suffix.lower() == ".gif" else _write_mp4
     write_atomically(path, partial(write, pictures=pictures, frequency=frequency, holds=holds))

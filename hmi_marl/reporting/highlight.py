@@ -1,7 +1,7 @@
-"""Choose what a clip shows: traffic, a distraction and an alert that works, close together.
+"""Choose the part of an episode for a clip: traffic, a distraction, and an alert that works.
 
 The episodes are searched on the batched world, where dozens of them take a second. The chosen one
-is then played again where the clip is drawn, and what is said about it comes from there.
+is then played again where the clip is drawn, and its caption comes from there.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from hmi_marl.envs.worlds import Snapshot, make_world
 from hmi_marl.reporting import clip
 
 MOST_SEEDS = 64
-"""Episodes that are searched at most."""
+"""Most episodes that are searched."""
 BEHIND, AHEAD = 50.0, 95.0
-"""How far from the driven car others are in the picture [m]."""
+"""Distances from the driven car within which others are in the picture [m]."""
 LEAD_IN, LEAD_OUT = 3.0, 4.0
-"""Seconds that a clip shows before and after the alert."""
+"""Time that a clip shows before and after the alert [s]."""
 HOLD = 1.5
-"""Seconds for which the clip stands still at the distraction and at the alert."""
+"""Time for which the clip stands still at the distraction and at the alert [s]."""
 _ENOUGH = 6
-"""Other cars in the picture, from which on more do not make a better clip."""
+"""Number of other cars in the picture from which on more do not improve a clip."""
 
 
 @dataclass(frozen=True)
 class Beat:
-    """One step of an episode, as far as a clip is chosen by it; the state after the step."""
+    """State after one step of an episode, as far as the choice of a clip depends on it."""
 
     distracted: bool
     alert: bool
     overridden: bool
-    """The car did not do what the driver meant, but repeated its last action."""
+    """The car repeated its last action instead of the intended one."""
     others: int
     """Other cars in the picture."""
     crashed: bool
 
     @classmethod
     def of(cls, snapshot: Snapshot, status: TeamStatus) -> Beat:
-        """Take it from what a picture is drawn from."""
+        """Make it from the state that a picture is drawn from."""
         ahead = snapshot.position[1:, 0] - snapshot.position[0, 0]
         return cls(
             distracted=status.distracted,
@@ -60,21 +60,21 @@ class Beat:
 
 @dataclass(frozen=True)
 class Highlight:
-    """The best step of an episode to show, and how good it is."""
+    """Best step of an episode to show, and its quality."""
 
     beats: tuple[Beat, ...]
-    """The whole episode, its start included: beat k is after k steps."""
+    """Whole episode, its start included: beat k is after k steps."""
     step: int
-    """The step to show. 0 if the episode has none."""
+    """Step to show. 0 if the episode has none."""
 
     @property
     def now(self) -> Beat:
-        """After the step."""
+        """State after the step."""
         return self.beats[self.step]
 
     @property
     def before(self) -> Beat:
-        """Before the step."""
+        """State before the step."""
         return self.beats[max(0, self.step - 1)]
 
     @property
@@ -94,7 +94,7 @@ class Highlight:
 
     @property
     def complete(self) -> bool:
-        """Whether all is there: traffic, a distraction and an alert that works."""
+        """Whether there are traffic, a distraction and an alert that works."""
         return self.traffic and self.works
 
     @cached_property
@@ -105,7 +105,7 @@ class Highlight:
 
     @cached_property
     def since(self) -> int:
-        """The step in which the distraction began that the step's alert answers."""
+        """Step in which the distraction began that the step's alert answers."""
         step = self.step
         while step > 0 and self.beats[step - 1].distracted:
             step -= 1
@@ -117,11 +117,10 @@ class Highlight:
         return sum(beat.alert for beat in self.beats[self.since + 1 : self.step + 1])
 
     def rank(self, window: int) -> tuple[int, ...]:
-        """Compare with other steps: the higher the better to show.
+        """Quality of the step for a clip; higher is better.
 
         Args:
-            window: steps for which an alert stays in effect; being attentive for longer is not
-                its doing.
+            window: steps for which an alert stays in effect.
         """
         return (
             self.complete,
@@ -147,13 +146,13 @@ def best_seed(config: TeamConfig, hmi: str, driver_policy: str, seeds: Sequence[
     """Find the episode that is best to show; the first of equals.
 
     Args:
-        config: of the team.
-        hmi, driver_policy: names that the catalogue knows.
-        seeds: of the episodes; the first ``MOST_SEEDS`` of them are searched.
+        config: settings of the team.
+        hmi, driver_policy: names in the catalogue.
+        seeds: seeds of the episodes; the first ``MOST_SEEDS`` of them are searched.
     """
     wanted = np.array(seeds[:MOST_SEEDS], np.uint64)
     driver, ai = make_driver_policy(driver_policy, config), make_hmi(hmi, config)
-    # One thread: with so few worlds more of them only get into the way of the policies' products.
+    # One thread: with so few worlds, more of them slow the policies' matrix products down.
     world = make_world("batched", config.scene, len(wanted), threads=1)
     teaming = begin(config, driver, ai, wanted, world)
     watched = _Beats(teaming)
@@ -164,13 +163,13 @@ def best_seed(config: TeamConfig, hmi: str, driver_policy: str, seeds: Sequence[
 
 
 class _Beats(Observer):
-    """Keep the beats of every team's episode, from its start on."""
+    """Keep the beats of all teams' episodes, from their start on."""
 
     def __init__(self, teaming: Teaming) -> None:
         self.episodes = [[self._beat(teaming, team)] for team in range(teaming.num_teams)]
 
     def before(self, teaming: Teaming) -> None:
-        """Note who is still driving."""
+        """Note the teams that still drive."""
         self._going = np.flatnonzero(~teaming.over).tolist()
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
@@ -184,11 +183,11 @@ class _Beats(Observer):
 
 
 def cut(found: Highlight, frequency: float) -> range:
-    """Moments that the clip shows: some seconds around the step, as far as the episode has them.
+    """Choose the moments of the clip: some seconds around the step, within the episode.
 
     Args:
-        found: what to show.
-        frequency: steps a second.
+        found: step to show.
+        frequency: steps per second [Hz].
     """
     length = round((LEAD_IN + LEAD_OUT) * frequency)
     last = len(found.beats) - 1
@@ -202,12 +201,12 @@ def held_moments(found: Highlight) -> tuple[int, ...]:
 
 
 def caption(found: Highlight, who: str, seconds: Sequence[float], shown: range) -> str:
-    """Say in one sentence what is to be seen and when, by the clock in the picture.
+    """Describe in one sentence what the clip shows and when, by the clock in the picture.
 
     Args:
-        found: what is shown.
-        who: the driver's name.
-        seconds: time of every moment of the episode, as the picture shows it.
+        found: step that is shown.
+        who: name of the driver.
+        seconds: time of every moment of the episode [s], as the picture shows it.
         shown: moments that the clip shows.
     """
     others = found.now.others
@@ -239,7 +238,7 @@ def caption(found: Highlight, who: str, seconds: Sequence[float], shown: range) 
 
 
 def what_is_missing(found: Highlight, searched: int) -> str:
-    """Say that no episode that was searched shows everything; empty if this one does."""
+    """Say that no episode that was searched shows all of it; empty if this one does."""
     if found.complete:
         return ""
     return (
@@ -261,14 +260,14 @@ def record(
 
     Args:
         path: a .gif, or an .mp4 with the video extra.
-        config: of the team.
-        hmi, driver_policy: names that the catalogue knows.
-        seeds: of the episodes; the first ``MOST_SEEDS`` of them are searched.
+        config: settings of the team.
+        hmi, driver_policy: names in the catalogue.
+        seeds: seeds of the episodes; the first ``MOST_SEEDS`` of them are searched.
         per_step: pictures for each policy step.
-        progress: is handed the pictures and their number, and hands them on one by one.
+        progress: receives the pictures and their number, and passes them on one by one.
 
     Returns:
-        What is to be seen and when.
+        Description of what it shows and when.
     """
     searched = seeds[:MOST_SEEDS]
     seed = best_seed(config, hmi, driver_policy, searched)

@@ -1,4 +1,4 @@
-"""Means and shares with their 95 % intervals."""
+"""Means and shares with their 95 % intervals, and how they are written."""
 
 from __future__ import annotations
 
@@ -13,30 +13,49 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its 95 % interval. NaN where the data do not tell."""
+    """Number and its 95 % interval. NaN where it is not known."""
 
     mean: float
     low: float
     high: float
 
     def agrees(self, other: float, share: float) -> bool:
-        """Whether ``other`` lies in the interval, or the mean within this share of ``other``."""
+        """Check that ``other`` is in the interval, or the mean within this share of ``other``."""
         return self.low <= other <= self.high or abs(self.mean - other) <= share * abs(other)
 
     def as_json(self) -> dict[str, float | None]:
-        """With None for what is not known, as JSON has no NaN."""
+        """JSON content, with None for what is not known."""
         return {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
+
+    def shown(self, form: str = "z.1f") -> str:
+        """Write as ``mean [low, high]``, as far as they are known.
+
+        Args:
+            form: format of each number.
+        """
+        if not math.isfinite(self.low):
+            return number(self.mean, form)
+        return f"{self.mean:{form}} [{self.low:{form}}, {self.high:{form}}]"
+
+    def percent(self, form: str = "z.1f") -> str:
+        """Write a share and its interval in percent, without the sign."""
+        return Estimate(100 * self.mean, 100 * self.low, 100 * self.high).shown(form)
+
+
+def number(value: float | None, form: str = "z.1f") -> str:
+    """Write a number, or a dash where it is not known."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
-    """The mean and Student's t interval of independent values, shape (E,).
+    """Mean and Student's t interval of independent values, shape (E,).
 
-    Values that are not finite are left out (an episode in which nobody was ever ahead has no
-    shortest headway). One value alone has no interval; none at all has no mean.
+    Values that are not finite are left out (an episode without a vehicle ahead has no shortest
+    headway). One value has no interval; no value has no mean.
 
     Args:
         values: shape (E,).
-        lowest: no value can be lower; the interval ends there if Student's t goes beyond.
+        lowest: least possible value, at which the interval is cut off.
     """
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
@@ -45,7 +64,7 @@ def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
     middle = float(finite.mean())
     if len(finite) == 1:
         return Estimate(middle, math.nan, math.nan)
-    from scipy import stats  # takes half a second, which settings that hold an Estimate need not
+    from scipy import stats  # takes half a second; settings that hold an Estimate do without
 
     error = float(finite.std(ddof=1)) / math.sqrt(len(finite))
     half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(finite) - 1)) * error
@@ -53,7 +72,7 @@ def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
 
 
 def share(successes: int, trials: int) -> Estimate:
-    """A share of yes-or-no trials and its Wilson interval, which is honest near 0 and 1.
+    """Share of successes and its Wilson interval, which stays valid near 0 and 1.
 
     Raises:
         ValueError: no trials, or more successes than trials.
@@ -67,11 +86,11 @@ def share(successes: int, trials: int) -> Estimate:
 
 
 def accuracy(right: NDArray[np.bool_], trials: int) -> Estimate:
-    """The share of right guesses, its interval that of so many trials, rounded outwards.
+    """Share of right guesses, with the interval of fewer trials, rounded outwards.
 
     Args:
-        right: of each guess, whether it was right, shape (P,).
-        trials: as many of them as are independent, at most P.
+        right: whether each guess was right, shape (P,).
+        trials: number of guesses that are independent, at most P.
     """
     hits, count = int(right.sum()), len(right)
     low = share(hits * trials // count, trials).low

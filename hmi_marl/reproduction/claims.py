@@ -1,18 +1,18 @@
-"""The paper's claims in its own order, each with the function that holds it against our data."""
+"""The paper's claims in its own order, each with the function that judges it by our data."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+from hmi_marl.reporting.verdicts import Outcome, Verdict
 from hmi_marl.reproduction import findings
 from hmi_marl.reproduction.findings import (
     DISTRACTION,
     SPEED,
     Check,
-    Finding,
     Results,
-    Verdict,
     kinds_apart,
     personalised_beats,
     untestable,
@@ -21,22 +21,23 @@ from hmi_marl.reproduction.findings import (
 
 @dataclass(frozen=True)
 class Claim:
-    """One of them."""
+    """One claim of the paper."""
 
     where: str
-    """In the paper."""
+    """Section of the paper."""
     text: str
     """Quoted, or in short."""
     needs: tuple[str, ...]
-    """Stages whose numbers the check goes by."""
+    """Experiments with the numbers that decide it."""
     check: Check
 
-    def finding(self, results: Results) -> Finding:
-        """What our data say; if they are there."""
+    def judge(self, results: Results) -> Verdict:
+        """Judge the claim by the numbers of the experiments, if they were run."""
         missing = [name for name in self.needs if name not in results]
         if missing:
-            return Finding(Verdict.MISSING, f"this run has no stage {' and '.join(missing)}")
-        return self.check(results)
+            reason = f"this run has no stage {' and '.join(missing)}"
+            return Verdict(self.text, Outcome.NOT_RUN, reason, self.where)
+        return replace(self.check(results), claim=self.text, where=self.where)
 
 
 LOW, HIGH = ("lisa", "marge"), ("bart", "homer")
@@ -205,27 +206,16 @@ CLAIMS = (
         findings.personal_rewards,
     ),
 )
-"""Adding one is adding it here."""
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A claim and what became of it."""
-
-    claim: Claim
-    finding: Finding
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {
-            "where": self.claim.where,
-            "claim": self.claim.text,
-            "needs": list(self.claim.needs),
-            "verdict": str(self.finding.verdict),
-            "told": self.finding.told,
-        }
+def judge(results: Results) -> list[Verdict]:
+    """Judge every claim by the numbers of the experiments that have been run."""
+    return [claim.judge(results) for claim in CLAIMS]
 
 
-def judge(results: Results) -> list[Judged]:
-    """Every claim, held against the numbers of the stages that have been run."""
-    return [Judged(claim, claim.finding(results)) for claim in CLAIMS]
+def claims_json(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
+    """JSON content of the claims' verdicts, with the experiments that each needs."""
+    return [
+        verdict.as_json() | {"needs": list(claim.needs)}
+        for claim, verdict in zip(CLAIMS, verdicts, strict=True)
+    ]

@@ -1,4 +1,4 @@
-"""Every table and figure of the paper, and what stands for it here."""
+"""Tables and figures of the paper, and what corresponds to each here."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from typing import Any
 
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.rewards import RewardWeights
-from hmi_marl.experiments.latent_traits.report import PAPER_KL
-from hmi_marl.paper.printed import DRIVER_TRAITS, REWARDS
-from hmi_marl.reporting.blocks import Exhibit, Table
+from hmi_marl.paper.printed import AVERAGE_KL, DRIVER_TRAITS, REWARDS
+from hmi_marl.reporting.blocks import Table
 
 HEAD = ("in the paper", "what it shows", "here")
 
 
-def paper_items(results: Mapping[str, Mapping[str, Any]]) -> list[Exhibit]:
-    """A row each, from the numbers of the stages that there are."""
-    printed = ", ".join(f"{value:.0f}" for value in PAPER_KL.values())
+def paper_items(results: Mapping[str, Mapping[str, Any]]) -> Table:
+    """List them, with the numbers of the experiments that were run."""
+    printed = ", ".join(f"{value:.0f}" for value in AVERAGE_KL.values())
     rows = [
         (
             "Figure 1, schematic of the approach",
@@ -51,7 +50,7 @@ def paper_items(results: Mapping[str, Mapping[str, Any]]) -> list[Exhibit]:
             "section on HMIs and drivers, cell by cell" if "table" in results else "not run",
         ),
     ]
-    return [Table("Item by item", HEAD, rows)]
+    return Table("Item by item", HEAD, rows)
 
 
 def _rewards() -> str:
@@ -67,6 +66,6 @@ def _drivers() -> str:
 def _kl(results: Mapping[str, Mapping[str, Any]]) -> str:
     if "traits" not in results:
         return "not run"
-    settings = results["traits"]["settings"]
-    found = ", ".join(f"{settings[name]['average_kl']['mean']:.4g}" for name in PAPER_KL)
+    settings = results["traits"]["supervisions"]
+    found = ", ".join(f"{settings[name]['average_kl']['mean']:.4g}" for name in AVERAGE_KL)
     return f"section on latent traits; average KL {found} nats"

@@ -1,4 +1,4 @@
-"""Filling the folder of agents that come with the package, from a finished reproduction."""
+"""Fill the folder of agents that come with the package, from a finished reproduction."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import hmi_marl
 from hmi_marl.agents.learned.shipped import FORMAT, INDEX, shipped_agents
-from hmi_marl.experiments.stages import Agent, Place, Stage, is_done
+from hmi_marl.experiments.experiment import Agent, Place
 from hmi_marl.files import write_bytes, write_json
+from hmi_marl.reproduction.suite import Suite, is_done
 
 _PLACE = re.compile(r"(?<![^\s'\"=])(?:[A-Za-z]:[\\/]|[/~])[^\s'\"]*")
-"""An absolute path within a text."""
+"""Absolute path within a text."""
 
 
-def ship(stages: Sequence[Stage], run: Path, driver_run: Path, out: Path) -> list[Agent]:
-    """Copy every stage's agents into ``out``, in place of what was there, and index them.
+def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
+    """Copy the agents of all experiments into ``out``, in place of what was there, and index them.
 
     Args:
-        stages: of the reproduction.
+        suite: experiments of the reproduction.
         run: its folder.
-        driver_run: whose driver its stages share.
-        out: a folder of shipped agents, an empty one, or one that is not there yet.
+        driver_run: run of the driver policy that they share.
+        out: a folder of shipped agents, an empty folder, or a new one.
 
     Returns:
-        What was copied.
+        Agents that were copied.
 
     Raises:
-        ValueError: a stage is not finished, or ``out`` holds something else.
+        ValueError: an experiment is not finished, or ``out`` holds something else.
     """
     if out.exists() and any(out.iterdir()):
         try:
@@ -43,13 +43,13 @@ def ship(stages: Sequence[Stage], run: Path, driver_run: Path, out: Path) -> lis
                 f"{out} holds other things than shipped agents; choose another --out ({error})"
             ) from None
     agents = []
-    for stage in stages:
-        place = Place(run / stage.name, driver_run)
-        if not is_done(stage, place, run):
+    for experiment in suite:
+        place = Place(run / experiment.name, driver_run)
+        if not is_done(experiment, place, run):
             raise ValueError(
-                f"stage {stage.name} of {run} is not finished; run it to its end first"
+                f"stage {experiment.name} of {run} is not finished; run it to its end first"
             )
-        agents += stage.agents(place)
+        agents += experiment.agents(place)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
         folder = Path(made) / out.name
@@ -65,7 +65,7 @@ def ship(stages: Sequence[Stage], run: Path, driver_run: Path, out: Path) -> lis
 
 
 def _copy(agent: Agent, folder: Path) -> dict[str, Any]:
-    """Copy a card, without places on this machine, and its weights; returns the index's entry."""
+    """Copy a card, without this machine's paths, and its weights; returns the index's entry."""
     card = folder / agent.name / agent.card.name
     write_json(card, without_places(json.loads(agent.card.read_text(encoding="utf-8"))))
     weights = card.with_suffix(".safetensors")
@@ -78,7 +78,7 @@ def _copy(agent: Agent, folder: Path) -> dict[str, Any]:
 
 
 def without_places(content: Any) -> Any:
-    """JSON content in which absolute paths keep their last part alone."""
+    """Shorten absolute paths in JSON content to their last part."""
     if isinstance(content, dict):
         return {name: without_places(value) for name, value in content.items()}
     if isinstance(content, list):

@@ -1,104 +1,177 @@
-"""Every table and figure of the paper in one folder, and the one report of them."""
+"""All experiments of a reproduction in one folder, each kept when it is done.
+
+:func:`run_suite` runs one experiment after the other (every training resumes by itself) and keeps
+what it found in ``stages/NAME.json``, together with the version, the settings and the checksums of
+everything learned or recorded that it depends on. An experiment whose record agrees with all of
+these is skipped; one whose weights have changed is run again; one with other settings is refused.
+
+Durations are kept apart, in ``timings.json``: a record is the same whether its experiment ran
+through or was killed and taken up again.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from hmi_marl.envs.streams import check_seed
-from hmi_marl.experiments.adaptation.settings import QUICK as QUICK_JUDGING
-from hmi_marl.experiments.adaptation.settings import AdaptReproduction
-from hmi_marl.experiments.adaptation.stage import AdaptStage
-from hmi_marl.experiments.attentive_drivers import AttentiveSettings
-from hmi_marl.experiments.graded_alerts import QUICK as QUICK_GRADED
-from hmi_marl.experiments.graded_alerts import GradedSettings
-from hmi_marl.experiments.graded_stage import GradedStage
-from hmi_marl.experiments.hidden_attention import HiddenSettings
-from hmi_marl.experiments.latent_traits.settings import AssessSettings, TraitReproduction
-from hmi_marl.experiments.metrics_table.reproduction import DRIVER_RUN, ReproductionSettings
-from hmi_marl.experiments.paper_stages import DriverStage, HiddenStage, TableStage, TraitsStage
-from hmi_marl.experiments.stages import Stage, run_stages
-from hmi_marl.reproduction.report import write_full_report
-from hmi_marl.training.traits.settings import TraitSettings
+import hmi_marl
+from hmi_marl.experiments.experiment import Experiment, Place, conduct, with_seed
+from hmi_marl.experiments.registry import EXPERIMENTS
+from hmi_marl.files import make_folder, write_json
+from hmi_marl.reporting.blocks import Block, block_from
+from hmi_marl.training.runs.folder import check_same
+
+STAGES, TIMINGS = "stages", "timings.json"
+Suite = Sequence[Experiment[Any]]
 
 
 @dataclass(frozen=True)
-class FullSettings:
-    """How large each part is."""
+class Record:
+    """A finished experiment, for the report of all."""
 
-    table: ReproductionSettings = field(default_factory=ReproductionSettings)
-    """HMIs and drivers."""
-    driver: AttentiveSettings = field(default_factory=AttentiveSettings)
-    """Drivers without distraction."""
-    hidden: HiddenSettings = field(default_factory=HiddenSettings)
-    """Attention hidden."""
-    adapt: AdaptReproduction = field(default_factory=AdaptReproduction)
-    """Drivers who are not known."""
-    traits: TraitReproduction = field(default_factory=TraitReproduction)
-    """Latent traits."""
-    graded: GradedSettings = field(default_factory=GradedSettings)
-    """Graded alerts."""
-
-    def with_seed(self, seed: int) -> FullSettings:
-        """The same from another seed."""
-        seed = check_seed(seed)
-        return FullSettings(**{name: replace(part, seed=seed) for name, part in vars(self).items()})
-
-    def stages(self) -> tuple[Stage, ...]:
-        """In the order in which they run; the first learns the driver that others share."""
-        return (
-            TableStage(self.table),
-            DriverStage(self.driver),
-            HiddenStage(self.hidden),
-            AdaptStage(self.adapt),
-            TraitsStage(self.traits),
-            GradedStage(self.graded),
-        )
+    experiment: Experiment[Any]
+    numbers: Mapping[str, Any]
+    blocks: tuple[Block, ...]
 
 
-QUICK_TABLE = ReproductionSettings(driver_steps=1_000_000, hmi_steps=300_000, episodes=400)
-QUICK = FullSettings(
-    table=QUICK_TABLE,
-    driver=AttentiveSettings(steps=1_500_000, snapshots=3, episodes=400),
-    hidden=HiddenSettings(hmi_steps=400_000, episodes=400),
-    adapt=AdaptReproduction(
-        drives=2000,
-        updates=300,
-        hmi_steps=400_000,
-        judge=QUICK_JUDGING,
-    ),
-    traits=TraitReproduction(
-        demonstrated=100_000,
-        population=60,
-        learn=TraitSettings(steps=150_000, imitation_updates=200),
-        judge=AssessSettings(windows=200, episodes=60, ranked=40),
-    ),
-    graded=QUICK_GRADED,
-)
-"""A coarse one, in minutes."""
-
-
-def reproduce_all(
-    settings: FullSettings, folder: Path, workers: int, command_line: str, told: str
-) -> Path:
-    """Do what is not done yet, and write the report; returns its page.
+def full_suite(quick: bool = False, seed: int = 0) -> Suite:
+    """Make all experiments of a reproduction, in the order in which they run.
 
     Args:
-        settings: how large.
-        folder: of the whole.
-        workers: trainings and evaluations at a time. Does not change results.
-        typed: the command, kept with what is learned.
-        told: the command as the report tells it, without what does not change results.
+        quick: coarse versions, a quarter of an hour in all.
+        seed: seed of all of them.
 
     Raises:
-        ValueError: the folder holds another run, or a file there has been altered.
+        ValueError: the seed is out of range.
     """
-    stages, shared = settings.stages(), shared_driver(folder)
-    return write_full_report(
-        folder, run_stages(stages, folder, shared, workers, command_line), told
-    )
+    kinds = [entry.value.load() for entry in EXPERIMENTS.values() if entry.value.in_suite]
+    return [with_seed(kind.quick() if quick else kind(), seed) for kind in kinds]
 
 
-def shared_driver(folder: Path) -> Path:
-    """The run of the driver policy that the stages share."""
-    return folder / TableStage.name / DRIVER_RUN
+def shared_driver(suite: Suite, folder: Path) -> Path:
+    """Run of the driver policy that the experiments share: the first that learns one for itself."""
+    for experiment in suite:
+        job = experiment.driver_job(folder / experiment.name)
+        if job is not None and not experiment.uses_driver:
+            return job.folder
+    raise ValueError("no experiment of the suite learns a driver policy for the others")
+
+
+def run_suite(
+    suite: Suite,
+    folder: Path,
+    driver_run: Path,
+    workers: int = 1,
+    command_line: str = "",
+    line: Callable[[str], object] | None = None,
+) -> list[Record]:
+    """Run the experiments that are not done yet, one after the other.
+
+    Args:
+        suite: experiments in their order.
+        folder: of the reproduction; each experiment has a folder of its own in it.
+        driver_run: see :class:`Place`.
+        workers: processes at a time. Does not change results.
+        command_line: command that was typed, kept with what is learned.
+        line: receives a line about each experiment; by default it is printed to stderr.
+
+    Raises:
+        ValueError: an experiment was run there with other settings or by another version; nothing
+            is run then.
+    """
+    say = line or (lambda text: print(text, file=sys.stderr))
+    make_folder(folder / STAGES)
+    timings = _read(folder / TIMINGS) or {}
+    for experiment in suite:
+        before = _read(_record_of(experiment, folder))
+        if before is not None:
+            check_same(before, _about(experiment), folder / experiment.name)
+    records = []
+    for number, experiment in enumerate(suite, 1):
+        place = Place(folder / experiment.name, driver_run, workers, command_line)
+        path = _record_of(experiment, folder)
+        which = f"stage {number} of {len(suite)}, {experiment.name}"
+        content = _read(path)
+        if content is not None:
+            changed = _changed(content, experiment.inputs(place), folder)
+            if changed is not None:
+                say(f"{which}: once more, since {changed} has changed")
+                content = None
+            else:
+                say(f"{which}: done already")
+        if content is None:
+            say(f"{which}: {experiment.title}")
+            began = time.monotonic()
+            report = conduct(experiment, place)
+            spent = time.monotonic() - began
+            content = _about(experiment) | {
+                "inputs": _digests(experiment.inputs(place), folder),
+                "numbers": report.numbers,
+                "blocks": [block.as_json() for block in report.blocks],
+            }
+            timings[experiment.name] = {"this time": spent} | dict(report.seconds)
+            write_json(folder / TIMINGS, timings)
+            write_json(path, content)
+            content = _read(path) or {}  # as it will be read the next time
+            say(f"{which}: done in {spent:.0f} s")
+        blocks = tuple(block_from(block) for block in content["blocks"])
+        records.append(Record(experiment, content["numbers"], blocks))
+    return records
+
+
+def is_done(experiment: Experiment[Any], place: Place, folder: Path) -> bool:
+    """Check that ``folder`` has an experiment's record, and that its inputs have not changed.
+
+    Raises:
+        ValueError: it was run with other settings or by another version.
+    """
+    content = _read(_record_of(experiment, folder))
+    if content is None:
+        return False
+    check_same(content, _about(experiment), folder / experiment.name)
+    return _changed(content, experiment.inputs(place), folder) is None
+
+
+def _record_of(experiment: Experiment[Any], folder: Path) -> Path:
+    return folder / STAGES / f"{experiment.name}.json"
+
+
+def _about(experiment: Experiment[Any]) -> dict[str, Any]:
+    version, settings = hmi_marl.__version__, experiment.settings()
+    return {"stage": experiment.name, "version": version, "settings": settings}
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """Read JSON from a file that is written at once; None if there is no such file."""
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is damaged ({error}); remove it, to have it made again") from None
+    return content
+
+
+def _digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
+    found = {}
+    for path in paths:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        found[path.relative_to(folder).as_posix()] = digest
+    return found
+
+
+def _changed(content: Mapping[str, Any], paths: Iterable[Path], folder: Path) -> str | None:
+    """Name the first input that is not as it was when the experiment was run; None if all are."""
+    before = content.get("inputs")
+    if not isinstance(before, dict) or not {"numbers", "blocks"} <= set(content):
+        return "its record"
+    now = _digests((path for path in paths if path.is_file()), folder)
+    odd = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
+    return odd[0] if odd else None

@@ -7,9 +7,9 @@ from evidence_models import save_trained, small_evaluation
 
 from hmi_marl.agents.adaptive.factory import Trained
 from hmi_marl.cli import main, parse
-from hmi_marl.experiments.adaptation.settings import AdaptSettings
+from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
 
-TINY = ["--drivers", "2", "--strangers", "2", "--repeats", "1", "--candidates", "1"]
+TINY = ["--drivers", "2", "--population", "2", "--repeats", "1", "--candidates", "1"]
 TINY += ["--changes", "2", "--driver-policy", "random", "--workers", "1"]
 
 
@@ -69,7 +69,7 @@ def test_it_plays_writes_and_prints(
     assert "index.html" in printed
     content = json.loads((out / "adapt.json").read_text("utf-8"))
     assert content["command"] == shlex.join(["hmi-marl", *arguments])
-    assert content["settings"]["strangers"] == 2
+    assert content["settings"]["population"] == 2
     assert "NaN" not in (out / "adapt.json").read_text("utf-8")
     assert len(content["verdicts"]) == 9
 

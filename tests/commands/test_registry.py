@@ -92,7 +92,8 @@ def test_the_version_imports_no_parser_and_no_settings(tmp_path: Path) -> None:
         "import sys\nfrom hmi_marl.cli import main\nmain(['--version'])\n"
         "print(*sorted(m for m in sys.modules if m == 'tyro' or m.startswith('hmi_marl.')))"
     )
-    names = ("cli", "commands", "commands.registry", "extras", "names")
+    names = ("cli", "commands", "commands.registry", "experiments", "experiments.registry")
+    names += ("extras", "names", "registry")
     assert run(code, tmp_path).stdout.splitlines()[-1].split() == [
         f"hmi_marl.{name}" for name in names
     ]
@@ -139,9 +140,13 @@ def test_a_command_that_needs_no_extra_runs_without_any(path: str, tmp_path: Pat
 @pytest.mark.parametrize(
     "modules",
     [
-        ["evaluation.adapt", "evaluation.adapt_report", "evaluation.adapt_clip"],
-        ["evaluation.full", "evaluation.full_report", "evaluation.shipping"],
-        ["evaluation.bench", "agents", "envs.merge_v0", "envs.render", "agents.partners"],
+        [
+            "experiments.adaptation.evaluation",
+            "experiments.adaptation.report",
+            "experiments.adaptation.experiment",
+        ],
+        ["reproduction.suite", "reproduction.report", "reproduction.shipping"],
+        ["experiments.speed", "agents", "envs.merge_v0", "envs.render", "agents.partners"],
     ],
 )
 def test_nothing_of_an_extra_is_imported_where_none_is_needed(modules, tmp_path: Path) -> None:

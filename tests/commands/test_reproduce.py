@@ -4,21 +4,29 @@ from typing import Any
 import pytest
 
 from hmi_marl.cli import main
-from hmi_marl.experiments.stages import Agent
+from hmi_marl.experiments.experiment import Agent
+from hmi_marl.reporting.report import Report
 from hmi_marl.reproduction.report import NUMBERS, PAGE
-from hmi_marl.reproduction.suite import QUICK, FullSettings
+from hmi_marl.reproduction.suite import full_suite, shared_driver
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
-    """What would be done."""
+def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[Any, ...]]:
+    """What would be run, and the command that the report names."""
     calls: list[tuple[Any, ...]] = []
 
-    def instead(settings: FullSettings, folder: Path, *others: Any) -> Path:
-        calls.append((settings, folder, *others))
-        return folder / "index.html"
+    def instead(suite: Any, folder: Path, driver_run: Path, *others: Any) -> list[Any]:
+        assert driver_run == shared_driver(suite, folder)
+        calls.append((suite, folder, *others))
+        return []
 
-    monkeypatch.setattr("hmi_marl.reproduction.suite.reproduce_all", instead)
+    def report(records: list[Any], command_line: str) -> Report:
+        calls[-1] += (command_line,)
+        return Report("reproduce", "", [], {}, command_line, {})
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hmi_marl.reproduction.suite.run_suite", instead)
+    monkeypatch.setattr("hmi_marl.reproduction.report.full_report", report)
     return calls
 
 
@@ -27,7 +35,7 @@ def test_everything_is_reproduced_by_default(words, asked, capsys) -> None:
     assert main([*words, "--workers", "2"]) == 0
     command_line = " ".join(["hmi-marl", *words, "--workers", "2"])
     out = Path("runs/reproduce/all")
-    assert asked == [(FullSettings(), out, 2, command_line, "hmi-marl reproduce")]
+    assert asked == [(full_suite(), out, 2, command_line, "hmi-marl reproduce")]
     assert f"the page: {out.resolve().as_uri()}/index.html" in capsys.readouterr().out
 
 
@@ -35,10 +43,10 @@ def test_the_report_tells_nothing_that_does_not_change_results(asked, tmp_path: 
     words = ["reproduce", "--quick", "--seed", "3", "--workers", "1"]
     assert main([*words, "--out", str(tmp_path)]) == 0
     assert main(words) == 0
-    (settings, out, _, _, told), (_, default, *_) = asked
-    assert settings == QUICK.with_seed(3)
+    (suite, out, _, _, again), (_, default, *_) = asked
+    assert suite == full_suite(quick=True, seed=3)
     assert (out, default) == (tmp_path, Path("runs/reproduce/all-quick"))
-    assert told == "hmi-marl reproduce --quick --seed 3"
+    assert again == "hmi-marl reproduce --quick --seed 3"
 
 
 def test_bad_settings_are_told_before_anything_is_done(asked, capsys) -> None:

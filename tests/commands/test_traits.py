@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 
 from hmi_marl.cli import main, parse
-from hmi_marl.experiments.latent_traits.settings import AssessSettings
+from hmi_marl.experiments.latent_traits.experiment import AssessSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 COLLECT = ["--steps", "100", "--duration", "1", "--vehicles", "1", "4", "--num-teams", "64"]
 TINY = ["--steps", "1", "--imitation-updates", "1", "--pool", "2", "--num-teams", "2"]
-TINY += ["--ppo.num-mini-batches", "1", "--encoder-units", "4"]
-TINY += ["--held-out", "0.4", "--device", "cpu"]
+TINY += ["--ppo.num-mini-batches", "1", "--encoder-units", "4", "--held-out", "0.4"]
+TINY += ["--device", "cpu"]
 JUDGE = ["--windows", "10", "--episodes", "2", "--ranked", "2"]
 
 
@@ -77,16 +77,16 @@ def test_traits_are_learned_and_judged(capsys: pytest.CaptureFixture[str]) -> No
     printed = capsys.readouterr().out
     out = Path("runs/traits")
     assert {path.name for path in out.iterdir()} == {
-        "traits.txt",
+        "traits-report.txt",
         "traits-report.json",
         "embeddings.png",
         "accuracy.png",
         "index.html",
     }
-    assert (out / "traits.txt").read_text("utf-8").strip() in printed
+    assert (out / "traits-report.txt").read_text("utf-8").strip() in printed
     assert (out / "index.html").resolve().as_uri() in printed
     content = json.loads((out / "traits-report.json").read_text("utf-8"))
-    assert list(content["settings"]) == ["id"]
+    assert list(content["supervisions"]) == ["id"]
     assert "traits evaluate runs/traits-id" in (out / "index.html").read_text("utf-8")
 
 
@@ -128,7 +128,7 @@ def test_what_is_not_there_is_told_in_one_line(capsys: pytest.CaptureFixture[str
             ["train", "--supervision", "age"],
             "unknown value of --supervision 'age'; known: none, id, pref",
         ),
-        (["evaluate", "run", "--ranked", "1"], "two windows can be ranked"),
+        (["evaluate", "run", "--ranked", "1"], "ranking takes two windows"),
     ],
 )
 def test_bad_settings_are_refused_before_anything_is_learned(

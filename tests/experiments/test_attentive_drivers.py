@@ -3,7 +3,13 @@ import json
 import pytest
 
 from hmi_marl.cli import main
-from hmi_marl.experiments.attentive_drivers import CAUTIOUS, CONFIDENT, Driving, as_text, verdicts
+from hmi_marl.experiments.attentive_drivers import (
+    CAUTIOUS,
+    CONFIDENT,
+    AttentiveDrivers,
+    Driving,
+)
+from hmi_marl.reporting.blocks import Verdicts
 from hmi_marl.reporting.statistics import Estimate
 
 
@@ -18,17 +24,20 @@ def driving(who, speed, crashes, headway):
 
 
 def test_what_is_asked_of_trained_drivers_is_held_against_them():
-    good = verdicts(driving(CONFIDENT, 461, 0.03, 1.0), driving(CAUTIOUS, 406, 0.1, 1.2))
-    assert list(good.values()) == [True, True, True, True]
-    bad = verdicts(driving(CONFIDENT, 459, 0.04, 1.0), driving(CAUTIOUS, 404, 0.1, 1.19))
-    assert list(bad.values()) == [False, False, False, False]
+    def holds(*rows):
+        return [verdict.holds for verdict in AttentiveDrivers().judge(list(rows))]
+
+    good = holds(driving(CONFIDENT, 461, 0.03, 1.0), driving(CAUTIOUS, 406, 0.1, 1.2))
+    assert good == [True, True, True, True]
+    bad = holds(driving(CONFIDENT, 459, 0.04, 1.0), driving(CAUTIOUS, 404, 0.1, 1.19))
+    assert bad == [False, False, False, False]
 
 
 def test_missed_claims_are_told():
     rows = [driving(CONFIDENT, 459, 0.03, 1.0), driving(CAUTIOUS, 410, 0.1, 1.5)]
-    text = as_text(rows, verdicts(*rows))
-    assert "MISSED  confident: speed return of at least 460" in text
-    assert "holds   cautious keep 1.2 times the headway (1.50)" in text
+    text = Verdicts(AttentiveDrivers().judge(rows)).as_text()
+    assert "not supported  confident: speed return of at least 460" in text
+    assert "supported      cautious: keep 1.2 times the headway (1.50 times)" in text
 
 
 def test_the_command_looks_at_drivers_on_the_way(tmp_path, capsys):
@@ -43,3 +52,4 @@ def test_the_command_looks_at_drivers_on_the_way(tmp_path, capsys):
     ]
     assert all(row["time_headway"] == pytest.approx(1.5, abs=1.4) for row in rows)
     assert "million steps" in capsys.readouterr().out
+    assert json.loads((tmp_path / "driver.json").read_text())["seat"] == "driver"

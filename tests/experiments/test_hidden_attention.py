@@ -7,11 +7,11 @@ from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.hidden_attention import (
     BAYES_OWN,
+    HiddenAttention,
     HiddenRow,
-    as_good,
-    as_text,
     revealing_share,
 )
+from hmi_marl.reporting.blocks import as_text
 from hmi_marl.reporting.statistics import Estimate
 
 
@@ -23,12 +23,14 @@ def row(difference, bayes=-200.0):
 
 
 def test_a_learned_hmi_is_as_good_within_a_hundredth_of_the_filter():
-    assert as_good(row(1.0))
-    assert as_good(row(-1.9))
-    assert not as_good(row(-2.1))
-    assert as_good(row(-2.1, bayes=1000.0))
-    text = as_text([row(-1.9), row(-2.1)])
+    assert row(1.0).as_good
+    assert row(-1.9).as_good
+    assert not row(-2.1).as_good
+    assert row(-2.1, bayes=1000.0).as_good
+    rows = [row(-1.9), row(-2.1)]
+    text = as_text(HiddenAttention().blocks(rows))
     assert text.count("as good as Bayes") == text.count("MISSED") == 1
+    assert [verdict.holds for verdict in HiddenAttention().judge(rows)] == [True, False]
 
 
 def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):

@@ -2,8 +2,7 @@ import json
 
 import pytest
 
-from hmi_marl.experiments.speed import as_json, as_text, bench, measurements
-from hmi_marl.experiments.speed_config import BenchConfig
+from hmi_marl.experiments.speed import BenchConfig, bench, make_report, measurements
 
 TINY = BenchConfig(teams=(3,), threads=(1,), vehicles=2, scaling=(2,), seconds=0.05, rounds=1)
 
@@ -21,9 +20,9 @@ def test_everybody_is_measured_beside_highway_env():
         assert row.steps_per_s > 0
         assert row.ratio == pytest.approx(row.steps_per_s / first.steps_per_s)  # of one round
     assert by_name["batched world alone"].bytes_per_team > 0
-    text = as_text(rows)
-    assert all(name in text for name in by_name)
-    assert len(json.loads(json.dumps(as_json(TINY, rows)))["rows"]) == len(rows)
+    report = make_report(TINY, rows, "hmi-marl bench")
+    assert all(name in report.text for name in by_name)
+    assert len(json.loads(json.dumps(report.numbers))["rows"]) == len(rows)
 
 
 @pytest.mark.parametrize(

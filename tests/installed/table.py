@@ -51,11 +51,15 @@ def _command(name: str, needs: frozenset[str], arguments: str = "", **others: ob
 
 _SCENE = "--duration 2 --vehicles 1 3"
 _RUN = "--num-teams 16 --duration 2"
-_JUDGED = "--drivers 2 --strangers 2 --repeats 1 --candidates 1 --changes 2"
+_JUDGED = "--drivers 2 --population 2 --repeats 1 --candidates 1 --changes 2"
 _COLLECT = "collect --drivers lisa homer --steps 6400 --num-teams 64"
 _LEARN = "--pool 2 --num-teams 8 --held-out 0.5 --steps 800 --imitation-updates 1"
 _ASSESS = "--windows 64 --episodes 2 --ranked 2"
 _TRAITS = f"traits train --supervision id {_LEARN}"
+_COMPARED = (
+    "--protocols two-stage joint --steps 320 --seeds 1 --episodes 2 --drivers homer"
+    f" --no-crash-check --workers 1 {_RUN}"
+)
 
 
 def _prefixed(prefix: str, options: str) -> str:
@@ -66,12 +70,7 @@ COMMANDS = (
     _command("adapt", CORE, f"{_JUDGED} --workers 1 --no-clip", dear=True),
     _command("bench", CORE, "--teams 1 --scaling 2 --seconds 0.05 --rounds 1 --threads 1"),
     _command("collect", DATA, "--drivers homer --steps 100 --num-teams 1"),
-    _command(
-        "compare",
-        TRAIN,
-        "--protocols two-stage joint --steps 320 --seeds 1 --episodes 2 --drivers homer"
-        f" --no-crash-check --workers 1 {_RUN}",
-    ),
+    _command("compare", TRAIN, _COMPARED),
     _command("export", TRAIN, "--policy trained:homer --out hmi.onnx"),
     _command("oracle", CORE, "--horizon 5"),
     _command("reproduce all", TRAIN | DATA, not_run="takes a quarter of an hour with --quick"),
@@ -92,14 +91,14 @@ COMMANDS = (
         "reproduce adapt",
         TRAIN,
         "--drives 300 --updates 1 --hmi-steps 3200 --rnn-hidden-dim 2 --num-teams 32 --workers 1 "
-        + _prefixed("judge", _JUDGED),
+        + _prefixed("evaluation", _JUDGED),
         dear=True,
     ),
     _command(
         "reproduce traits",
         TRAIN | DATA,
         "--driver-run trained:driver --demonstrated 6400 --population 4 --workers 1 "
-        f"{_prefixed('learn', _LEARN)} {_prefixed('judge', _ASSESS)}",
+        f"{_prefixed('learn', _LEARN)} {_prefixed('evaluation', _ASSESS)}",
         dear=True,
     ),
     _command(
@@ -108,6 +107,7 @@ COMMANDS = (
         "--hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
         dear=True,
     ),
+    _command("reproduce protocols", TRAIN, _COMPARED),
     _command(
         "reproduce ship",
         CORE,
@@ -141,7 +141,7 @@ EXAMPLES = tuple(
     for name, needs in {
         "turn_taking": CORE,
         "new_driver": CORE,
-        "new_experiment": TRAIN,
+        "new_experiment": CORE,
         "new_hmi": CORE,
         "new_protocol": TRAIN,
         "new_world": CORE,

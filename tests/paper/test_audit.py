@@ -13,7 +13,6 @@ from hmi_marl.paper.audit import (
     AuditedCell,
     audit,
     audit_json,
-    audit_text,
 )
 
 Cells = dict[tuple[str, str], AuditedCell]
@@ -117,19 +116,6 @@ def test_the_window_matters_to_the_audit(cells: Cells, monkeypatch: pytest.Monke
     homer = audit(window=1)[3]
     best = oracle.solve_alerts("homer", window=1, horizon=94).distraction_return
     assert homer.optimum[1] == best < cells["own", "homer"].optimum[1]
-
-
-def test_the_text_says_twice_that_a_cell_is_out_of_reach(audited: list[AuditedCell]) -> None:
-    title, head, *rows = audit_text(audited, window=7).splitlines()
-    assert "N = 7" in title
-    assert "94 to 100 steps" in title
-    assert head.split()[:3] == ["HMI", "driver", "paper"]
-    assert len(rows) == 12
-    out = [row for row in rows if "OUT OF REACH" in row]
-    assert [row.split()[:3] for row in out] == [["own", "lisa", "-85"], ["own", "bart", "-123"]]
-    assert all(row.endswith("  reachable") for row in rows if row not in out)
-    assert "-200 .. -179" in out[0]
-    assert "-126 .. -119" in out[1]
 
 
 def test_the_audit_goes_through_json(tmp_path: Path, audited: list[AuditedCell]) -> None:

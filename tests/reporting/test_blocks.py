@@ -1,48 +1,98 @@
 import json
 
 import pytest
+from matplotlib.figure import Figure as Drawing
 
 from hmi_marl.reporting.blocks import (
-    Picture,
+    Block,
+    Clip,
+    Figure,
+    Heading,
     Table,
-    Told,
-    exhibit_from,
-    held,
-    page_of,
-    pictures,
-    show,
+    Text,
+    Verdicts,
+    as_html,
+    as_text,
+    block_from,
+    png,
+)
+from hmi_marl.reporting.verdicts import Outcome, Verdict
+
+BLOCKS: tuple[Block, ...] = (
+    Heading("Part & parcel", "part"),
+    Text("a < b, as `hmi-marl table --quick` shows", "In short"),
+    Table("Some <title>", ("driver", "x & y"), (("lisa", "1\n2"), ("bart", "<3>")), "a <note>"),
+    Figure("bars", 'a "figure"', b"\x89PNG\x00", b"narrow"),
+    Clip("drive", "4 s: <homer>", b"GIF"),
+    Verdicts(
+        (Verdict("a > b", Outcome.SUPPORTED, "2 > 1", "Sec. I"), Verdict("c", Outcome.NOT_RUN))
+    ),
 )
 
-PIECES = (
-    Told("a < b"),
-    Table("Some <title>", ("driver", "x & y"), (("lisa", "1\n2"), ("bart", "<3>"))),
-    Picture('a "picture"', b"\x89PNG\x00"),
-)
+
+def test_a_block_shows_the_same_after_it_was_kept_as_json() -> None:
+    kept = [block_from(json.loads(json.dumps(block.as_json()))) for block in BLOCKS]
+    assert as_html(kept) == as_html(BLOCKS)
+    assert as_text(kept) == as_text(BLOCKS)
+    assert [block.content for block in kept if isinstance(block, Figure)] == [b"\x89PNG\x00"]
 
 
-def test_a_piece_shows_the_same_after_it_was_kept_as_json() -> None:
-    kept = [exhibit_from(json.loads(json.dumps(piece.as_json()))) for piece in PIECES]
-    assert show(kept) == show(PIECES)
-    assert pictures(kept) == [b"\x89PNG\x00"]
+def test_the_text_of_every_block() -> None:
+    assert (
+        as_text(BLOCKS)
+        == """\
+Part & parcel
+=============
+
+In short: a < b, as hmi-marl table --quick shows
+
+Some <title>
+  driver  x & y
+  lisa    1
+          2
+  bart    <3>
+  a <note>
+
+4 s: <homer>
+
+Verdicts
+  supported  a > b (2 > 1)
+  not run    c"""
+    )
 
 
-def test_text_is_escaped_and_pictures_are_within_the_page() -> None:
-    html = page_of("A & B", PIECES, {"part <1>": 2.4}, "do <it>", {"n": 3})
-    for raw in ("a < b", "<title>\n", "<3>", "part <1>", "do <it>", '"picture"'):
+def test_html_escapes_what_is_said_and_holds_figures_and_clips() -> None:
+    html = as_html(BLOCKS)
+    for raw in ("a < b", "<title>", "<3>", "<note>", "<homer>", '"figure"', "a > b"):
         assert raw not in html
-    for told in ("a &lt; b", "1<br>2", "part &lt;1&gt;", "2 s", "A &amp; B", "n = 3"):
-        assert told in html
-    assert 'src="data:image/png;base64,iVBORwA="' in html
-    assert "Time of each part" not in page_of("A", PIECES, {}, "", {})
-
-
-def test_what_was_asked_is_told_as_it_came_out() -> None:
-    assert held({"one": True, "other": False}) == (Told("holds: one"), Told("MISSED: other"))
+    for shown in (
+        '<h2 id="part">Part &amp; parcel</h2>',
+        "<b>In short</b>",
+        '<span class="word">--quick</span></code>',
+        "1<br>2",
+        'src="data:image/png;base64,iVBORwA="',
+        'srcset="data:image/png;base64,bmFycm93"',
+        'src="data:image/gif;base64,R0lG"',
+        "1 supported, 1 not run.",
+        "<td class='good'>supported</td>",
+    ):
+        assert shown in html
 
 
 @pytest.mark.parametrize(
-    "content", [{}, {"kind": "film"}, {"kind": "table"}, {"kind": "picture", "png": "?"}]
+    "content",
+    [
+        {},
+        {"kind": "film"},
+        {"kind": "table"},
+        {"kind": "figure", "content": "?"},
+        {"kind": "verdicts", "verdicts": [{"claim": "a", "outcome": "maybe"}]},
+    ],
 )
-def test_what_is_no_piece_is_refused(content: dict) -> None:
+def test_what_is_no_block_is_refused(content: dict) -> None:
     with pytest.raises(ValueError, match="report"):
-        exhibit_from(content)
+        block_from(content)
+
+
+def test_a_drawing_becomes_a_png() -> None:
+    assert png(Drawing(figsize=(1, 1)), dpi=10).startswith(b"\x89PNG")

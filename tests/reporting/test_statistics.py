@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_marl.reporting.statistics import Estimate, accuracy, mean, share
+from hmi_marl.reporting.statistics import Estimate, accuracy, mean, number, share
 
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20)
 COUNTS = st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -137,3 +137,12 @@ def test_an_estimate_agrees_within_its_interval_or_a_share_of_the_other() -> Non
     assert Estimate(-110, -120, -100).agrees(-119, share=0.0)
     assert Estimate(-101.9, -102, -101.8).agrees(-100, share=0.02)
     assert not Estimate(-102.1, -102.2, -102.05).agrees(-100, share=0.02)
+
+
+def test_estimates_are_written_as_far_as_they_are_known() -> None:
+    assert Estimate(1.25, -0.01, 2.0).shown() == "1.2 [0.0, 2.0]"
+    assert Estimate(12.0, 11.0, 13.0).shown("+.0f") == "+12 [+11, +13]"
+    assert mean([5.0]).shown(".2f") == "5.00"
+    assert mean([]).shown() == "-"
+    assert Estimate(0.125, 0.1, 0.2).percent() == "12.5 [10.0, 20.0]"
+    assert [number(value, ".2f") for value in (None, math.inf, 0.5)] == ["-", "-", "0.50"]

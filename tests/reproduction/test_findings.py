@@ -5,10 +5,11 @@ import pytest
 
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.experiments.adaptation.hmis import EXPECTED
-from hmi_marl.experiments.adaptation.report import GAP_DRIVERS
+from hmi_marl.experiments.criteria import GAP_DRIVERS
+from hmi_marl.reporting.verdicts import Outcome
 from hmi_marl.reproduction import findings
-from hmi_marl.reproduction.claims import CLAIMS, Claim, judge
-from hmi_marl.reproduction.findings import Verdict, kinds_apart, personalised_beats, told_apart
+from hmi_marl.reproduction.claims import CLAIMS, Claim, claims_json, judge
+from hmi_marl.reproduction.findings import kinds_apart, personalised_beats, share_apart
 
 METRICS = ("distraction_return", "speed_return", "attention_return")
 
@@ -29,8 +30,8 @@ def table(*changes: tuple[str, str, str, float]) -> dict[str, Any]:
     return {"table": {"tables": {"printed": cells, "eta-1": cells}}}
 
 
-def verdict(check: findings.Check, results: Any) -> Verdict:
-    return check(results).verdict
+def verdict(check: findings.Check, results: Any) -> Outcome:
+    return check(results).outcome
 
 
 def in_distraction(value: float, *cells: tuple[str, str]) -> list[tuple[str, str, str, float]]:
@@ -56,74 +57,74 @@ def test_averages_differ_where_their_intervals_do_not_overlap() -> None:
         }
 
     check = personalised_beats("average", "speed_return")
-    assert verdict(check, averages(450.0, 440.0, 447.0)) == Verdict.SUPPORTED
-    assert verdict(check, averages(450.0, 440.0, 448.5)) == Verdict.PARTLY
-    assert verdict(check, averages(450.0, 450.0, 460.0)) == Verdict.NOT_SUPPORTED
-    told = check(averages(450.0, 440.0, 447.0)).told
-    assert "450 against 440 with η as printed; 450 against 447 with η = 1" in told
+    assert verdict(check, averages(450.0, 440.0, 447.0)) == Outcome.SUPPORTED
+    assert verdict(check, averages(450.0, 440.0, 448.5)) == Outcome.PARTLY
+    assert verdict(check, averages(450.0, 450.0, 460.0)) == Outcome.NOT_SUPPORTED
+    reason = check(averages(450.0, 440.0, 447.0)).reason
+    assert "450 against 440 with η as printed; 450 against 447 with η = 1" in reason
 
 
 def test_two_cells_of_the_paper_are_out_of_reach() -> None:
     found = findings.reachable_cells({})
-    assert found.verdict == Verdict.PARTLY
-    assert found.told.startswith("10 of 12")
-    assert "lisa -85 (own), bart -123 (own)" in found.told
+    assert found.outcome == Outcome.PARTLY
+    assert found.reason.startswith("10 of 12")
+    assert "lisa -85 (own), bart -123 (own)" in found.reason
 
 
 def test_bart_is_distracted_most_where_nobody_comes_near() -> None:
     check = findings.bart_is_distracted_most
     rows = [("bart", "bart"), ("AvgHMI", "bart"), ("NoHMI", "bart")]
-    assert verdict(check, table(*in_distraction(-900.0, *rows))) == Verdict.SUPPORTED
+    assert verdict(check, table(*in_distraction(-900.0, *rows))) == Outcome.SUPPORTED
     with_homer = in_distraction(-900.0, *rows, ("NoHMI", "homer"))
-    assert verdict(check, table(*with_homer)) == Verdict.PARTLY
-    assert verdict(check, table()) == Verdict.NOT_SUPPORTED
+    assert verdict(check, table(*with_homer)) == Outcome.PARTLY
+    assert verdict(check, table()) == Outcome.NOT_SUPPORTED
 
 
 def test_the_average_hmi_helps_if_it_gains_nine_tenths_of_what_the_own_one_gains() -> None:
     check = findings.average_hmi_helps
     alone = in_distraction(-1100.0, ("NoHMI", "marge"), ("NoHMI", "homer"))
-    assert verdict(check, table(*alone)) == Verdict.SUPPORTED
+    assert verdict(check, table(*alone)) == Outcome.SUPPORTED
     short = in_distraction(-220.0, ("AvgHMI", "homer"))  # 88 %
-    assert verdict(check, table(*alone, *short)) == Verdict.PARTLY
+    assert verdict(check, table(*alone, *short)) == Outcome.PARTLY
 
 
 def test_where_there_is_nothing_to_gain_nothing_is_gained() -> None:
     found = findings.average_hmi_helps(table())
-    assert found.verdict == Verdict.NOT_SUPPORTED
-    assert "0 % of what the own HMI gains" in found.told
+    assert found.outcome == Outcome.NOT_SUPPORTED
+    assert "0 % of what the own HMI gains" in found.reason
 
 
 def test_the_average_hmi_beats_marges_own_or_not() -> None:
     check = findings.average_beats_marges
-    assert verdict(check, table()) == Verdict.NOT_SUPPORTED
+    assert verdict(check, table()) == Outcome.NOT_SUPPORTED
     better = in_distraction(-45.0, ("AvgHMI", "marge"))
-    assert verdict(check, table(*better)) == Verdict.SUPPORTED
+    assert verdict(check, table(*better)) == Outcome.SUPPORTED
 
 
 def test_the_average_hmi_costs_speed_and_homer_more() -> None:
     check = findings.average_costs_speed
     marge, homer = in_speed(-110.0, ("AvgHMI", "marge")), in_speed(-130.0, ("AvgHMI", "homer"))
-    assert verdict(check, table(*marge, *homer)) == Verdict.SUPPORTED
-    assert verdict(check, table(*homer)) == Verdict.PARTLY
-    assert verdict(check, table()) == Verdict.NOT_SUPPORTED
+    assert verdict(check, table(*marge, *homer)) == Outcome.SUPPORTED
+    assert verdict(check, table(*homer)) == Outcome.PARTLY
+    assert verdict(check, table()) == Outcome.NOT_SUPPORTED
 
 
 def test_everybody_but_lisa_is_slower_without_help() -> None:
     check = findings.no_help_costs_speed
     slower = in_speed(-130.0, *(("NoHMI", driver) for driver in ("marge", "bart", "homer")))
-    assert verdict(check, table(*slower)) == Verdict.SUPPORTED
+    assert verdict(check, table(*slower)) == Outcome.SUPPORTED
     lisa = in_speed(-130.0, ("NoHMI", "lisa"))
-    assert verdict(check, table(*slower, *lisa)) == Verdict.PARTLY
+    assert verdict(check, table(*slower, *lisa)) == Outcome.PARTLY
 
 
 def test_lisa_and_bart_ignore_help_and_the_others_do_not() -> None:
     check = findings.receptive_drivers
     heeding = in_distraction(-300.0, ("NoHMI", "marge"), ("NoHMI", "homer"))
-    assert verdict(check, table(*heeding)) == Verdict.SUPPORTED
+    assert verdict(check, table(*heeding)) == Outcome.SUPPORTED
     bart = in_distraction(-120.0, ("NoHMI", "bart"))
     found = check(table(*heeding, *bart))
-    assert found.verdict == Verdict.PARTLY
-    assert "lisa 0 %, marge 67 %, bart 17 %, homer 67 %" in found.told
+    assert found.outcome == Outcome.PARTLY
+    assert "lisa 0 %, marge 67 %, bart 17 %, homer 67 %" in found.reason
 
 
 def test_personal_rewards_count_in_every_table_and_with_attention_hidden() -> None:
@@ -135,9 +136,9 @@ def test_personal_rewards_count_in_every_table_and_with_attention_hidden() -> No
 
     better = [(d, d, "attention_return", 50.0) for d in PAPER_DRIVERS]
     check = findings.personal_rewards
-    assert verdict(check, table(*better) | hidden(5.0)) == Verdict.SUPPORTED
-    assert verdict(check, table() | hidden(5.0)) == Verdict.PARTLY
-    assert verdict(check, table() | hidden(0.5)) == Verdict.NOT_SUPPORTED
+    assert verdict(check, table(*better) | hidden(5.0)) == Outcome.SUPPORTED
+    assert verdict(check, table() | hidden(5.0)) == Outcome.PARTLY
+    assert verdict(check, table() | hidden(0.5)) == Outcome.NOT_SUPPORTED
 
 
 def test_caution_shows_in_headway_after_all_training() -> None:
@@ -147,7 +148,7 @@ def test_caution_shows_in_headway_after_all_training() -> None:
 
     check = findings.caution_keeps_distance
     verdicts = [verdict(check, rows(headway)) for headway in (1.2, 1.1, 1.0)]
-    assert verdicts == [Verdict.SUPPORTED, Verdict.PARTLY, Verdict.NOT_SUPPORTED]
+    assert verdicts == [Outcome.SUPPORTED, Outcome.PARTLY, Outcome.NOT_SUPPORTED]
 
 
 # Latent traits.
@@ -183,7 +184,7 @@ def traits(
         }
         for name, average, accuracy in zip(("none", "id", "preference"), kl, named, strict=True)
     }
-    return {"traits": {"pool": 8, "settings": settings}}
+    return {"traits": {"pool": 8, "supervisions": settings}}
 
 
 ONE_PLACE = dict.fromkeys(PAPER_DRIVERS, (0.0, 0.0))
@@ -192,76 +193,76 @@ ONE_PLACE = dict.fromkeys(PAPER_DRIVERS, (0.0, 0.0))
 def test_kinds_are_told_apart_by_the_nearest_centre() -> None:
     means = np.array([[0.0], [1.0], [9.0], [10.0], [4.0], [6.0]])
     drivers = ["a", "a", "b", "b", "c", "c"]
-    assert told_apart(means, drivers, ["a"], ["b"]) == 1.0
-    assert told_apart(means, drivers, ["a", "c"], ["b"]) == 1.0
+    assert share_apart(means, drivers, ["a"], ["b"]) == 1.0
+    assert share_apart(means, drivers, ["a", "c"], ["b"]) == 1.0
     # Centres at 5 and 8: of a's 0 and 10, and of b's 4 and 12, one each lies by the other.
     mixed = np.array([[0.0], [10.0], [4.0], [12.0]])
-    assert told_apart(mixed, ["a", "a", "b", "b"], ["a"], ["b"]) == 0.5
+    assert share_apart(mixed, ["a", "a", "b", "b"], ["a"], ["b"]) == 0.5
 
 
 def test_kinds_that_lie_apart_are_supported() -> None:
     check = kinds_apart("id", ["bart"], ["homer"], "Bart against Homer")
-    assert verdict(check, traits()) == Verdict.SUPPORTED
-    assert verdict(check, traits(ONE_PLACE)) == Verdict.NOT_SUPPORTED
+    assert verdict(check, traits()) == Outcome.SUPPORTED
+    assert verdict(check, traits(ONE_PLACE)) == Outcome.NOT_SUPPORTED
     near = ONE_PLACE | {"homer": (0.8, 0.0)}  # 79 % at 1.6 standard deviations
-    assert verdict(check, traits(near)) == Verdict.PARTLY
+    assert verdict(check, traits(near)) == Outcome.PARTLY
 
 
 def test_supervision_counts_if_kl_doubles() -> None:
     check = findings.supervision_counts
-    assert verdict(check, traits(kl=(10.0, 20.0, 20.0))) == Verdict.SUPPORTED
-    assert verdict(check, traits(kl=(10.0, 20.0, 19.0))) == Verdict.PARTLY
-    assert verdict(check, traits(kl=(10.0, 5.0, 19.0))) == Verdict.NOT_SUPPORTED
+    assert verdict(check, traits(kl=(10.0, 20.0, 20.0))) == Outcome.SUPPORTED
+    assert verdict(check, traits(kl=(10.0, 20.0, 19.0))) == Outcome.PARTLY
+    assert verdict(check, traits(kl=(10.0, 5.0, 19.0))) == Outcome.NOT_SUPPORTED
 
 
 def test_supervision_suffices_at_nine_of_ten() -> None:
     check = findings.supervision_suffices
-    assert verdict(check, traits()) == Verdict.SUPPORTED
-    assert verdict(check, traits(named=(0.5, 0.95, 0.6))) == Verdict.PARTLY
+    assert verdict(check, traits()) == Outcome.SUPPORTED
+    assert verdict(check, traits(named=(0.5, 0.95, 0.6))) == Outcome.PARTLY
 
 
 def test_structure_is_uncovered_partly_above_chance() -> None:
     check = findings.structure_uncovered
     verdicts = [verdict(check, traits(named=(share, 1.0, 1.0))) for share in (0.95, 0.5, 0.4)]
-    assert verdicts == [Verdict.SUPPORTED, Verdict.PARTLY, Verdict.NOT_SUPPORTED]
+    assert verdicts == [Outcome.SUPPORTED, Outcome.PARTLY, Outcome.NOT_SUPPORTED]
 
 
 def test_more_windows_are_clearer() -> None:
     check = findings.more_is_clearer
-    assert verdict(check, traits()) == Verdict.SUPPORTED
-    assert verdict(check, traits(from_one=0.6)) == Verdict.PARTLY
-    assert "unsupervised 40 % from 1, 50 % from 8" in check(traits()).told
+    assert verdict(check, traits()) == Outcome.SUPPORTED
+    assert verdict(check, traits(from_one=0.6)) == Outcome.PARTLY
+    assert "unsupervised 40 % from 1, 50 % from 8" in check(traits()).reason
 
 
 def test_the_scenario_hides_who_drives_only_if_nobody_can_tell() -> None:
     check = findings.scenario_hides
-    assert verdict(check, traits()) == Verdict.NOT_SUPPORTED
-    assert verdict(check, traits(exact=0.9)) == Verdict.NOT_SUPPORTED  # they are told apart
+    assert verdict(check, traits()) == Outcome.NOT_SUPPORTED
+    assert verdict(check, traits(exact=0.9)) == Outcome.NOT_SUPPORTED  # they are told apart
     alike = {"lisa": (0, 0), "marge": (0, 0), "bart": (20, 0), "homer": (30, 0)}
-    assert verdict(check, traits(alike, exact=0.9)) == Verdict.SUPPORTED
-    assert verdict(check, traits(alike)) == Verdict.NOT_SUPPORTED  # they could be
+    assert verdict(check, traits(alike, exact=0.9)) == Outcome.SUPPORTED
+    assert verdict(check, traits(alike)) == Outcome.NOT_SUPPORTED  # they could be
     blind = traits()
-    for setting in blind["traits"]["settings"].values():
+    for setting in blind["traits"]["supervisions"].values():
         for row in setting["seeds"][0]["identified"]:
             row["ceilings"] = None
-    assert verdict(check, blind) == Verdict.MISSING
+    assert verdict(check, blind) == Outcome.NOT_RUN
 
 
 def test_separation_among_the_distracted_is_held_against_that_among_the_attentive() -> None:
     pytest.importorskip("sklearn")
     check = findings.distraction_separates
     centres = {"lisa": (0, 0), "marge": (1, 0), "bart": (20, 0), "homer": (30, 0)}
-    assert verdict(check, traits(centres)) == Verdict.SUPPORTED
+    assert verdict(check, traits(centres)) == Outcome.SUPPORTED
     other_way = {"lisa": (0, 0), "marge": (10, 0), "bart": (20, 0), "homer": (21, 0)}
-    assert verdict(check, traits(other_way)) == Verdict.NOT_SUPPORTED
+    assert verdict(check, traits(other_way)) == Outcome.NOT_SUPPORTED
 
 
 def test_graded_alerts_are_learned_by_all_or_some() -> None:
     check = findings.graded_alerts
-    assert verdict(check, {"graded": {"rows": [{"holds": True}] * 2}}) == Verdict.SUPPORTED
+    assert verdict(check, {"graded": {"rows": [{"holds": True}] * 2}}) == Outcome.SUPPORTED
     found = check({"graded": {"rows": [{"holds": True}, {"holds": False}]}})
-    assert found.verdict == Verdict.PARTLY
-    assert found.told.startswith("1 of 2 HMIs")
+    assert found.outcome == Outcome.PARTLY
+    assert found.reason.startswith("1 of 2 HMIs")
 
 
 def test_the_representation_is_useful_where_it_earns_what_knowing_is_worth() -> None:
@@ -273,9 +274,9 @@ def test_the_representation_is_useful_where_it_earns_what_knowing_is_worth() -> 
         return {"adapt": {"results": rows}}
 
     check = findings.representation_is_useful
-    assert verdict(check, shares(0.95, 0.9)) == Verdict.SUPPORTED
-    assert verdict(check, shares(0.95, 0.6)) == Verdict.PARTLY
-    assert verdict(check, shares(0.3, None)) == Verdict.NOT_SUPPORTED
+    assert verdict(check, shares(0.95, 0.9)) == Outcome.SUPPORTED
+    assert verdict(check, shares(0.95, 0.6)) == Outcome.PARTLY
+    assert verdict(check, shares(0.3, None)) == Outcome.NOT_SUPPORTED
 
 
 # The claims.
@@ -285,16 +286,16 @@ def test_a_claim_without_its_stages_is_not_judged() -> None:
     def never(results: Any) -> Any:
         raise AssertionError
 
-    found = Claim("somewhere", "something", ("table", "hidden"), never).finding({"table": {}})
-    assert found.verdict == Verdict.MISSING
-    assert found.told == "this run has no stage hidden"
+    found = Claim("somewhere", "something", ("table", "hidden"), never).judge({"table": {}})
+    assert found.outcome == Outcome.NOT_RUN
+    assert found.reason == "this run has no stage hidden"
 
 
 def test_what_only_people_can_tell_is_said_to_be_so() -> None:
     judged = judge({})
-    assert [one.claim for one in judged] == list(CLAIMS)
-    verdicts = {one.finding.verdict for one in judged if not one.claim.needs}
-    assert verdicts == {Verdict.UNTESTABLE, Verdict.PARTLY}  # the audit needs no stage
-    content = judged[0].as_json()
-    assert content["verdict"] == "cannot be tested here"
-    assert set(content) == {"where", "claim", "needs", "verdict", "told"}
+    assert [(one.claim, one.where) for one in judged] == [(c.text, c.where) for c in CLAIMS]
+    outcomes = {one.outcome for one, claim in zip(judged, CLAIMS, strict=True) if not claim.needs}
+    assert outcomes == {Outcome.UNTESTABLE, Outcome.PARTLY}  # the audit needs no experiment
+    content = claims_json(judged)[0]
+    assert content["outcome"] == "cannot be tested here"
+    assert set(content) == {"where", "claim", "needs", "outcome", "reason"}

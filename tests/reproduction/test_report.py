@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from hmi_marl.experiments.stages import Record
+from hmi_marl.experiments.experiment import with_seed
 from hmi_marl.reporting.blocks import Table
-from hmi_marl.reproduction.claims import judge
+from hmi_marl.reproduction.claims import claims_json, judge
 from hmi_marl.reproduction.paper_items import paper_items
-from hmi_marl.reproduction.report import NUMBERS, PAGE, exact_values, write_full_report
-from hmi_marl.reproduction.suite import QUICK, FullSettings, shared_driver
+from hmi_marl.reproduction.report import NUMBERS, PAGE, exact_values, full_report
+from hmi_marl.reproduction.suite import Record, full_suite, shared_driver
 
 SHIPPED = Path(__file__).parents[2] / "docs" / "report"
 
@@ -20,29 +20,29 @@ def shipped() -> dict:
 
 
 def test_the_shipped_verdicts_are_what_the_shipped_numbers_support(shipped: dict) -> None:
-    assert [one.as_json() for one in judge(shipped["stages"])] == shipped["claims"]
-    assert "not run" not in {claim["verdict"] for claim in shipped["claims"]}
+    assert claims_json(judge(shipped["stages"])) == shipped["claims"]
+    assert "not run" not in {claim["outcome"] for claim in shipped["claims"]}
 
 
 def test_the_shipped_report_is_of_a_full_run(shipped: dict) -> None:
     assert shipped["command"] == "hmi-marl reproduce"
-    stages = FullSettings().stages()
-    settings = {one.name: one.settings() for one in stages}
+    suite = full_suite()
+    settings = {one.name: one.settings() for one in suite}
     assert shipped["settings"] == json.loads(json.dumps(settings))
-    assert list(shipped["stages"]) == [one.name for one in stages]
+    assert list(shipped["stages"]) == [one.name for one in suite]
     for name in (NUMBERS, PAGE):
         assert not re.search(r"/(home|root|tmp|work)/", (SHIPPED / name).read_text("utf-8"))
 
 
 def test_the_report_needs_nothing_besides_itself(shipped: dict, tmp_path: Path) -> None:
     shown = (Table("A table of <numbers>", ("a", "b"), (("1", "2"),)),)
-    stages = [one for one in FullSettings().stages() if one.name in shipped["stages"]]
-    records = [Record(stage, shipped["stages"][stage.name], shown) for stage in stages]
-    page = write_full_report(tmp_path, records, "hmi-marl reproduce --seed 3")
+    suite = [one for one in full_suite() if one.name in shipped["stages"]]
+    records = [Record(one, shipped["stages"][one.name], shown) for one in suite]
+    page = full_report(records, "hmi-marl reproduce --seed 3").write(tmp_path)
     html = page.read_text("utf-8")
     for record in records:
-        assert f'<h2 id="{record.stage.name}">' in html
-        assert f'href="#{record.stage.name}"' in html
+        assert f'<h2 id="{record.experiment.name}">' in html
+        assert f'href="#{record.experiment.name}"' in html
     assert html.count("A table of &lt;numbers&gt;") == len(records)
     assert not re.search(r"<(script|link|iframe|object)|https?:|url\(", html)
     assert "prefers-color-scheme: dark" in html
@@ -52,18 +52,18 @@ def test_the_report_needs_nothing_besides_itself(shipped: dict, tmp_path: Path) 
     content = json.loads((tmp_path / NUMBERS).read_text("utf-8"))
     assert [cell["paper"] for cell in content["audit"] if not cell["reachable"]] == [-85.0, -123.0]
     assert set(content["made with"]) >= {"hmi-marl", "Python", "numpy", "torch"}
-    again = write_full_report(tmp_path / "again", records, "hmi-marl reproduce --seed 3")
+    again = full_report(records, "hmi-marl reproduce --seed 3").write(tmp_path / "again")
     assert again.read_bytes() == page.read_bytes()
 
 
 def test_every_table_and_figure_of_the_paper_is_told(shipped: dict) -> None:
-    (whole,) = paper_items(shipped["stages"])
+    whole = paper_items(shipped["stages"])
     here = {row[0]: row[2] for row in whole.rows}
     assert len(here) == 4 + 4
     assert here["Table of driver parameters"] == "the same four"
     assert here["Table of rewards"] == "all eight, with the same coefficients"
     assert "average KL" in here["Figure 4, latent embeddings"]
-    (nothing,) = paper_items({})
+    nothing = paper_items({})
     assert [row[0] for row in nothing.rows if row[2] == "not run"] == [
         "Figure 4, latent embeddings",
         "Table of metrics",
@@ -77,12 +77,13 @@ def test_exact_values_are_those_of_the_oracle() -> None:
 
 
 def test_a_quick_one_is_the_same_but_smaller(tmp_path: Path) -> None:
-    full = FullSettings()
-    assert [one.name for one in QUICK.stages()] == [one.name for one in full.stages()]
-    for name, part in vars(full.with_seed(5)).items():
-        assert part.seed == 5
-        assert getattr(full, name).seed == 0
-    assert QUICK.table.hmi_steps < full.table.hmi_steps
-    first = full.stages()[0]
-    job = full.table.driver_job(tmp_path / first.name)
-    assert shared_driver(tmp_path) == job.folder
+    full, quick = full_suite(), full_suite(quick=True)
+    assert [one.name for one in quick] == [one.name for one in full]
+    for one, other in zip(full, full_suite(seed=5), strict=True):
+        assert one != other
+        assert with_seed(one, 5) == other
+        assert one.settings()["seed"] == 0
+    assert quick[0].settings()["hmi_steps"] < full[0].settings()["hmi_steps"]
+    job = full[0].driver_job(tmp_path / full[0].name)
+    assert job is not None
+    assert shared_driver(full, tmp_path) == job.folder

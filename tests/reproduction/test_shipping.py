@@ -8,9 +8,10 @@ from trait_models import save_driver
 from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.agents.learned.shipped import INDEX, find_shipped, shipped_agents
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.experiments.stages import Agent, run_stages
+from hmi_marl.experiments.experiment import Agent
 from hmi_marl.files import write_json
 from hmi_marl.reproduction.shipping import ship, without_places
+from hmi_marl.reproduction.suite import run_suite
 
 
 class Learning(Counting):
@@ -33,7 +34,7 @@ def test_what_was_learned_is_shipped_without_places(run: Path, tmp_path: Path) -
     stages, out = [Learning("one")], tmp_path / "trained"
     with pytest.raises(ValueError, match=r"stage one of .* is not finished"):
         ship(stages, run, run, out)
-    run_stages(stages, run, run, line=str)
+    run_suite(stages, run, run, line=str)
     assert [agent.name for agent in ship(stages, run, run, out)] == ["mine"]
     card = find_shipped("trained:mine", "driver", out)
     assert str(tmp_path) not in card.read_text()
@@ -49,7 +50,7 @@ def test_what_was_learned_is_shipped_without_places(run: Path, tmp_path: Path) -
 
 def test_weights_that_changed_since_are_not_shipped(run: Path, tmp_path: Path) -> None:
     stages = [Learning("one")]
-    run_stages(stages, run, run, line=str)
+    run_suite(stages, run, run, line=str)
     save_driver(run / "one", 3)
     with pytest.raises(ValueError, match="is not finished"):
         ship(stages, run, run, tmp_path / "trained")

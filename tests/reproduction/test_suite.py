@@ -1,42 +1,142 @@
+import json
+import multiprocessing
 import os
 import random
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from stages import Counting
 
-from hmi_marl.reproduction.report import NUMBERS, PAGE
+from hmi_marl.experiments.experiment import Place, learned_in
+from hmi_marl.reproduction.report import NUMBERS, PAGE, full_report
+from hmi_marl.reproduction.suite import TIMINGS, is_done, run_suite
 
+ONE, OTHER = Counting("one"), Counting("other", 2)
 TINY = """
 import sys
 from pathlib import Path
-from hmi_marl.experiments.adaptation.settings import AdaptReproduction, AdaptSettings
-from hmi_marl.experiments.attentive_drivers import AttentiveSettings
-from hmi_marl.reproduction.suite import FullSettings, reproduce_all
-from hmi_marl.experiments.graded_alerts import GradedSettings
-from hmi_marl.experiments.hidden_attention import HiddenSettings
-from hmi_marl.experiments.metrics_table.reproduction import ReproductionSettings
-from hmi_marl.experiments.latent_traits.settings import AssessSettings, TraitReproduction
+from hmi_marl.experiments.adaptation.experiment import Adaptation, AdaptSettings
+from hmi_marl.experiments.attentive_drivers import AttentiveDrivers
+from hmi_marl.experiments.graded_alerts import GradedAlerts
+from hmi_marl.experiments.hidden_attention import HiddenAttention
+from hmi_marl.experiments.metrics_table.experiment import MetricsTable
+from hmi_marl.experiments.latent_traits.experiment import AssessSettings, LatentTraits
+from hmi_marl.reproduction.report import full_report
+from hmi_marl.reproduction.suite import run_suite, shared_driver
 from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 if __name__ == "__main__":
     learn = TraitSettings(pool=1, num_teams=2, ppo=PPOSettings(num_mini_batches=1), steps=1,
                           imitation_updates=1, encoder_units=4, device="cpu")
-    settings = FullSettings(
-        table=ReproductionSettings(1, 1, 4, 16),
-        driver=AttentiveSettings(1, 1, 8, 16),
-        hidden=HiddenSettings(1, 1, 4, 4, 16),
-        adapt=AdaptReproduction(
-            320, 1, 1, 4, 16, judge=AdaptSettings(4, 2, 1, 2, 2)
-        ),
-        traits=TraitReproduction(1, 2000, 4, learn, judge=AssessSettings(10, 1, 2)),
-        graded=GradedSettings(1, 4, 16),
-    )
-    reproduce_all(settings, Path(sys.argv[1]), 2, "hmi-marl reproduce", "hmi-marl reproduce")
+    suite = [
+        MetricsTable(1, 1, 4, 16),
+        AttentiveDrivers(1, 1, 8, 16),
+        HiddenAttention(1, 1, 4, 4, 16),
+        Adaptation(320, 1, 1, 4, 16, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
+        LatentTraits(1, 2000, 4, learn, evaluation=AssessSettings(10, 1, 2)),
+        GradedAlerts(1, 4, 16),
+    ]
+    folder = Path(sys.argv[1])
+    records = run_suite(suite, folder, shared_driver(suite, folder), 2, "hmi-marl reproduce")
+    full_report(records, "hmi-marl reproduce").write(folder)
 """
+
+
+def reproduce(folder: Path, stages=(ONE, OTHER), told=None) -> bytes:
+    """As ``hmi-marl reproduce`` does; returns the report and the numbers."""
+    line = str if told is None else told.append
+    records = run_suite(stages, folder, folder, 1, "hmi-marl", line)
+    page = full_report(records, "hmi-marl reproduce").write(folder)
+    return page.read_bytes() + (folder / NUMBERS).read_bytes()
+
+
+def test_what_is_done_is_skipped_and_told(tmp_path: Path) -> None:
+    told: list[str] = []
+    first = reproduce(tmp_path, told=told)
+    assert told[0] == "stage 1 of 2, one: Counting <to some number>"
+    assert told[1].startswith("stage 1 of 2, one: done in")
+    times = json.loads((tmp_path / TIMINGS).read_text())
+    assert set(times["one"]) == {"this time", "counting"}
+    told.clear()
+    assert reproduce(tmp_path, told=told) == first
+    assert told == ["stage 1 of 2, one: done already", "stage 2 of 2, other: done already"]
+    assert json.loads((tmp_path / TIMINGS).read_text()) == times
+
+
+def test_a_stage_of_other_settings_is_refused_before_anything_is_run(tmp_path: Path) -> None:
+    reproduce(tmp_path, [OTHER])
+    with pytest.raises(ValueError, match=r"other holds another run \(steps = 2, now 4\)"):
+        reproduce(tmp_path, [ONE, Counting("other", 4)])
+    assert not (tmp_path / "one").exists()
+
+
+def test_a_stage_of_another_version_is_refused(tmp_path: Path, monkeypatch) -> None:
+    reproduce(tmp_path)
+    monkeypatch.setattr("hmi_marl.__version__", "99.0")
+    with pytest.raises(ValueError, match=r"version = .* now '99\.0'"):
+        reproduce(tmp_path)
+
+
+def test_a_stage_whose_weights_changed_is_done_again(tmp_path: Path) -> None:
+    first = reproduce(tmp_path)
+    place = Place(tmp_path / "one", tmp_path)
+    assert is_done(ONE, place, tmp_path)
+    (tmp_path / "one" / "count.safetensors").write_bytes(b"12")
+    assert not is_done(ONE, place, tmp_path)
+    told: list[str] = []
+    assert reproduce(tmp_path, told=told) == first
+    assert told[0] == "stage 1 of 2, one: once more, since one/count.safetensors has changed"
+    assert told[-1] == "stage 2 of 2, other: done already"
+
+
+def test_a_damaged_record_is_told(tmp_path: Path) -> None:
+    reproduce(tmp_path)
+    record = tmp_path / "stages" / "one.json"
+    content = json.loads(record.read_text())
+    record.write_text(json.dumps({name: content[name] for name in content if name != "numbers"}))
+    told: list[str] = []
+    reproduce(tmp_path, told=told)
+    assert told[0] == "stage 1 of 2, one: once more, since its record has changed"
+    record.write_text("{")
+    with pytest.raises(ValueError, match=r"one\.json is damaged .*remove it"):
+        reproduce(tmp_path)
+
+
+def test_weights_and_demonstrations_are_what_results_depend_on(tmp_path: Path) -> None:
+    for name in (
+        "b.parquet",
+        "a.safetensors",
+        "checkpoint.safetensors",
+        "card.json",
+        ".left.parquet",
+    ):
+        (tmp_path / "run").mkdir(exist_ok=True)
+        (tmp_path / "run" / name).touch()
+    assert [path.name for path in learned_in(tmp_path)] == ["a.safetensors", "b.parquet"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork, to be fast")
+@pytest.mark.parametrize("seed", range(3))
+def test_killed_three_times_at_random_it_ends_with_the_same_report(tmp_path: Path, seed) -> None:
+    slow = [Counting(name, 12, pause=0.01) for name in ("one", "other", "third")]
+    straight = reproduce(tmp_path / "straight", [Counting(s.name, s.steps) for s in slow])
+    cut, rng, killed = tmp_path / "cut", random.Random(seed), 0
+    while killed < 3:
+        process = multiprocessing.get_context("fork").Process(target=reproduce, args=(cut, slow))
+        process.start()
+        time.sleep(rng.uniform(0.02, 0.2))
+        os.kill(process.pid, signal.SIGKILL)
+        process.join()
+        killed += 1
+        if (cut / PAGE).is_file():
+            break  # it was done before
+    assert killed
+    assert reproduce(cut, slow) == straight
 
 
 def started(folder: Path) -> subprocess.Popen:

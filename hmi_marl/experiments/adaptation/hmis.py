@@ -1,4 +1,4 @@
-"""Who sits in the vehicle AI's seat when a driver is not known: the HMIs that are compared."""
+"""HMIs that are compared on unknown drivers."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ ADAPTIVE = {
     CONDITIONED + BAYES: ("conditioned", True),
     EXPECTED + BAYES: ("expected", True),
 }
-"""Adaptive HMIs: their kind, and whether they go by the exact posterior instead of the encoder."""
+"""Adaptive HMIs: their kind, and whether they use the exact posterior instead of the encoder."""
 
 
-class ToldEvidence:
-    """Whoever drives is told: evidence that leaves no doubt.
+class KnownDriver:
+    """Evidence that is certain of the driver, for an HMI that knows the driver.
 
     Args:
-        drivers: everybody who may drive.
+        drivers: all drivers who may drive.
     """
 
     def __init__(self, drivers: Sequence[Driver]) -> None:
@@ -43,20 +43,20 @@ class ToldEvidence:
         self._table = Traits.of(drivers).as_array()
         self.reset(1)
 
-    def tell(self, traits: Traits) -> None:
-        """Who drives from now on, N of them.
+    def set_drivers(self, traits: Traits) -> None:
+        """Set the N drivers from now on.
 
         Raises:
-            ValueError: somebody who is none of the candidates.
+            ValueError: a driver is not among the candidates.
         """
         same = (traits.as_array()[:, None] == self._table).all(axis=2)
         if not same.any(axis=1).all():
-            raise ValueError("a driver is told who is none of the candidates")
-        self._who = same.argmax(axis=1)
+            raise ValueError("a driver is not among the candidates")
+        self._driver = same.argmax(axis=1)
 
     def reset(self, count: int) -> None:
         """See :meth:`Evidence.reset`."""
-        self._who = np.zeros(count, np.int64)
+        self._driver = np.zeros(count, np.int64)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`Evidence.begin`."""
@@ -65,12 +65,12 @@ class ToldEvidence:
         self, observations: NDArray[np.float32], new: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
         """See :meth:`Evidence.observe`."""
-        is_it = self._who[:, None] == np.arange(len(self.drivers))
-        return np.where(new[:, None] & ~is_it, -np.inf, 0.0)
+        drives = self._driver[:, None] == np.arange(len(self.drivers))
+        return np.where(new[:, None] & ~drives, -np.inf, 0.0)
 
 
 def hmi_names(drivers: Sequence[Driver]) -> tuple[str, ...]:
-    """All HMIs that can be made for a group in which these drive."""
+    """List all HMIs that can be made for a group of these drivers."""
     only = drivers[0].name if len(drivers) == 1 else ""
     learned = (LEARNED_KNOWING,) if only in PAPER_DRIVERS else ()
     return (KNOWING, AVERAGE, NONE, *learned, LEARNED_AVERAGE, *ADAPTIVE)
@@ -78,28 +78,28 @@ def hmi_names(drivers: Sequence[Driver]) -> tuple[str, ...]:
 
 @dataclass
 class Hmis:
-    """Makes the HMIs for one group of drivers."""
+    """Factory of the HMIs for one group of drivers."""
 
     config: TeamConfig
-    """Of the teams."""
+    """Settings of the teams."""
     trained: Trained
-    """What was learned."""
+    """Trained models and policies."""
     drivers: Sequence[Driver]
-    """Everybody who drives in the group."""
+    """All drivers of the group."""
     candidates: Sequence[Driver]
-    """Who might be at the wheel, as far as adaptive HMIs know."""
+    """Drivers that adaptive HMIs consider."""
     revealing: float
     """Assumed share of steps in which a^H differs from the last applied action."""
     caution: float
-    """Of the HMI that goes by expected value."""
-    told: ToldEvidence = field(init=False)
-    """By which the knowing HMI is told who drives."""
+    """Caution of the HMI of expected value."""
+    known: KnownDriver = field(init=False)
+    """Evidence of the HMI that knows the driver."""
 
     def __post_init__(self) -> None:
-        self.told = ToldEvidence(self.drivers)
+        self.known = KnownDriver(self.drivers)
 
     def make(self, name: str) -> Policy:
-        """One of :func:`hmi_names`, new."""
+        """Make one of :func:`hmi_names`."""
         config = self.config
         if name in ADAPTIVE:
             kind, exact = ADAPTIVE[name]
@@ -107,8 +107,8 @@ class Hmis:
                 kind, config, exact, self.candidates, self.trained, self.revealing, self.caution
             )
         if name == KNOWING:
-            told = TraitEstimator(self.told, config, change_rate=1.0)
-            return ExpectedValueHMI(told, config, self.revealing, caution=0.0)
+            estimator = TraitEstimator(self.known, config, change_rate=1.0)
+            return ExpectedValueHMI(estimator, config, self.revealing, caution=0.0)
         if name == AVERAGE:
             return make_hmi(f"belief:average:{self.revealing}", config)
         if name == NONE:

@@ -1,4 +1,12 @@
-"""Trip after trip with the same drivers, step by step: what an HMI earns as it learns of them."""
+r"""Trips in a row with the same drivers: what an HMI earns as it gets to know them.
+
+With R_k, R_a and R_h the rewards of the HMI that knows the driver, of AvgHMI and of another HMI,
+from the same driver on the same roads, HMI h closes the share
+
+.. math:: 1 - \frac{E[R_k - R_h]}{E[R_k - R_a]}
+
+of the gap. Intervals of ratios are bootstrapped over drivers, all HMIs together.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +23,18 @@ from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.rewards import ATTENTION_TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.reporting.statistics import CONFIDENCE, Estimate
+
+DRAWS = 2000
+"""Resamples of a bootstrap."""
 
 
 @dataclass(frozen=True, eq=False)
-class AtTheWheel:
-    """A population in which it is settled who drives: the same in every episode."""
+class FixedDrivers:
+    """A population of fixed drivers: the same in every episode."""
 
     traits: Traits
-    """Of the drivers of N teams."""
+    """Traits of the drivers of N teams."""
 
     def draw(self, seeds: NDArray[np.uint64]) -> Traits:
         """See :meth:`Population.draw`; the seeds change nothing."""
@@ -31,26 +43,26 @@ class AtTheWheel:
 
 @dataclass(frozen=True, eq=False)
 class HandOver:
-    """Another driver takes the wheel, unannounced."""
+    """Unannounced change of drivers."""
 
     trip: int
-    """In which trip, from 0."""
+    """Trip of the change, from 0."""
     step: int
-    """Before which step of it, from 0."""
+    """Step of that trip before which the drivers change, from 0."""
     traits: Traits
-    """Of the new drivers."""
+    """Traits of the new drivers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trips:
-    """What E drivers' trips were worth with one HMI. J trips of T steps."""
+    """Rewards of E drivers' trips with one HMI. J trips of T steps."""
 
     rewards: NDArray[np.float64]
     """Attention reward of each step, shape (E, J, T); 0 after a crash."""
     driving: NDArray[np.bool_]
     """Whether the trip was still going on, shape (E, J, T)."""
     probabilities: NDArray[np.float64] | None = None
-    """What an adaptive HMI believed in its turn, shape (E, J, T, K), if that was kept."""
+    """Belief of an adaptive HMI in each turn, shape (E, J, T, K), if that was kept."""
 
     @property
     def returns(self) -> NDArray[np.float64]:
@@ -59,7 +71,7 @@ class Trips:
 
 
 class _Recorder(Observer):
-    """Keep what each step of each trip was worth, and what an adaptive HMI believed in it."""
+    """Keep the reward and an adaptive HMI's belief in each step of each trip."""
 
     def __init__(self, shape: tuple[int, int, int], adaptive: AdaptiveHMI | None) -> None:
         self.rewards, self.driving = np.zeros(shape), np.zeros(shape, np.bool_)
@@ -68,11 +80,11 @@ class _Recorder(Observer):
         self.trip = self._step = 0
 
     def next_trip(self, trip: int) -> None:
-        """From now on it is this trip, from 0."""
+        """Begin this trip, from 0."""
         self.trip, self._step = trip, 0
 
     def before(self, teaming: Teaming) -> None:
-        """Note who is still driving."""
+        """Note which teams are still driving."""
         self.driving[:, self.trip, self._step] = ~teaming.over
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
@@ -94,40 +106,147 @@ def play_trips(
     drivers: Traits,
     seeds: NDArray[np.uint64],
     hand_over: HandOver | None = None,
-    told: Callable[[Traits], object] | None = None,
+    on_drivers: Callable[[Traits], object] | None = None,
     keep_beliefs: bool = False,
 ) -> Trips:
     """Let E drivers take J trips each, side by side, in the batched world.
 
-    An adaptive HMI does not know them at the start of their first trip and keeps what it has learned
-    from then on; another one begins every trip anew.
+    An adaptive HMI does not know them at the start of their first trip and keeps its belief from
+    then on; another HMI begins every trip anew.
 
     Args:
-        config: of the teams; its driver is not read.
+        config: settings of the teams; its driver is not read.
         driver: policy of the driver's seat.
         hmi: policy of the vehicle AI's seat.
-        drivers: who drive, E of them.
-        seeds: of the trips, shape (E, J).
-        hand_over: a change of drivers on the way.
-        told: is called with who drives, at the start and when that changes.
-        keep_beliefs: keep what an adaptive HMI believed, step by step.
+        drivers: traits of E drivers.
+        seeds: seeds of the trips, shape (E, J).
+        hand_over: change of drivers on the way.
+        on_drivers: called with the drivers' traits, at the start of each trip and when they change.
+        keep_beliefs: keep an adaptive HMI's beliefs, step by step.
     """
     count, trips = seeds.shape
-    tell = told or (lambda traits: None)
+    note_drivers = on_drivers or (lambda traits: None)
     adaptive = hmi if isinstance(hmi, AdaptiveHMI) else None
     recorder = _Recorder((count, trips, config.horizon), adaptive if keep_beliefs else None)
-    at_the_wheel = drivers
+    current = drivers
     for trip in range(trips):
         recorder.next_trip(trip)
         observers: list[Observer] = [recorder]
         if hand_over is not None and trip == hand_over.trip:
-            observers.insert(0, HandsOver(hand_over.step, hand_over.traits, tell))
-        teaming = Teaming(replace(config, driver=AtTheWheel(at_the_wheel)), count, "batched")
+            observers.insert(0, HandsOver(hand_over.step, hand_over.traits, note_drivers))
+        teaming = Teaming(replace(config, driver=FixedDrivers(current)), count, "batched")
         begin_trip = adaptive.next_trip if adaptive and trip > 0 else hmi.reset
         teaming.reset(seeds[:, trip])
         driver.reset(seeds[:, trip])
         begin_trip(seeds[:, trip])
-        tell(at_the_wheel)
+        note_drivers(current)
         play(teaming, driver, hmi, observers, steps=config.horizon)
-        at_the_wheel = teaming.traits
+        current = teaming.traits
     return Trips(recorder.rewards, recorder.driving, recorder.probabilities)
+
+
+# Measures.
+
+
+def by_turn(trips: Trips, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Order values by turns driven: turns after a crash are left out, later trips move up.
+
+    Args:
+        trips: E drivers, J trips of T steps.
+        values: value of each step, shape (E, J, T).
+
+    Returns:
+        Shape (E, J T), NaN after the last turn.
+    """
+    driving = trips.driving.reshape(len(values), -1)
+    flat = np.where(driving, values.reshape(len(values), -1), np.nan)
+    order = np.argsort(~driving, axis=1, kind="stable")
+    return np.take_along_axis(flat, order, axis=1)
+
+
+def earned_between(trips: Trips, first: int, last: int) -> NDArray[np.float64]:
+    """Sum the attention reward over turns ``first`` to ``last`` - 1 driven, shape (E,)."""
+    rewards: NDArray[np.float64] = np.nansum(by_turn(trips, trips.rewards)[:, first:last], axis=1)
+    return rewards
+
+
+@dataclass(frozen=True)
+class Closed:
+    """Gap from AvgHMI to the HMI that knows the driver, and how much of it an HMI closes."""
+
+    share: Estimate
+    """Share of the gap that is closed; NaN if there is none."""
+    gap: Estimate
+    """Gain from knowing the driver, per driver, over the same turns."""
+    regret: Estimate
+    """Gain of the knowing HMI over this one."""
+
+
+def closed(
+    knowing: NDArray[np.float64],
+    average: NDArray[np.float64],
+    own: NDArray[np.float64],
+    same_driver: NDArray[np.int64],
+    seed: int = 0,
+) -> Closed:
+    """Measure how much of the gap an HMI closes.
+
+    Args:
+        knowing, average, own: each HMI's reward from each of E drivers, shape (E,).
+        same_driver: number of the driver, shape (E,): trips of one driver are drawn together.
+        seed: seed of the bootstrap.
+    """
+    _, driver = np.unique(same_driver, return_inverse=True)
+    drivers = int(driver.max()) + 1
+    gaps, regrets = (np.bincount(driver, knowing - other, drivers) for other in (average, own))
+    each = np.bincount(driver, minlength=drivers)
+    weights = _resamples(drivers, seed)
+    gap, regret = weights @ gaps, weights @ regrets
+    count = weights @ each
+    per_gap, per_regret = (
+        _interval(gap / count, gaps.sum() / each.sum()),
+        _interval(regret / count, regrets.sum() / each.sum()),
+    )
+    if per_gap.low <= 0:
+        return Closed(Estimate(np.nan, np.nan, np.nan), per_gap, per_regret)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a few resamples may have no gap
+        share = _interval(1.0 - regret / gap, float(1.0 - regrets.sum() / gaps.sum()))
+    return Closed(share, per_gap, per_regret)
+
+
+def ratio(above: NDArray[np.float64], below: NDArray[np.float64], seed: int = 0) -> Estimate:
+    """Divide the mean of ``above`` by the size of the mean of ``below``, shape (E,), paired.
+
+    NaN where the latter is 0.
+    """
+    weights = _resamples(len(above), seed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return _interval(
+            (weights @ above) / np.abs(weights @ below), float(above.mean() / abs(below.mean()))
+        )
+
+
+def by_second(
+    trips: Trips, values: NDArray[np.float64], steps_per_second: int
+) -> NDArray[np.float64]:
+    """Average values (E, J, T) over drivers, by whole seconds driven.
+
+    Seconds that fewer than half of the drivers reach are left out.
+    """
+    turns = by_turn(trips, values)
+    enough = np.isfinite(turns).mean(axis=0) >= 0.5
+    means = np.nanmean(turns[:, enough], axis=0)
+    whole = len(means) // steps_per_second * steps_per_second
+    seconds: NDArray[np.float64] = means[:whole].reshape(-1, steps_per_second).mean(axis=1)
+    return seconds
+
+
+def _resamples(count: int, seed: int) -> NDArray[np.float64]:
+    """Draw how often each of ``count`` is in each resample, shape (DRAWS, count)."""
+    rng = np.random.default_rng(seed)
+    return rng.multinomial(count, np.full(count, 1 / count), DRAWS).astype(np.float64)
+
+
+def _interval(draws: NDArray[np.float64], middle: float) -> Estimate:
+    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return Estimate(float(middle), float(low), float(high))

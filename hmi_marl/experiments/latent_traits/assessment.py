@@ -1,4 +1,8 @@
-"""Everything that is asked of one trait model, in the order in which it is told."""
+"""Judge one trait model on windows and drivers that it has not learned from.
+
+The probe and the centroids are fitted on windows that the model did learn from, with the true
+names, in every setting alike.
+"""
 
 from __future__ import annotations
 
@@ -6,98 +10,303 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.demonstrations.dataset import Demonstrations
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth, held_out
 from hmi_marl.demonstrations.env import team_of
-from hmi_marl.envs.drivers import TRAIT_NAMES, Driver
+from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
-from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence
-from hmi_marl.experiments.latent_traits.driving import (
-    DrivingRow,
-    compare_driving,
-    imitate,
-    of_drivers,
-    replay,
-)
-from hmi_marl.experiments.latent_traits.identification import (
-    Embedding,
-    Identified,
-    Split,
-    disjoint_pools,
-    identify_drivers,
-    regress_traits,
-)
+from hmi_marl.experiments.latent_traits.ceiling import LIKES_HELP, Ceilings, ceilings
+from hmi_marl.experiments.latent_traits.experiment import MIN_UNSEEN_DRIVERS, AssessSettings
 from hmi_marl.experiments.latent_traits.imitation import (
     ActionLikelihood,
+    DrivingRow,
     action_likelihood,
+    by_driver,
+    compare_driving,
     driver_latents,
+    imitate,
+    replay,
 )
-from hmi_marl.experiments.latent_traits.regression import TraitR2
+from hmi_marl.experiments.latent_traits.probes import (
+    Separability,
+    TraitR2,
+    separability,
+    trait_r2,
+)
 from hmi_marl.experiments.latent_traits.reward import RewardRanking, reward_ranking
-from hmi_marl.experiments.latent_traits.settings import AssessSettings
+from hmi_marl.files import json_value
 
 PARTS = 5
 """Calls of ``progress`` in :func:`assess`."""
+WINDOWS = (1, 2, 4, 8, 16)
+"""Numbers of windows of a driver from which the driver is identified."""
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Accuracy of identifying drivers from a number of windows."""
+
+    windows: int
+    pools: int
+    """Held-out pools that are judged."""
+    types: Separability
+    """Separation by driver."""
+    preferences: Separability | None
+    """Separation by whether the driver likes help; None if that is not known."""
+    ceilings: Ceilings | None
+    """Accuracies of the exact Bayes classifier on the same pools."""
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Held-out pools in latent space."""
+
+    means: NDArray[np.float64]
+    """Posterior means of z, shape (P, Z)."""
+    types: NDArray[np.int64]
+    """Indices of ``names``, shape (P,)."""
+    names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """What one trait model came to, on windows and drivers it has not learned from."""
+    """Results of one trait model."""
 
     supervision: str
     """"none", "id" or "preference"."""
     identified: list[Identified]
     """By the number of windows seen."""
     embedding: Embedding
-    """Of pools of the model's own size."""
+    """Pools of the model's own size."""
     likelihood: list[ActionLikelihood]
     driving: list[DrivingRow]
-    """Empty of recorded drives, which cannot be played again, as is the ranking."""
-    ranking: list[RewardRanking]
+    """Empty for recorded drives, which cannot be replayed, as is the ranking."""
+    reward_ranking: list[RewardRanking]
     traits: dict[str, TraitR2] | None
     """R² over unseen drivers; None if there was no population."""
 
     def at_pool(self, size: int) -> Identified:
-        """How well drivers are told apart from ``size`` windows."""
+        """Return the accuracies from ``size`` windows."""
         return next(row for row in self.identified if row.windows == size)
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
-        r2 = self.traits
-        return {
-            "supervision": self.supervision,
-            "identified": [row.as_json() for row in self.identified],
-            "embedding": {
-                "means": self.embedding.means.tolist(),
-                "drivers": [self.embedding.names[who] for who in self.embedding.types],
-            },
-            "likelihood": [row.as_json() for row in self.likelihood],
-            "driving": [row.as_json() for row in self.driving],
-            "reward_ranking": [row.as_json() for row in self.ranking],
-            "traits": None if r2 is None else {name: one.as_json() for name, one in r2.items()},
+        embedding = {
+            "means": self.embedding.means.tolist(),
+            "drivers": [self.embedding.names[who] for who in self.embedding.types],
         }
+        return json_value(self) | {"embedding": embedding}
 
 
-def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identification:
-    """What the exact classifier makes of these windows, some of each driver.
+@dataclass(frozen=True)
+class Split:
+    """Demonstrations as a model's run divided them."""
+
+    learned: Demonstrations
+    """Windows that it learned from."""
+    unseen: Demonstrations
+    """Windows that it held out."""
+
+    @classmethod
+    def of(cls, demonstrations: Demonstrations, share: float, most: int) -> Split:
+        """Split them as a run does that holds out ``share``.
+
+        Args:
+            demonstrations: the dataset.
+            share: share of each driver's windows that is held out, the last ones.
+            most: windows of each driver kept on either side; more are left out.
+
+        Raises:
+            ValueError: nothing was held out.
+        """
+        out = held_out(demonstrations.observed, share)
+        if not out.any():
+            raise ValueError("no window was held out of training, so there is nothing to judge by")
+        parts = (demonstrations.take(~out), demonstrations.take(out))
+        return cls(*(part.take(part.observed.number < most) for part in parts))
+
+
+def encode(model: TraitModel, observed: Observed) -> NDArray[np.float64]:
+    """Encode every window into the encoder's last hidden state, shape (E, H)."""
+    return model.encode(observed.states, observed.actions, observed.alerts, observed.length)
+
+
+def mean_latents(
+    model: TraitModel, states: NDArray[np.float64], pools: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the posterior mean of z given each pool, shape (P, Z).
+
+    Args:
+        model: trait model.
+        states: hidden states of E windows, shape (E, H); see :func:`encode`.
+        pools: indices of windows, shape (P, n).
+    """
+    return model.latent(states[pools].mean(axis=1)).mean
+
+
+def disjoint_pools(driver: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """Make pools of ``size`` windows of one known driver each, in order, no window in two.
+
+    Args:
+        driver: driver of each window, shape (E,); -1 if not known.
+        size: windows of a pool; windows that are left over are left out.
+
+    Returns:
+        Indices of windows, shape (P, size).
+    """
+    pools = [np.zeros((0, size), np.int64)]
+    for who in np.unique(driver[driver != MISSING]):
+        own = np.flatnonzero(driver == who)
+        whole = len(own) // size * size
+        pools.append(own[:whole].reshape(-1, size))
+    return np.concatenate(pools)
+
+
+def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
+    """Choose from how many windows drivers are identified: ``WINDOWS``, and a model's own pool.
+
+    Sizes are left out if some driver has too few pools on either side: a Gaussian in Z dimensions
+    takes Z + 2.
+
+    Args:
+        split: demonstrations.
+        pool: windows that a model pools.
+        latent: Z, the size of its z.
 
     Raises:
-        NoCeilingError: nobody's traits are known; or see :func:`trait_ceiling.evidence`.
-        FileNotFoundError, ValueError: see there.
+        ValueError: too few windows for even the model's own pool, or fewer than two drivers.
     """
-    observed, truth = unseen.observed, unseen.truth
-    if truth is None:
-        raise NoCeilingError("the exact ceiling cannot be had: nobody knows these drivers' traits")
-    first = [int((observed.driver == who).argmax()) for who in range(len(observed.names))]
-    drivers = [
-        Driver(name, **dict(zip(TRAIT_NAMES, truth.traits[at].tolist(), strict=True)))
-        for name, at in zip(observed.names, first, strict=True)
-    ]
-    return evidence(observed, driver_policy, drivers)
+    names = split.unseen.observed.names
+    if len(names) < 2:
+        raise ValueError("identifying drivers takes two or more who are known by name")
+    sides = (split.learned.observed.driver, split.unseen.observed.driver)
+    counts = np.minimum(*(np.bincount(of[of != MISSING], minlength=len(names)) for of in sides))
+    least = (latent + 2) * pool
+    if counts.min() < least:
+        raise ValueError(
+            f"too few windows to judge by: it takes {least} of each driver that were learned from "
+            f"and {least} that were held out (pools of {pool}, {latent + 2} of them for z of size "
+            f"{latent}), but of {names[counts.argmin()]} there are {counts.min()}; demonstrate "
+            "more, raise --windows, learn with a smaller --pool or a larger --held-out, and keep a "
+            "population's drivers in a dataset of their own"
+        )
+    sizes = sorted({*WINDOWS, pool})
+    return tuple(size for size in sizes if (latent + 2) * size <= counts.min())
+
+
+def likes_help(demonstrations: Demonstrations) -> NDArray[np.int64] | None:
+    """Return 1 for windows of drivers who like help, else 0, (E,); None without the truth."""
+    if demonstrations.truth is None:
+        return None
+    return (demonstrations.truth.traits[:, TRAIT_NAMES.index("eta")] >= LIKES_HELP).astype(np.int64)
+
+
+def identify_drivers(
+    model: TraitModel,
+    split: Split,
+    identification: Identification | None = None,
+    windows: Sequence[int] = WINDOWS,
+) -> tuple[list[Identified], Embedding]:
+    """Measure accuracy by windows seen, and embed held-out pools of the model's own size.
+
+    Args:
+        model: trait model.
+        split: demonstrations.
+        identification: the exact classifier's evidence of ``split.unseen``, candidates in the
+            order of its names.
+        windows: numbers of windows; see :func:`pool_sizes`.
+
+    Raises:
+        ValueError: too few pools of some driver.
+    """
+    sides = split.learned, split.unseen
+    states = [encode(model, side.observed) for side in sides]
+    drivers = [side.observed.driver for side in sides]
+    help_learned, help_unseen = (likes_help(side) for side in sides)
+
+    rows = []
+    for size in windows:
+        pools = [disjoint_pools(driver, size) for driver in drivers]
+        z_fitted, z = (mean_latents(model, *side) for side in zip(states, pools, strict=True))
+        fitted, judged = pools
+        preferences = None
+        if help_learned is not None and help_unseen is not None:
+            kinds = help_learned[fitted[:, 0]], help_unseen[judged[:, 0]]
+            if len(np.unique(kinds[1])) > 1:
+                preferences = separability(z_fitted, kinds[0], z, kinds[1])
+        types = drivers[1][judged[:, 0]]
+        exact = None if identification is None else ceilings(identification, judged, types)
+        separated = separability(z_fitted, drivers[0][fitted[:, 0]], z, types)
+        rows.append(Identified(size, len(judged), separated, preferences, exact))
+    judged = disjoint_pools(drivers[1], model.card.pool)
+    means = mean_latents(model, states[1], judged)
+    return rows, Embedding(means, drivers[1][judged[:, 0]], split.unseen.observed.names)
+
+
+def unseen_drivers(population: Demonstrations, demonstrations: Demonstrations) -> Demonstrations:
+    """Select windows of drivers with other traits than all who demonstrated.
+
+    Raises:
+        ValueError: there are none.
+    """
+    if population.truth is None or demonstrations.truth is None:
+        return population
+    known = {tuple(traits) for traits in demonstrations.truth.traits.tolist()}
+    new = np.array([tuple(traits) not in known for traits in population.truth.traits.tolist()])
+    if not new.any():
+        raise ValueError(
+            "all drivers of the population have demonstrated, but traits are regressed over "
+            "drivers that a model has not learned from; see hmi-marl collect --population"
+        )
+    return population.take(new)
+
+
+def population_pools(population: Demonstrations, size: int) -> tuple[Truth, NDArray[np.int64]]:
+    """Return the truth of a population, and pools of its windows to regress traits over.
+
+    Raises:
+        ValueError: the truth is not known, or fewer than four drivers have a pool.
+    """
+    if population.truth is None:
+        raise ValueError("traits can be regressed only where the truth is known")
+    pools = disjoint_pools(population.observed.driver, size)
+    drivers = len(np.unique(population.observed.driver[pools[:, 0]]))
+    if drivers < MIN_UNSEEN_DRIVERS:
+        raise ValueError(
+            f"traits are regressed over {MIN_UNSEEN_DRIVERS} drivers or more with {size} windows "
+            f"each, but the population has {drivers}"
+        )
+    return population.truth, pools
+
+
+def regress_traits(
+    model: TraitModel, population: Demonstrations, size: int, seed: int = 0
+) -> dict[str, TraitR2]:
+    """Measure R² of each trait from z, over drivers that the model has not learned from.
+
+    One half of the drivers fits the regression, the other half is judged.
+
+    Args:
+        model: trait model.
+        population: windows of many drivers, with the truth.
+        size: windows pooled.
+        seed: seed of the bootstrap.
+
+    Raises:
+        ValueError: see :func:`population_pools`.
+    """
+    truth, pools = population_pools(population, size)
+    z = mean_latents(model, encode(model, population.observed), pools)
+    who, traits = population.observed.driver[pools[:, 0]], truth.traits[pools[:, 0]]
+    fits = np.unique(who, return_inverse=True)[1] % 2 == 0
+    return trait_r2(z[fits], traits[fits], z[~fits], traits[~fits], TRAIT_NAMES, seed)
 
 
 def supervision_of(model: TraitModel) -> str:
-    """How a model was supervised, as its card tells."""
+    """Read from a model's card how it was supervised."""
     return str(model.card.training.get("settings", {}).get("supervision", "none"))
 
 
@@ -114,14 +323,14 @@ def assess(
     """Judge one model.
 
     Args:
-        model: the trait model.
-        split: of the demonstrations it learned from.
-        identification: what the exact classifier makes of ``split.unseen``; None if it cannot.
-        population: of drivers it has not learned from, with the truth; None to leave that out.
-        settings: how much.
-        windows: how many are seen, of those that :func:`traits.pool_sizes` tells.
+        model: trait model.
+        split: demonstrations that it learned from.
+        identification: the exact classifier's evidence of ``split.unseen``; None if there is none.
+        population: drivers that it has not learned from, with the truth; None to leave that out.
+        settings: sizes.
+        windows: numbers of windows to identify drivers from; see :func:`pool_sizes`.
         progress: called ``PARTS`` times.
-        whole: if not, only how well drivers are told apart, which is told over seeds.
+        whole: if not, only identification, which is averaged over seeds.
 
     Raises:
         ValueError: demonstrations of another layout, too few of them, or of another version of the
@@ -143,7 +352,7 @@ def assess(
     if unseen.seeds is not None:
         driven = unseen.take(unseen.number < settings.episodes)
         driving = compare_driving(
-            of_drivers(replay(driven), driven.labels()),
+            by_driver(replay(driven), driven.labels()),
             imitate(model, unseen, z, settings.episodes, settings.seed),
             team_of(unseen).scene.policy_frequency,
         )

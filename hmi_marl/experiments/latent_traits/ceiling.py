@@ -1,14 +1,13 @@
-"""How often anybody could be right about who drove: the exact ceiling beside every accuracy.
+"""The exact Bayes ceiling of every accuracy on pools of windows.
 
-Whoever learns from demonstrations sees no more of a pool of windows than their seeds, applied
-actions and alerts imply. The Bayes classifier that knows the driver policy and every candidate's
-traits (:mod:`hmi_marl.exact.identify`) makes the most of these, so that no accuracy on the same
-pools can be higher but by luck.
+A model sees no more of a pool of windows than their seeds, applied actions and alerts imply. The
+Bayes classifier that knows the driver policy and every candidate's traits
+(:mod:`hmi_marl.exact.identify`) makes the most of these, so no accuracy on the same pools can be
+higher except by chance.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,22 +17,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
-from hmi_marl.demonstrations.dataset import Observed
+from hmi_marl.demonstrations.dataset import Demonstrations, Observed
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.config import DRIVER, TeamConfig
-from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.drivers import TRAIT_NAMES, Driver
 from hmi_marl.exact.identify import Identification, marginal
 from hmi_marl.exact.oracle import identify
+from hmi_marl.files import sha256_of
 from hmi_marl.reporting.statistics import Estimate, accuracy
 
 LIKES_HELP = 0.5
-"""η from which on a driver counts as one who likes help."""
-_NO_CEILING = "the exact ceiling cannot be had"
+"""Least η of a driver who likes help."""
+_NO_CEILING = "there is no exact ceiling"
 _AT_RANDOM = "random:"
 
 
 class NoCeilingError(ValueError):
-    """Demonstrations that have no exact ceiling, whatever driver policy is given."""
+    """The demonstrations have no exact ceiling, with any driver policy."""
 
 
 @dataclass(frozen=True)
@@ -41,56 +41,52 @@ class Ceilings:
     """Accuracies of the Bayes classifier on pools of windows."""
 
     identity: Estimate
-    """Of who drove."""
+    """Accuracy of the driver's name."""
     preference: Estimate
-    """Of whether they like help."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Both, each with its interval."""
-        return {"identity": self.identity.as_json(), "preference": self.preference.as_json()}
+    """Accuracy of whether the driver likes help."""
 
 
 def driver_policy_of(observed: Observed, given: str | None, config: TeamConfig) -> LearnedPolicy:
-    """The driver policy that demonstrations were made with, as it acted then: drawing or greedy.
+    """Load the driver policy of the demonstrations, sampling or greedy as it was.
 
     Args:
-        observed: the demonstrations.
+        observed: demonstrations.
         given: the run's folder or the policy's ``.json``; None: where it was when they were made.
-        config: of the teams that gave them.
+        config: their teams.
 
     Raises:
         FileNotFoundError: it is not there.
         NoCeilingError: they were not made with a learned policy.
-        ValueError: they were made with another one than is there.
+        ValueError: they were made with another policy than the one there.
     """
     about = observed.about.get("driver_policy")
-    told: Mapping[str, Any] = about if isinstance(about, Mapping) else {}
-    if "sha256" not in told:
-        who = f"steered by {told['name']!r}" if "name" in told else "not told who steered"
+    recorded: Mapping[str, Any] = about if isinstance(about, Mapping) else {}
+    if "sha256" not in recorded:
+        by = f"by {recorded['name']!r}" if "name" in recorded else "by an unknown driver policy"
         raise NoCeilingError(
-            f"{_NO_CEILING}: it takes a driver that tells its probabilities, a learned policy, but "
-            f"the demonstrations are {who}"
+            f"{_NO_CEILING}: it takes a learned driver policy, whose action probabilities are "
+            f"known, but the demonstrations are {by}"
         )
-    place = str(told["name"]) if given is None else given
+    place = str(recorded["name"]) if given is None else given
     try:
-        weights = find_policy(Path(place), DRIVER).with_suffix(".safetensors").read_bytes()
+        digest = sha256_of(find_policy(Path(place), DRIVER).with_suffix(".safetensors"))
     except FileNotFoundError as error:
         raise FileNotFoundError(
             f"{_NO_CEILING}: {error}; give the folder of the driver policy that the demonstrations "
             "were made with"
         ) from None
-    if hashlib.sha256(weights).hexdigest() != told["sha256"]:
+    if digest != recorded["sha256"]:
         raise ValueError(
             f"{_NO_CEILING}: {place} holds another driver policy than the one that the "
-            f"demonstrations were made with, whose weights have the sha256 {told['sha256']}"
+            f"demonstrations were made with, whose weights have the sha256 {recorded['sha256']}"
         )
-    return load_policy(place, DRIVER, config, greedy=bool(told.get("greedy", False)))
+    return load_policy(place, DRIVER, config, greedy=bool(recorded.get("greedy", False)))
 
 
 def evidence(
     observed: Observed, policy_source: str | None, drivers: Sequence[str | Driver]
 ) -> Identification:
-    """The exact evidence of each window for each of the candidates.
+    """Compute the exact evidence of each window for each candidate.
 
     Args:
         observed: E demonstrations.
@@ -103,11 +99,11 @@ def evidence(
     Raises:
         FileNotFoundError: the driver policy is not there.
         NoCeilingError: no learned policy drove, or the episodes cannot be played again, or alerts
-            were not at random, so that when they came is evidence too.
-        ValueError: it was another policy.
+            were not at random, so that their timing is evidence too.
+        ValueError: another policy drove.
     """
     if observed.seeds is None:
-        raise NoCeilingError(f"{_NO_CEILING}: recorded drives have no seeds, to be played again by")
+        raise NoCeilingError(f"{_NO_CEILING}: recorded drives without seeds cannot be replayed")
     hmi = observed.about.get("hmi")
     if not str(hmi).startswith(_AT_RANDOM):
         raise NoCeilingError(
@@ -119,6 +115,24 @@ def evidence(
     return identify(config, policy, drivers, *windows)
 
 
+def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identification:
+    """Compute the exact evidence of these windows, with the drivers in them as candidates.
+
+    Raises:
+        NoCeilingError: the drivers' traits are not known; or see :func:`evidence`.
+        FileNotFoundError, ValueError: see :func:`evidence`.
+    """
+    observed, truth = unseen.observed, unseen.truth
+    if truth is None:
+        raise NoCeilingError(f"{_NO_CEILING}: the drivers' traits are not known")
+    first = [int((observed.driver == who).argmax()) for who in range(len(observed.names))]
+    drivers = [
+        Driver(name, **dict(zip(TRAIT_NAMES, truth.traits[at].tolist(), strict=True)))
+        for name, at in zip(observed.names, first, strict=True)
+    ]
+    return evidence(observed, driver_policy, drivers)
+
+
 def ceiling(
     identification: Identification,
     pools: ArrayLike,
@@ -126,16 +140,16 @@ def ceiling(
     labels: Sequence[Hashable],
     prior: ArrayLike | None = None,
 ) -> Estimate:
-    """Accuracy of the Bayes classifier: for each pool, the label of the largest probability.
+    """Return the accuracy of the Bayes classifier: the likeliest label of each pool.
 
     The interval counts as many trials as there would be pools if no two shared a window, rounding
     outwards.
 
     Args:
-        identification: what E windows tell of K candidates.
-        pools: P pools of n windows each, places of shape (P, n).
-        true: who drove each pool, indices of ``identification.drivers``, shape (P,).
-        labels: of the candidates, K of them. Their names for identity; equal labels share their
+        identification: evidence of E windows for K candidates.
+        pools: P pools of n windows each, indices of shape (P, n).
+        true: driver of each pool, indices of ``identification.drivers``, shape (P,).
+        labels: labels of the K candidates. Their names for identity; equal labels share their
             probability.
         prior: how frequent the candidates are, shape (K,); all equally by default.
 
@@ -162,7 +176,7 @@ def ceiling(
 
 
 def ceilings(identification: Identification, pools: ArrayLike, true: ArrayLike) -> Ceilings:
-    """The ceilings for identity and for preference; arguments as of :func:`ceiling`."""
+    """Return the ceilings of identity and preference; arguments as of :func:`ceiling`."""
     drivers = identification.drivers
     return Ceilings(
         identity=ceiling(identification, pools, true, [driver.name for driver in drivers]),

@@ -1,4 +1,4 @@
-"""Figures of latent vectors: where drivers lie, and how soon they are told apart."""
+"""Figures of latent vectors: embeddings by driver, and accuracy by windows seen."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.drivers import PAPER_DRIVERS
-from hmi_marl.experiments.latent_traits.separability import checked_vectors
-from hmi_marl.experiments.metrics_table.figures import COLOURS
+from hmi_marl.experiments.latent_traits.probes import checked_vectors
+from hmi_marl.reporting.blocks import COLOURS
 from hmi_marl.reporting.statistics import Estimate
 
 Array = NDArray[np.float64]
 
-# The colour-blind tell these four apart as well; the shapes help where colours do not.
+# Colours that are distinct for the colour-blind as well; shapes help where colours do not.
 DRIVER_COLOURS = (*COLOURS[1:5], *COLOURS[5:], COLOURS[0])
 SETTING_COLOURS = (COLOURS[0], *COLOURS[5:], *COLOURS[1:5])
-"""Other ones first, so that nobody takes a setting for a driver."""
+"""Different colours first, so that a setting is not mistaken for a driver."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SIGMAS = 2.0
 """Standard deviations from an ellipse's centre to its edge."""
@@ -33,19 +33,18 @@ _GREY = "#666"
 
 @dataclass(frozen=True)
 class EmbeddingPanel:
-    """What one panel shows."""
+    """Content of one panel."""
 
     title: str
-    """The setting: unsupervised, by identity, by preference."""
+    """Setting: unsupervised, by identity, by preference."""
     means: Array
-    """Posterior means, shape (P, Z); of more than two numbers, the principal axes are drawn, and
-    single ones along a line."""
+    """Posterior means, shape (P, Z). For Z > 2 the principal axes are drawn, for Z = 1 a line."""
     types: NDArray[np.int64]
-    """Of each vector, an index into the names, shape (P,)."""
+    """Index of each vector's name, shape (P,)."""
     names: Sequence[str]
-    """Of the drivers."""
+    """Names of the drivers."""
     average_kl: float
-    """In nats, as :func:`hmi_marl.experiments.latent_traits.separability.average_kl`."""
+    """See :func:`hmi_marl.experiments.latent_traits.probes.average_kl` [nats]."""
 
     def __post_init__(self) -> None:
         _, labels = checked_vectors(self.means, self.types, f"vectors of {self.title!r}")
@@ -57,7 +56,7 @@ class EmbeddingPanel:
 
 
 def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Figure:
-    """A panel for each setting: vectors coloured by driver, with 2σ ellipses and the average KL.
+    """Draw a panel for each setting: vectors coloured by driver, 2σ ellipses, the average KL.
 
     Raises:
         ValueError: no panels.
@@ -84,14 +83,13 @@ def draw_accuracy(
     ceiling: ArrayLike | None,
     chance: float,
 ) -> Figure:
-    """Accuracy of naming the driver against the number of windows seen, with 95 % intervals.
+    """Draw the accuracy of naming the driver by the number of windows seen, with 95 % intervals.
 
     Args:
         windows: numbers of windows, rising, shape (W,).
         curves: W accuracies for each setting.
-        ceiling: the exact Bayes accuracy, which nothing can beat: W of them, or one for all; None
-            if it is not known.
-        chance: the accuracy of a guess.
+        ceiling: exact Bayes accuracies, W of them or one for all; None if they are not known.
+        chance: accuracy of a guess.
 
     Raises:
         ValueError: windows that do not rise from 1 or more, or curves of another length.
@@ -108,7 +106,7 @@ def draw_accuracy(
     figure = Figure(figsize=(6.4, 4.6), layout="constrained")
     axes = figure.subplots()
     for place, (name, curve) in enumerate(curves.items()):
-        # A little apart, so that the intervals do not lie on each other.
+        # A little apart, so that the intervals do not overlap.
         at = seen * 2.0 ** (0.07 * (place - (len(curves) - 1) / 2))
         _accuracy_line(axes, at, curve, name, place)
     if ceiling is not None:
@@ -145,8 +143,8 @@ def _embedding(axes: Axes, panel: EmbeddingPanel, names: Sequence[str]) -> None:
         if len(own) > 2:
             axes.add_patch(_ellipse(own, _colour(DRIVER_COLOURS, place)))
     axes.set_title(panel.title, fontsize=12, fontweight="bold", pad=22)
-    told = f"average KL {_short(panel.average_kl)}"
-    axes.text(0.5, 1.025, told, transform=axes.transAxes, ha="center", va="bottom", color=_GREY)
+    kl = f"average KL {_short(panel.average_kl)}"
+    axes.text(0.5, 1.025, kl, transform=axes.transAxes, ha="center", va="bottom", color=_GREY)
     axes.set_xlabel(labels[0])
     axes.set_ylabel(labels[1])
     axes.margins(0.08)
@@ -157,14 +155,14 @@ def _embedding(axes: Axes, panel: EmbeddingPanel, names: Sequence[str]) -> None:
 
 
 def _two_axes(means: Array) -> tuple[Array, tuple[str, str]]:
-    """Vectors of shape (P, 2) and the labels of their axes: z itself, or its principal axes."""
+    """Return vectors of shape (P, 2) and the labels of their axes: z, or its principal axes."""
     if means.shape[1] == 1:
         return np.column_stack([means, np.zeros(len(means))]), ("$z_1$", "")
     if means.shape[1] == 2:
         return means, ("$z_1$", "$z_2$")
     centred = means - means.mean(axis=0)
     _, sizes, directions = np.linalg.svd(centred, full_matrices=False)
-    # An axis has no sign of its own; with this one the same vectors give the same picture.
+    # The sign of an axis is arbitrary; fixing it makes the picture reproducible.
     signs = np.sign(directions[[0, 1], np.abs(directions[:2]).argmax(axis=1)])
     shares = sizes[:2] ** 2 / max(float((sizes**2).sum()), np.finfo(np.float64).tiny)
     of = f"of {means.shape[1]} principal axes of z"
@@ -173,7 +171,7 @@ def _two_axes(means: Array) -> tuple[Array, tuple[str, str]]:
 
 
 def _ellipse(points: Array, colour: str) -> Ellipse:
-    """The points (P, 2) that are SIGMAS standard deviations from the mean, in every direction."""
+    """Make the ellipse SIGMAS standard deviations from the mean of the points (P, 2)."""
     variances, directions = np.linalg.eigh(np.cov(points, rowvar=False))
     height, width = 2.0 * SIGMAS * np.sqrt(np.clip(variances, 0.0, None))
     angle = float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
@@ -214,12 +212,12 @@ def _colour(colours: Sequence[str], place: int) -> str:
 
 
 def _ordered(names: Iterable[str]) -> list[str]:
-    """Each name once: the field's drivers in the field's order, then others as they come."""
+    """List each name once: the paper's drivers in the paper's order, then the others."""
     once = dict.fromkeys(names)
     others = [name for name in once if name not in PAPER_DRIVERS]
     return [name for name in PAPER_DRIVERS if name in once] + others
 
 
 def _short(kl: float) -> str:
-    """Whole numbers from 10 on, two digits below."""
+    """Write whole numbers from 10 on, two digits below."""
     return f"{kl:,.0f}" if kl >= 9.95 else f"{kl:.2g}"

@@ -1,151 +1,240 @@
-"""What trait models came to, told: text, JSON, figures and a page.
+"""Judge trait models, and show them in tables and figures.
 
-Settings are told in the paper's order: unsupervised, supervised by who drives, by preference. Each
-may have been learned several times, from different seeds.
+Settings come in the paper's order: unsupervised, supervised by driver, by preference. Each may
+have been learned several times, from different seeds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from io import BytesIO
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from hmi_marl.experiments.latent_traits.assessment import Assessment
+from hmi_marl.experiments import criteria
+from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Identified
 from hmi_marl.experiments.latent_traits.figures import (
     EmbeddingPanel,
     draw_accuracy,
     draw_embeddings,
 )
-from hmi_marl.experiments.latent_traits.identification import WINDOWS
-from hmi_marl.experiments.protocols.report import entry, number, percent
+from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.blocks import Exhibit, Picture, Table, Told, held
-from hmi_marl.reporting.page import text_table
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.blocks import Block, Figure, Table, Text, png
+from hmi_marl.reporting.statistics import Estimate, number
+from hmi_marl.reporting.verdicts import Verdict
 
-Assessments = Mapping[str, Sequence[Assessment]]
-"""By supervision, one for each seed."""
 TITLES = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
-PAPER_KL = {"none": 435.0, "id": 4940.0, "preference": 2872.0}
-"""Under the paper's figure of embeddings."""
-IDENTITY_MARGIN, PREFERENCE_MARGIN = 0.03, 0.02
-"""How far a supervised accuracy may stay behind the ceiling."""
-ABOVE_CHANCE = 0.20
-"""By how much the unsupervised accuracy is to beat chance."""
-KL_FACTOR = 6.0
-"""By which the supervised settings' average KL is to exceed the unsupervised one."""
-SMALLEST_KL = 1e-9
-"""The unsupervised one counts as at least this much: of vectors that are all one it is 0."""
-Rows = list[list[str]]
+"""Titles of the settings by supervision."""
+
+
+@dataclass(frozen=True)
+class TraitResults:
+    """Assessments of trait models."""
+
+    assessments: Mapping[str, Sequence[Assessment]]
+    """By supervision, one for each seed."""
+    pool: int
+    """Windows that the models pool."""
+
+    @property
+    def first(self) -> Mapping[str, Assessment]:
+        """Assessment of the first seed of each setting."""
+        return {name: several[0] for name, several in self.assessments.items()}
+
+    @property
+    def identified(self) -> list[Identified]:
+        """Accuracies of the first model, by windows seen."""
+        return next(iter(self.first.values())).identified
+
+    def accuracy(self, setting: str, size: int, of: str = "types") -> Estimate:
+        """Average the linear probe's accuracy over seeds; for one seed the interval is over pools.
+
+        Args:
+            setting: supervision.
+            size: windows seen.
+            of: "types" or "preferences".
+        """
+        probes = [getattr(o.at_pool(size), of).linear_probe for o in self.assessments[setting]]
+        if len(probes) == 1:
+            return probes[0]
+        found = over_seeds([probe.mean for probe in probes])
+        return Estimate(found.mean, max(found.low, 0.0), min(found.high, 1.0))
+
+    def average_kl(self, setting: str, size: int) -> Estimate:
+        """Average the KL between driver types over seeds."""
+        return over_seeds([o.at_pool(size).types.average_kl for o in self.assessments[setting]])
 
 
 def over_seeds(values: Sequence[float]) -> Estimate:
-    """The mean with its t interval; without one if there is a single seed."""
+    """Return the mean with its t interval; for a single seed without one."""
     if len(values) > 1:
         return statistics.mean(values)
     return Estimate(values[0], values[0], values[0])
 
 
-def accuracy(assessments: Sequence[Assessment], size: int, of: str = "types") -> Estimate:
-    """The linear probe's, over seeds; of a single one with the interval over its pools.
+def judge(results: TraitResults) -> list[Verdict]:
+    """Judge the means of the settings that were learned, with pools of the models' size."""
+    size, found = results.pool, results.assessments
+    first = next(iter(results.first.values())).at_pool(size)
+    verdicts = []
 
-    Args:
-        assessments: of one setting.
-        size: windows seen.
-        of: "types" or "preferences".
-    """
-    probes = [getattr(one.at_pool(size), of).linear_probe for one in assessments]
-    if len(probes) == 1:
-        return probes[0]
-    found = over_seeds([probe.mean for probe in probes])
-    return Estimate(found.mean, max(found.low, 0.0), min(found.high, 1.0))
+    def add(claim: str, holds: bool, reason: str) -> None:
+        verdicts.append(Verdict.of_parts(claim, [holds], reason))
 
-
-def average_kl(assessments: Sequence[Assessment], size: int) -> Estimate:
-    """Average KL between driver types, over seeds."""
-    return over_seeds([one.at_pool(size).types.average_kl for one in assessments])
-
-
-def verdicts(assessments: Assessments, size: int) -> dict[str, bool]:
-    """What is asked of the settings that are there, and whether it holds for their means."""
-    told = {}
-    first = next(iter(assessments.values()))[0].at_pool(size)
-    kl = {name: average_kl(several, size).mean for name, several in assessments.items()}
-    if "id" in assessments and first.ceilings is not None:
-        short = first.ceilings.identity.mean - accuracy(assessments["id"], size).mean
-        told[f"by driver: accuracy within 3 points of the ceiling ({100 * short:.1f})"] = (
-            short <= IDENTITY_MARGIN
-        )
-    if "preference" in assessments and first.preferences and first.ceilings:
-        found = accuracy(assessments["preference"], size, "preferences").mean
-        short = first.ceilings.preference.mean - found
-        told[f"by preference: of preferences within 2 points of it ({100 * short:.1f})"] = (
-            short <= PREFERENCE_MARGIN
-        )
-    if "none" in assessments:
-        above = accuracy(assessments["none"], size).mean - first.types.chance
-        told[f"unsupervised: 20 points above chance ({100 * above:.1f})"] = above >= ABOVE_CHANCE
+    if "id" in found and first.ceilings is not None:
+        short = first.ceilings.identity.mean - results.accuracy("id", size).mean
+        margin = criteria.IDENTITY_MARGIN
+        claim = f"by driver: accuracy within {100 * margin:.0f} points of the ceiling"
+        add(claim, short <= margin, f"{100 * short:.1f} points below it")
+    if "preference" in found and first.preferences and first.ceilings:
+        reached = results.accuracy("preference", size, "preferences").mean
+        short, margin = first.ceilings.preference.mean - reached, criteria.PREFERENCE_MARGIN
+        claim = f"by preference: of preferences within {100 * margin:.0f} points of the ceiling"
+        add(claim, short <= margin, f"{100 * short:.1f} points below it")
+    if "none" in found:
+        above = results.accuracy("none", size).mean - first.types.chance
+        claim = f"unsupervised: {100 * criteria.ABOVE_CHANCE:.0f} points above chance"
+        add(claim, above >= criteria.ABOVE_CHANCE, f"{100 * above:.1f} points above it")
+        unsupervised = max(results.average_kl("none", size).mean, criteria.SMALLEST_KL)
         for name in ("id", "preference"):
-            if name in kl:
-                factor = kl[name] / max(kl["none"], SMALLEST_KL)
-                told[f"{TITLES[name]}: KL 6 times the unsupervised one ({factor:.1f})"] = (
-                    factor >= KL_FACTOR
-                )
-    return told
+            if name in found:
+                factor = results.average_kl(name, size).mean / unsupervised
+                claim = f"{TITLES[name]}: KL {criteria.KL_FACTOR:.0f} times the unsupervised one"
+                add(claim, factor >= criteria.KL_FACTOR, f"{factor:.1f} times")
+    return verdicts
 
 
-IDENTITY_HEAD = [
-    "setting",
-    "windows",
-    "probe [%]",
-    "Bayes [%]",
-    "centroid [%]",
-    "preference [%]",
-    "Bayes [%]",
-    "silhouette",
-    "Rand",
-    "KL",
-    "paper",
-]
+def numbers(results: TraitResults) -> dict[str, Any]:
+    """JSON content."""
+    return {
+        "pool": results.pool,
+        "supervisions": {
+            name: {
+                "accuracy": results.accuracy(name, results.pool).as_json(),
+                "average_kl": results.average_kl(name, results.pool).as_json(),
+                "paper_kl": AVERAGE_KL[name],
+                "seeds": [one.as_json() for one in several],
+            }
+            for name, several in results.assessments.items()
+        },
+    }
 
 
-def identity_rows(assessments: Assessments, pool: int) -> Rows:
-    """Who drives, by windows seen; the first seed's but for accuracies and KL."""
+def blocks(results: TraitResults) -> list[Block]:
+    """Show the figures and all tables."""
+    seeds = max(len(several) for several in results.assessments.values())
+    note = (
+        f"On held-out windows; pools of {results.pool}; {seeds} seed(s). Bayes is the exact "
+        "classifier of the same windows, which no encoder can beat. Accuracies and KL are means "
+        "over seeds, the rest is of the first."
+    )
+    tables = (
+        identity_table(results),
+        trait_table(results),
+        likelihood_table(results),
+        driving_table(results),
+        ranking_table(results),
+    )
+    return [
+        Text(" ".join([note, *left_out(results)])),
+        embeddings_figure(results),
+        accuracy_figure(results),
+        *(table for table in tables if table.rows),
+    ]
+
+
+def left_out(results: TraitResults) -> list[str]:
+    """List what could not be judged, in a sentence each."""
+    rows, first = results.identified, next(iter(results.first.values()))
+    seen = [row.windows for row in rows]
+    sizes = ", ".join(str(size) for size in WINDOWS if size not in seen)
+    return [
+        sentence
+        for sentence, holds in (
+            (f"Too few windows were held out to identify drivers from pools of {sizes}.", sizes),
+            ("There is no exact ceiling.", rows[0].ceilings is None),
+            ("Recorded drives cannot be replayed, to compare driving.", not first.driving),
+        )
+        if holds
+    ]
+
+
+def embeddings_figure(results: TraitResults) -> Figure:
+    """Draw the paper's figure, of the first seed of each setting."""
+    panels = [
+        EmbeddingPanel(
+            TITLES[name],
+            one.embedding.means,
+            one.embedding.types,
+            one.embedding.names,
+            one.at_pool(results.pool).types.average_kl,
+        )
+        for name, one in results.first.items()
+    ]
+    return Figure("embeddings", "embeddings by driver", png(draw_embeddings(panels)))
+
+
+def accuracy_figure(results: TraitResults) -> Figure:
+    """Draw accuracy by windows seen, with the ceiling and chance."""
+    rows = results.identified
+    windows = [row.windows for row in rows]
+    curves = {
+        TITLES[name]: [results.accuracy(name, size) for size in windows]
+        for name in results.assessments
+    }
+    exact = [row.ceilings.identity.mean for row in rows if row.ceilings is not None]
+    drawing = draw_accuracy(windows, curves, exact or None, rows[0].types.chance)
+    return Figure("accuracy", "accuracy by windows seen", png(drawing))
+
+
+def identity_table(results: TraitResults) -> Table:
+    """Show accuracies by windows seen; all but accuracies and KL are of the first seed."""
+    head = ["setting", "windows", "probe [%]", "Bayes [%]", "centroid [%]", "preference [%]"]
+    head += ["Bayes [%]", "silhouette", "Rand", "KL", "paper"]
     rows = []
-    for name, several in assessments.items():
-        for row in several[0].identified:
-            size, preferences = row.windows, row.preferences
-            exact = row.ceilings
+    for name, one in results.first.items():
+        for row in one.identified:
+            size, preferences, exact = row.windows, row.preferences, row.ceilings
             rows.append(
                 [
                     TITLES[name],
                     str(size),
-                    percent(accuracy(several, size)),
-                    "-" if exact is None else percent(exact.identity),
+                    results.accuracy(name, size).percent(),
+                    "-" if exact is None else exact.identity.percent(),
                     f"{100 * row.types.nearest_centroid.mean:.1f}",
-                    percent(accuracy(several, size, "preferences")) if preferences else "-",
-                    percent(exact.preference) if preferences and exact else "-",
+                    results.accuracy(name, size, "preferences").percent() if preferences else "-",
+                    exact.preference.percent() if preferences and exact else "-",
                     f"{row.types.silhouette:.2f}",
                     f"{row.types.adjusted_rand:.2f}",
-                    f"{average_kl(several, size).mean:.4g}",
-                    f"{PAPER_KL[name]:.0f}" if size == pool else "",
+                    f"{results.average_kl(name, size).mean:.4g}",
+                    f"{AVERAGE_KL[name]:.0f}" if size == results.pool else "",
                 ]
             )
-    return rows
+    return Table("Drivers identified, by number of windows", head, rows)
 
 
-TRAITS_HEAD = ["setting", "trait", "R², linear", "R², smooth"]
+def _table(
+    results: TraitResults,
+    title: str,
+    head: Sequence[str],
+    rows: Callable[[Assessment], Sequence[Sequence[str]]],
+) -> Table:
+    """Show rows of the first seed of each setting."""
+    listed = [[TITLES[name], *row] for name, one in results.first.items() for row in rows(one)]
+    return Table(title, ["setting", *head], listed)
 
 
-def trait_rows(assessments: Assessments) -> Rows:
-    """What z tells of each trait of unseen drivers, of the first seed."""
-    return [
-        [TITLES[name], trait, entry(found.linear, "z.2f"), entry(found.smooth, "z.2f")]
-        for name, several in assessments.items()
-        for trait, found in (several[0].traits or {}).items()
-    ]
+def trait_table(results: TraitResults) -> Table:
+    """Show R² of each trait of unseen drivers."""
+    return _table(
+        results,
+        "Traits of unseen drivers",
+        ["trait", "R², linear", "R², smooth"],
+        lambda one: [
+            [trait, found.linear.shown("z.2f"), found.smooth.shown("z.2f")]
+            for trait, found in (one.traits or {}).items()
+        ],
+    )
 
 
 LIKELIHOOD = {
@@ -155,23 +244,25 @@ LIKELIHOOD = {
     "exact": "exact",
     "exact_minus_own": "exact - own",
 }
-LIKELIHOOD_HEAD = ["setting", "driver", *LIKELIHOOD.values()]
 
 
-def likelihood_rows(assessments: Assessments) -> Rows:
-    """Log-likelihood of held-out actions per step, of the first seed."""
-    return [
-        [
-            TITLES[name],
-            row.driver,
-            *(
-                "-" if estimate is None else entry(estimate, "z.3f")
-                for estimate in (getattr(row, what) for what in LIKELIHOOD)
-            ),
-        ]
-        for name, several in assessments.items()
-        for row in several[0].likelihood
-    ]
+def likelihood_table(results: TraitResults) -> Table:
+    """Show the log-likelihood of held-out actions."""
+    return _table(
+        results,
+        "Log-likelihood of held-out actions per step [nats]",
+        ["driver", *LIKELIHOOD.values()],
+        lambda one: [
+            [
+                row.driver,
+                *(
+                    "-" if estimate is None else estimate.shown("z.3f")
+                    for estimate in (getattr(row, name) for name in LIKELIHOOD)
+                ),
+            ]
+            for row in one.likelihood
+        ],
+    )
 
 
 DRIVING = {
@@ -182,168 +273,45 @@ DRIVING = {
     "alert_effect": "more with alerts",
     "crash_rate": "crashed",
 }
-DRIVING_HEAD = ["setting", "driver", *DRIVING.values()]
 
 
-def driving_rows(assessments: Assessments) -> Rows:
-    """How the policy drives beside the demonstrations, of the first seed: ours / theirs."""
-    return [
-        [
-            TITLES[name],
-            row.driver,
-            *(
-                " / ".join(
-                    number(getattr(one, what).mean, ".3g")
-                    for one in (row.imitated, row.demonstrated)
-                )
-                for what in DRIVING
-            ),
-        ]
-        for name, several in assessments.items()
-        for row in several[0].driving
-    ]
-
-
-RANKING_HEAD = [
-    "setting",
-    "driver",
-    "f, demonstrated",
-    "g, demonstrated",
-    "f, mixture",
-    "g, mixture",
-]
-
-
-def ranking_rows(assessments: Assessments) -> Rows:
-    """Rank correlation of recovered and true return, of the first seed."""
-    return [
-        [
-            TITLES[name],
-            row.driver,
-            *(
-                entry(correlation, "z.2f")
-                for ranks in (row.demonstrated, row.mixture)
-                for correlation in (ranks.f, ranks.g)
-            ),
-        ]
-        for name, several in assessments.items()
-        for row in several[0].ranking
-    ]
-
-
-def _sections(assessments: Assessments, pool: int) -> list[tuple[str, list[str], Rows]]:
-    sections = [
-        ("Who drives, from so many windows", IDENTITY_HEAD, identity_rows(assessments, pool)),
-        ("Traits of unseen drivers", TRAITS_HEAD, trait_rows(assessments)),
-        (
-            "Log-likelihood of held-out actions per step [nats]",
-            LIKELIHOOD_HEAD,
-            likelihood_rows(assessments),
-        ),
-        (
-            "The learned policy / the demonstrations",
-            DRIVING_HEAD,
-            driving_rows(assessments),
-        ),
-        (
-            "Rank correlation of recovered and true driving return",
-            RANKING_HEAD,
-            ranking_rows(assessments),
-        ),
-    ]
-    return [section for section in sections if section[2]]
-
-
-def left_out(assessments: Assessments) -> list[str]:
-    """What could not be tried, in a sentence each."""
-    first = next(iter(assessments.values()))[0]
-    tried = [row.windows for row in first.identified]
-    sizes = ", ".join(str(size) for size in WINDOWS if size not in tried)
-    return [
-        sentence
-        for sentence, holds in (
-            (f"Too few windows were held out to tell drivers apart by pools of {sizes}.", sizes),
-            ("There is no exact ceiling.", first.identified[0].ceilings is None),
-            ("Recorded drives cannot be played again, to compare driving.", not first.driving),
-        )
-        if holds
-    ]
-
-
-def as_text(assessments: Assessments, pool: int, seconds: Mapping[str, float]) -> str:
-    """For a terminal."""
-    parts = [
-        f"{title}\n{text_table(head, rows)}" for title, head, rows in _sections(assessments, pool)
-    ]
-    parts.append(
-        "\n".join(
-            f"{'holds ' if holds else 'MISSED'}  {claim}"
-            for claim, holds in verdicts(assessments, pool).items()
-        )
-    )
-    parts.append("\n".join(left_out(assessments)))
-    if seconds:
-        parts.append("\n".join(f"{part}: {spent:.0f} s" for part, spent in seconds.items()))
-    return "\n\n".join(part for part in parts if part)
-
-
-def as_json(assessments: Assessments, pool: int) -> dict[str, Any]:
-    """JSON content."""
-    return {
-        "pool": pool,
-        "settings": {
-            name: {
-                "accuracy": accuracy(several, pool).as_json(),
-                "average_kl": average_kl(several, pool).as_json(),
-                "paper_kl": PAPER_KL[name],
-                "seeds": [one.as_json() for one in several],
-            }
-            for name, several in assessments.items()
-        },
-        "verdicts": verdicts(assessments, pool),
-    }
-
-
-def embeddings_figure(assessments: Assessments, pool: int) -> bytes:
-    """The paper's figure, of the first seed of each setting. A PNG."""
-    panels = []
-    for name, several in assessments.items():
-        found = several[0].embedding
-        kl = several[0].at_pool(pool).types.average_kl
-        panels.append(EmbeddingPanel(TITLES[name], found.means, found.types, found.names, kl))
-    return _png(draw_embeddings(panels))
-
-
-def accuracy_figure(assessments: Assessments) -> bytes:
-    """Accuracy by windows seen, beside the ceiling and chance. A PNG."""
-    first = next(iter(assessments.values()))[0].identified
-    windows = [row.windows for row in first]
-    curves = {
-        TITLES[name]: [accuracy(several, size) for size in windows]
-        for name, several in assessments.items()
-    }
-    exact = [row.ceilings.identity.mean for row in first if row.ceilings is not None]
-    return _png(draw_accuracy(windows, curves, exact or None, first[0].types.chance))
-
-
-def exhibits(assessments: Assessments, pool: int) -> tuple[Exhibit, ...]:
-    """What a page shows, without the time that it took."""
-    seeds = max(len(several) for several in assessments.values())
-    told = (
-        f"On held-out windows; pools of {pool}; {seeds} seed(s). Bayes is the exact classifier of "
-        "the same windows, which no encoder can beat. Accuracies and KL are means over seeds, the "
-        "rest is of the first."
-    )
-    return (
-        Told(" ".join([told, *left_out(assessments)])),
-        Picture("embeddings by driver", embeddings_figure(assessments, pool)),
-        Picture("accuracy by windows seen", accuracy_figure(assessments)),
-        *held(verdicts(assessments, pool)),
-        *(Table(*section) for section in _sections(assessments, pool)),
+def driving_table(results: TraitResults) -> Table:
+    """Show how the policy and the drivers drive."""
+    return _table(
+        results,
+        "The learned policy / the demonstrations",
+        ["driver", *DRIVING.values()],
+        lambda one: [
+            [
+                row.driver,
+                *(
+                    " / ".join(
+                        number(getattr(each, name).mean, ".3g")
+                        for each in (row.imitated, row.demonstrated)
+                    )
+                    for name in DRIVING
+                ),
+            ]
+            for row in one.driving
+        ],
     )
 
 
-def _png(figure: Figure) -> bytes:
-    content = BytesIO()
-    figure.savefig(content, format="png", dpi=110)
-    return content.getvalue()
+def ranking_table(results: TraitResults) -> Table:
+    """Show rank correlations of recovered and true return."""
+    return _table(
+        results,
+        "Rank correlation of recovered and true driving return",
+        ["driver", "f, demonstrated", "g, demonstrated", "f, mixture", "g, mixture"],
+        lambda one: [
+            [
+                row.driver,
+                *(
+                    correlation.shown("z.2f")
+                    for ranks in (row.demonstrated, row.mixture)
+                    for correlation in (ranks.f, ranks.g)
+                ),
+            ]
+            for row in one.reward_ranking
+        ],
+    )

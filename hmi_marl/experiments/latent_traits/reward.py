@@ -1,14 +1,14 @@
-r"""Whether the reward that was recovered ranks driving as the true one does.
+r"""Compare how the recovered reward and the true one rank driving.
 
-Windows of one driver are ranked by three undiscounted returns: the true driving return, and with
-the driver's z the recovered
+Windows of one driver are ranked by three undiscounted returns: the true driving return and, given
+the driver's z, the recovered
 
 .. math::
     F = \sum_{t=0}^{T-2} f(s_t, a_t, s_{t+1}, z), \quad G = \sum_{t=0}^{T-2} g(s_t, a_t, z)
 
-All windows have T steps, those included in which a crashed car stands. A reward is recovered up to
-scale, so ranks are compared: Spearman's correlation. Within demonstrations all drive about equally
-well, which makes it hard; over a mixture with worse driving, bad must be told from good.
+All windows have T steps, including those in which a crashed car stands. A reward is recovered up
+to scale, so ranks are compared: Spearman's correlation. Within demonstrations all drive about
+equally well, which makes it hard; in a mixture with worse driving, good must be ranked above bad.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +28,7 @@ from hmi_marl.demonstrations.dataset import Observed, alert_rate
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
-from hmi_marl.experiments.latent_traits.driving import (
+from hmi_marl.experiments.latent_traits.imitation import (
     check_fits,
     checked_z,
     drive_policy,
@@ -42,7 +42,7 @@ from hmi_marl.reporting.statistics import CONFIDENCE, Estimate
 from hmi_marl.training.traits.rollouts import Drives, drive
 
 NOISE = (0.1, 0.3, 1.0)
-"""How likely a random action takes the place of a recorded one; at 1 all are random."""
+"""Probabilities that a random action replaces a recorded one; at 1 all are random."""
 DEMONSTRATED, LEARNED = "demonstrated", "learned"
 _BOOTSTRAPS = 1000
 _AT_ONCE = 512
@@ -52,14 +52,14 @@ _NUMBERS = 2**20
 
 
 class Returns(NamedTuple):
-    """What N windows are worth. Arrays have shape (N,)."""
+    """Returns of N windows. Arrays have shape (N,)."""
 
     true: NDArray[np.float64]
     """True driving return."""
     f: NDArray[np.float64]
-    """F, with the shaping."""
+    """F, with shaping."""
     g: NDArray[np.float64]
-    """G, without."""
+    """G, without shaping."""
 
 
 @dataclass(frozen=True)
@@ -67,22 +67,18 @@ class Ranks:
     """Spearman correlations with the true driving return; NaN where one of the two is constant."""
 
     f: Estimate
-    """Of F."""
+    """Correlation of F."""
     g: Estimate
-    """Of G."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Both, each with its interval."""
-        return {"f": self.f.as_json(), "g": self.g.as_json()}
+    """Correlation of G."""
 
 
 @dataclass(frozen=True)
 class RewardRanking:
-    """How one driver's recovered reward ranks windows."""
+    """Rank correlations of one driver's recovered reward."""
 
     driver: str
     episodes: int
-    """Demonstrated windows. Each was driven again in every other way."""
+    """Demonstrated windows. Each is driven again in every other way."""
     demonstrated: Ranks
     """Within the demonstrations."""
     mixture: Ranks
@@ -90,30 +86,17 @@ class RewardRanking:
     returns: Mapping[str, Mapping[str, Estimate]]
     """Mean true, f and g return of each way to drive."""
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {
-            "driver": self.driver,
-            "episodes": self.episodes,
-            "demonstrated": self.demonstrated.as_json(),
-            "mixture": self.mixture.as_json(),
-            "returns": {
-                way: {name: value.as_json() for name, value in values.items()}
-                for way, values in self.returns.items()
-            },
-        }
-
 
 def reward_ranking(
     model: TraitModel, observed: Observed, z: Mapping[str, ArrayLike], seed: int = 0
 ) -> list[RewardRanking]:
-    """How the recovered reward ranks each driver's demonstrations, and worse driving beside them.
+    """Rank each driver's demonstrations, and worse driving, by the recovered reward.
 
     Args:
         model: reward and policy.
-        observed: demonstrations that can be played again.
-        z: of each driver who is to be looked at, shape (Z,).
-        seed: of random actions and resampling.
+        observed: demonstrations that can be replayed.
+        z: z of each driver to judge, shape (Z,).
+        seed: seed of random actions and resampling.
 
     Raises:
         ValueError: a driver without two demonstrations or more, a z of another size, a model for
@@ -125,20 +108,20 @@ def reward_ranking(
         value, own = checked_z(model, name, one), np.flatnonzero(labels == name)
         if len(own) < 2:
             raise ValueError(f"ranks take two demonstrations or more, but {name} has {len(own)}")
-        theirs = observed.take(own)
+        windows = observed.take(own)
         ways = {
             way: returns_of(model, drives, value)
-            for way, drives in ways_to_drive(model, theirs, value, seed).items()
+            for way, drives in ways_to_drive(model, windows, value, seed).items()
         }
         rows.append(
             RewardRanking(
                 name,
-                len(theirs),
+                len(windows),
                 _ranks([ways[DEMONSTRATED]], seed),
                 _ranks(list(ways.values()), seed),
                 {
-                    way: {key: statistics.mean(each) for key, each in told._asdict().items()}
-                    for way, told in ways.items()
+                    way: {key: statistics.mean(each) for key, each in returns._asdict().items()}
+                    for way, returns in ways.items()
                 },
             )
         )
@@ -148,11 +131,11 @@ def reward_ranking(
 def ways_to_drive(
     model: TraitModel, observed: Observed, z: NDArray[np.float64], seed: int
 ) -> dict[str, Drives]:
-    """The same E episodes as demonstrated, by the policy given z (Z,), and with random actions.
+    """Drive the same E episodes as demonstrated, by the policy given z (Z,), and at random.
 
-    Random actions take the place of recorded ones in each step with the probabilities ``NOISE``.
-    What is recorded goes on as if nothing had happened, so that these drives do not depend on the
-    model, and models can be compared.
+    Random actions replace recorded ones in each step with the probabilities ``NOISE``. The other
+    recorded actions stay as they are, so that these drives do not depend on the model, and models
+    can be compared.
     """
     config, rate, seeds = team_of(observed), alert_rate(observed), seeds_of(observed)
     recorded = recorded_actions(observed, config.horizon)
@@ -167,17 +150,17 @@ def ways_to_drive(
 
 
 def way_of(share: float) -> str:
-    """The name of driving with this share of random actions."""
+    """Name driving with this share of random actions."""
     return "random" if share == 1.0 else f"{share:.0%} random"
 
 
 def with_noise(
     actions: NDArray[np.int64], share: float, seeds: NDArray[np.uint64]
 ) -> NDArray[np.int64]:
-    """Actions (E, T) of which each is replaced by a random one with probability ``share`` > 0.
+    """Replace each of the actions (E, T) by a random one with probability ``share`` > 0.
 
-    What is drawn for an episode depends on its seed alone, and steps that are replaced at one share
-    are replaced at every larger one.
+    Draws of an episode depend on its seed alone, and steps that are replaced at one share are
+    replaced at every larger one.
     """
     draws = Draws(Stream.LEARNING)
     draws.reset(seeds)
@@ -188,7 +171,7 @@ def with_noise(
 
 
 def returns_of(model: TraitModel, drives: Drives, z: NDArray[np.float64]) -> Returns:
-    """True and recovered returns of N drives, given z of shape (Z,)."""
+    """Compute true and recovered returns of N drives, given z of shape (Z,)."""
     count, steps = drives.actions.shape
     f, g = np.zeros((2, count))
     for start in range(0, count, _AT_ONCE):
@@ -209,14 +192,14 @@ def _ranks(several: Sequence[Returns], seed: int) -> Ranks:
 def rank_correlation(
     one: NDArray[np.float64], other: NDArray[np.float64], seed: int = 0
 ) -> Estimate:
-    """Spearman's correlation of two arrays of shape (W, E), all W x E pairs of numbers together.
+    """Correlate two arrays of shape (W, E) by Spearman, all W x E pairs of numbers together.
 
-    The interval is of percentiles over resampled columns, which are episodes: what W ways to drive
-    come to in one traffic is not independent.
+    The interval is of percentiles over resampled columns, which are episodes: W ways to drive in
+    the same traffic are not independent.
 
     Args:
         one, other: shape (W, E).
-        seed: of resampling.
+        seed: seed of resampling.
 
     Returns:
         NaN where one of the two is constant.
@@ -236,7 +219,7 @@ def rank_correlation(
 
 
 def _spearman(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of each row of (B, M) with the same of the other, shape (B,); NaN where one is constant."""
+    """Correlate the rows of two arrays (B, M), shape (B,); NaN where one is constant."""
     a, b = (stats.rankdata(values, axis=1) - (values.shape[1] + 1) / 2 for values in (one, other))
     spread = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
     return np.divide((a * b).sum(axis=1), spread, out=np.full(len(a), math.nan), where=spread > 0)

@@ -1,4 +1,4 @@
-"""A table in three sentences: what was learned, why rows are alike or differ, what to try next.
+"""Summary of a table: what was learned, why rows are alike or differ, what to try next.
 
 Every sentence is made from the table's cells. One that the cells do not support is left out.
 """
@@ -12,7 +12,9 @@ from dataclasses import dataclass, fields
 
 from hmi_marl.envs.config import TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.experiments.criteria import OPTIMAL_SHARE, SAME_GAIN
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig
+from hmi_marl.reporting.blocks import Text
 
 LEARNED, ALIKE, DIFFER, NEXT = (
     "What was learned",
@@ -20,31 +22,14 @@ LEARNED, ALIKE, DIFFER, NEXT = (
     "How the rows differ",
     "What to try next",
 )
-FOUND = 0.99
-"""Share of what the best alerts gain from which an HMI counts as optimal, and share of steps from
-which it counts as following a rule."""
-_SAME = 0.01
-"""Difference in share of gain below which two rows count as alike."""
 _ROUNDING = 1e-6
 """Shortfall of a rule, in attention return, that is due to rounding."""
 _MANY = 6
-"""Drivers from which on a range is given instead of a number for each."""
+"""Number of drivers from which on a range is given instead of a number for each."""
 
 
-@dataclass(frozen=True)
-class Remark:
-    """One sentence with its heading; commands in it stand between backticks."""
-
-    title: str
-    text: str
-
-    def plain(self) -> str:
-        """For a terminal."""
-        return f"{self.title}: {self.text.replace('`', '')}"
-
-
-def in_short(config: TableConfig, cells: Sequence[Cell]) -> list[Remark]:
-    """At most three sentences about a table, in the order of the module's first line."""
+def in_short(config: TableConfig, cells: Sequence[Cell]) -> list[Text]:
+    """Summarise a table in at most three sentences."""
     rows = _rows(config, cells)
     said = [what_was_learned(config, rows), why_alike(config, rows), what_next(config, rows)]
     return [remark for remark in said if remark is not None]
@@ -90,24 +75,25 @@ class Row:
         return [
             cell.driver
             for cell in self.cells
-            if _share(cell) < FOUND  # where nothing can be gained, no needless alerts are asked for
+            if _share(cell)
+            < OPTIMAL_SHARE  # where nothing can be gained, no needless alerts are asked for
         ]
 
     @property
     def follows(self) -> bool:
         """Whether it alerts exactly when distracted, with every driver."""
-        return all(share >= FOUND for share in self.following.values())
+        return all(share >= OPTIMAL_SHARE for share in self.following.values())
 
 
-def what_was_learned(config: TableConfig, rows: Sequence[Row]) -> Remark | None:
+def what_was_learned(config: TableConfig, rows: Sequence[Row]) -> Text | None:
     """Say what the learned HMIs of the table do; None if there are none."""
     learned = [row for row in rows if row.learned and row.judged]
     if not learned:
         return None
     if len(learned) > 2:
-        return Remark(LEARNED, _of_many(config, learned))
+        return Text(lead=LEARNED, text=_of_many(config, learned))
     say = _found_or_not if config.ai_sees_attention else _without_seeing
-    return Remark(LEARNED, "; ".join(say(config, row) for row in learned) + ".")
+    return Text(lead=LEARNED, text="; ".join(say(config, row) for row in learned) + ".")
 
 
 def _found_or_not(config: TableConfig, row: Row) -> str:
@@ -145,27 +131,27 @@ def _of_many(config: TableConfig, rows: Sequence[Row]) -> str:
     gain = f"{_best(config)} gain over none"
     parts = []
     if found:
-        parts.append(f"{_listed(found)} earn at least {_percent(FOUND)} of what {gain}")
+        parts.append(f"{_listed(found)} earn at least {_percent(OPTIMAL_SHARE)} of what {gain}")
     if others:
         parts.append(f"{others} of {'it' if found else f'what {gain}'} on average over the drivers")
     return f"Of {len(rows)} learned HMIs {'; '.join(parts)}."
 
 
-def why_alike(config: TableConfig, rows: Sequence[Row]) -> Remark | None:
+def why_alike(config: TableConfig, rows: Sequence[Row]) -> Text | None:
     """Say why rows are alike, or how they differ; None if there is nothing to compare."""
     rows = [row for row in rows if row.judged]
     if len(rows) < 2 or not any(row.gains for row in rows):
         return None
     best = [row for row in rows if not row.missed]
     if config.ai_sees_attention and len(best) >= 2:
-        return Remark(ALIKE, _all_optimal(config, best, rows))
+        return Text(lead=ALIKE, text=_all_optimal(config, best, rows))
     least, most = (pick(rows, key=lambda row: row.mean_gain) for pick in (min, max))
     over = " on average over the drivers" if len(config.drivers) > 1 else ""
     gain = f"of what {_best(config)} gain over none{over}"
-    if most.mean_gain - least.mean_gain < _SAME:
-        return Remark(ALIKE, f"All rows earn about {_percent(most.mean_gain)} {gain}.")
+    if most.mean_gain - least.mean_gain < SAME_GAIN:
+        return Text(lead=ALIKE, text=f"All rows earn about {_percent(most.mean_gain)} {gain}.")
     ends = (f"{_percent(row.mean_gain)} ({row.name})" for row in (least, most))
-    return Remark(DIFFER, f"The rows earn from {' to '.join(ends)} {gain}.")
+    return Text(lead=DIFFER, text=f"The rows earn from {' to '.join(ends)} {gain}.")
 
 
 def _all_optimal(config: TableConfig, best: Sequence[Row], rows: Sequence[Row]) -> str:
@@ -188,46 +174,51 @@ def _all_optimal(config: TableConfig, best: Sequence[Row], rows: Sequence[Row]) 
     return text + "."
 
 
-def what_next(config: TableConfig, rows: Sequence[Row]) -> Remark:
+def what_next(config: TableConfig, rows: Sequence[Row]) -> Text:
     """Name one command that goes on from here."""
     driver = config.drivers[-1]
     learned = [row for row in rows if row.learned and row.judged]
     if not config.ai_sees_attention:
-        return Remark(
-            NEXT,
-            "Let HMIs find out who drives, and see how much of what knowing it is worth they earn: "
-            "`hmi-marl adapt --quick`.",
+        return Text(
+            lead=NEXT,
+            text="Let HMIs find out who drives, and see how much of the worth of knowing it they "
+            "earn: `hmi-marl adapt --quick`.",
         )
     if not learned:
         folder = f"runs/{driver.partition(':')[0].lower()}"
         train = ["train", "two-stage", "--hmi-for", driver, *team_flags(config), "--out", folder]
-        return Remark(NEXT, f"Learn an HMI and name {folder} among the --hmis: {_command(*train)}.")
+        return Text(
+            lead=NEXT, text=f"Learn an HMI and name {folder} among the --hmis: {_command(*train)}."
+        )
     missing = [row.name for row in learned if row.missed]
     if missing:
         longer = ["--driver-policy", config.driver_policy, "--hmi-steps", "2_000_000"]
         train = ["train", "two-stage", *longer, *_drivers(config), *team_flags(config)]
-        return Remark(
-            NEXT,
-            "Learn an HMI for longer and name runs/longer among the --hmis: "
+        return Text(
+            lead=NEXT,
+            text="Learn an HMI for longer and name runs/longer among the --hmis: "
             f"{_command(*train, '--out', 'runs/longer')}.",
         )
     seats = ["--hmi", learned[-1].name, "--policy", config.driver_policy]
     if not config.team(driver).alerts.plain:
         watch = ["watch", "--driver", driver, *seats, *team_flags(config), "--out", "clip.gif"]
-        return Remark(NEXT, f"Watch it in another episode: {_command(*watch, '--seed', '1')}.")
+        return Text(
+            lead=NEXT, text=f"Watch it in another episode: {_command(*watch, '--seed', '1')}."
+        )
     hmis = ["NoHMI", "belief:average", "belief"]
     where = ["--driver-policy", config.driver_policy, "--world", "batched", "--episodes", "256"]
     table = ["table", "--no-ai-sees-attention", "--hmis", *hmis, *where]
     table += [*_drivers(config), *team_flags(config), "--out", "runs/hidden"]
-    return Remark(
-        NEXT,
-        "Hide the driver's attention, and see for whom it is then worth knowing who drives (row "
-        f"belief) instead of assuming the average driver (row belief:average): {_command(*table)}.",
+    return Text(
+        lead=NEXT,
+        text="Hide the driver's attention, and see for whom it is then worth knowing who drives "
+        "(row belief) instead of assuming the average driver (row belief:average): "
+        f"{_command(*table)}.",
     )
 
 
 def team_flags(config: TeamSettings) -> list[str]:
-    """Options that set a command's teams as these are, where they are not the default."""
+    """Write the options that set a command's teams like these, where they are not the default."""
     flags: list[str] = []
     for field in fields(TeamSettings):
         value, name = getattr(config, field.name), field.name.replace("_", "-")
@@ -271,7 +262,7 @@ def _best(config: TableConfig) -> str:
 
 
 def _by_driver(shares: Mapping[str, float], whole: str) -> str:
-    """A percentage of ``whole`` for each driver, or one if all are the same; empty for none."""
+    """Write a percentage of ``whole`` for each driver, or one if all are the same."""
     shown = {driver: _percent(share) for driver, share in shares.items()}
     if not shown:
         return ""
@@ -284,7 +275,7 @@ def _by_driver(shares: Mapping[str, float], whole: str) -> str:
 
 
 def _percent(share: float) -> str:
-    """Rounded down, so that 100 % means all."""
+    """Write a share in percent, rounded down, so that 100 % means all."""
     text = f"{math.floor(share * 1000 + 1e-6) / 10:.1f}"
     return f"{text.removesuffix('.0')} %"
 

@@ -1,24 +1,24 @@
-"""A table as text, CSV, JSON and a self-contained HTML page with its figure and a clip."""
+"""Report of a table: text, CSV, JSON, and a page with a figure and a clip."""
 
 from __future__ import annotations
 
 import csv
-import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict
-from html import escape
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import hmi_marl
 from hmi_marl.experiments.metrics_table.figures import table_figure
 from hmi_marl.experiments.metrics_table.in_short import in_short
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig
-from hmi_marl.files import write_bytes, write_json, write_text
-from hmi_marl.reporting.page import html_table, image, page, text_table, with_commands
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.files import write_text
+from hmi_marl.reporting.blocks import Block, Clip, Figure, Heading, Table, Text
+from hmi_marl.reporting.report import Report
+from hmi_marl.reporting.statistics import Estimate, number
 
+CLIP = "clip"
+"""Name of the clip's file."""
 METRICS: tuple[tuple[str, str, str], ...] = (
     ("speed_return", "Speed return", ".0f"),
     ("distraction_return", "Distraction return (in brackets: exact, same number of steps)", ".0f"),
@@ -41,50 +41,80 @@ NOTE = (
 )
 
 
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None or not math.isfinite(value) else format(value, form)
+def make_report(
+    config: TableConfig, cells: Sequence[Cell], command_line: str, clip: Clip | None = None
+) -> Report:
+    """Make the report of a table: remarks, clip, figure and a table for each metric.
+
+    Args:
+        config: settings of the table.
+        cells: all of them.
+        command_line: command that makes it again.
+        clip: part of an episode, if there is one.
+    """
+    remarks = in_short(config, cells)
+    wide, narrow = (table_figure(config, cells, narrow) for narrow in (False, True))
+    described = f"{len(cells)} cells of {config.episodes} episodes each. {NOTE}"
+    blocks: list[Block] = [
+        *remarks,
+        *((Heading("One episode"), clip) if clip else ()),
+        Heading("Drivers and HMIs"),
+        Figure("table", "bars of each metric by driver and HMI", wide, narrow),
+        Text(described),
+        *metric_tables(config, cells),
+    ]
+    numbers = {
+        "in_short": [{"title": remark.lead, "text": remark.text} for remark in remarks],
+        "clip": clip.caption if clip else "",
+        "cells": [cell.as_json() for cell in cells],
+    }
+    return Report("table", "HMIs and drivers", blocks, numbers, command_line, asdict(config))
+
+
+def write_report(
+    folder: Path,
+    config: TableConfig,
+    cells: Sequence[Cell],
+    command_line: str,
+    clip: Clip | None = None,
+) -> Path:
+    """Write the report and table.csv; without a clip, remove that of an earlier table.
+
+    Returns:
+        Path of the page.
+    """
+    if clip is None:
+        (folder / f"{CLIP}.gif").unlink(missing_ok=True)
+    write_text(folder / "table.csv", as_csv(cells))
+    return make_report(config, cells, command_line, clip).write(folder)
+
+
+def metric_tables(config: TableConfig, cells: Sequence[Cell]) -> list[Table]:
+    """Make a table for each metric, HMIs in rows and drivers in columns."""
+    found = {(cell.hmi, cell.driver): cell for cell in cells}
+    return [
+        Table(
+            title,
+            ["", *config.drivers],
+            [
+                [hmi, *(_entry(found[hmi, driver], metric, form) for driver in config.drivers)]
+                for hmi in config.hmis
+            ],
+        )
+        for metric, title, form in METRICS
+    ]
 
 
 def _entry(cell: Cell, metric: str, form: str) -> str:
     estimate: Estimate = getattr(cell, metric)
-    text = _number(estimate.mean, form)
-    if math.isfinite(estimate.low):
-        text += f" [{_number(estimate.low, form)}, {_number(estimate.high, form)}]"
-    if metric == "distraction_return" and cell.exact_distraction_return_same_steps is not None:
-        text += f" ({_number(cell.exact_distraction_return_same_steps, form)})"
-    return text
+    exact = cell.exact_distraction_return_same_steps
+    if metric == "distraction_return" and exact is not None:
+        return f"{estimate.shown(form)} ({number(exact, form)})"
+    return estimate.shown(form)
 
 
-def _rows(config: TableConfig, cells: list[Cell], metric: str, form: str) -> list[list[str]]:
-    found = {(cell.hmi, cell.driver): cell for cell in cells}
-    return [
-        [hmi, *(_entry(found[hmi, driver], metric, form) for driver in config.drivers)]
-        for hmi in config.hmis
-    ]
-
-
-def as_text(config: TableConfig, cells: list[Cell]) -> str:
-    """A block for each metric, HMIs in rows and drivers in columns."""
-    blocks = []
-    for metric, title, form in METRICS:
-        rows = text_table(["", *config.drivers], _rows(config, cells, metric, form))
-        blocks.append(f"{title}\n{rows}")
-    return "\n\n".join(blocks)
-
-
-def as_json(config: TableConfig, cells: list[Cell], caption: str = "") -> dict[str, Any]:
-    """Everything that the table knows, with what it takes to make it again."""
-    return {
-        "hmi_marl_version": hmi_marl.__version__,
-        "config": asdict(config),
-        "in_short": [asdict(remark) for remark in in_short(config, cells)],
-        "clip": caption,
-        "cells": [cell.as_json() for cell in cells],
-    }
-
-
-def as_csv(cells: list[Cell]) -> str:
-    """A line for each cell; estimates take three columns."""
+def as_csv(cells: Sequence[Cell]) -> str:
+    """Write a line for each cell; estimates take three columns."""
     lines = []
     for cell in cells:
         line: dict[str, Any] = {}
@@ -106,83 +136,3 @@ def as_csv(cells: list[Cell]) -> str:
     writer.writeheader()
     writer.writerows(lines)
     return text.getvalue()
-
-
-def as_html(
-    config: TableConfig,
-    cells: list[Cell],
-    figure: bytes,
-    clip: bytes | None,
-    command: str,
-    caption: str = "",
-    narrow_figure: bytes | None = None,
-) -> str:
-    """One page that needs nothing besides itself.
-
-    Args:
-        config: what is in the table.
-        cells: all of it.
-        figure: a PNG.
-        clip: a GIF, if there is one.
-        command: that makes the page again.
-        caption: what is to be seen in the clip, and when.
-        narrow_figure: the PNG that a narrow screen shows instead.
-    """
-    remarks = "".join(
-        f"<dt>{escape(remark.title)}</dt><dd>{with_commands(remark.text)}</dd>"
-        for remark in in_short(config, cells)
-    )
-    tables = "".join(
-        f"<h2>{escape(title)}</h2>"
-        + html_table(["", *config.drivers], _rows(config, cells, metric, form))
-        for metric, title, form in METRICS
-    )
-    moving = ""
-    if clip:
-        shown = image("gif", clip, caption or "clip of one episode", style="clip")
-        moving = f"<h2>One episode</h2>{shown}<p>{escape(caption)}</p>"
-    bars = image("png", figure, "bars of each metric by driver and HMI", narrow_figure)
-    body = f"""<dl>{remarks}</dl>
-{moving}
-<h2>Drivers and HMIs</h2>
-{bars}
-<p class="small">{len(cells)} cells of {config.episodes} episodes each. {escape(NOTE)}</p>
-{tables}"""
-    return page("HMIs and drivers", body, command, asdict(config))
-
-
-def write_report(
-    out: Path,
-    config: TableConfig,
-    cells: list[Cell],
-    record_clip: Callable[[Path], str | None] | None,
-    command: str,
-) -> Path:
-    """Write table.txt, table.csv, table.json, table.png, clip.gif and index.html into ``out``.
-
-    Args:
-        out: the folder.
-        config: what is in the table.
-        cells: all of it.
-        record_clip: writes a GIF to the path it is given, and returns what is to be seen in it;
-            None for a page without a clip, which also removes a clip that an earlier table left
-            in the folder.
-        command: that makes the page again.
-
-    Returns:
-        The page's path.
-    """
-    figure, narrow = (table_figure(config, cells, narrow) for narrow in (False, True))
-    write_text(out / "table.txt", as_text(config, cells) + "\n")
-    write_text(out / "table.csv", as_csv(cells))
-    write_bytes(out / "table.png", figure)
-    clip_path, clip, caption = out / "clip.gif", None, ""
-    if record_clip is None:
-        clip_path.unlink(missing_ok=True)
-    else:
-        caption = record_clip(clip_path) or ""
-        clip = clip_path.read_bytes()
-    write_json(out / "table.json", as_json(config, cells, caption))
-    page = out / "index.html"
-    write_text(page, as_html(config, cells, figure, clip, command, caption, narrow))
-    return page

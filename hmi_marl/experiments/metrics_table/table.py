@@ -1,6 +1,6 @@
-"""The table: HMIs in rows, drivers in columns, over seeded episodes.
+"""Table of HMIs (rows) and drivers (columns) over seeded episodes.
 
-Every cell plays the same seeds, so that cells differ by driver and HMI alone.
+All cells play the same seeds, so that they differ by driver and HMI alone.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from hmi_marl.workers import check_workers, results
 
 PAPER_HMIS = ("NoHMI", "always", "AvgHMI", "own")
 EPISODES_PER_TASK = {"highway": 4, "batched": 256}
-"""By world; the batched one is at its best with many at once."""
+"""Number by world; the batched one is fastest with many at once."""
 
 
 @dataclass(frozen=True)
 class TableSettings(TeamSettings):
-    """What to put in a table, as it was typed: nothing is checked yet."""
+    """Settings of a table, as they were typed: nothing is checked yet."""
 
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
@@ -45,18 +45,18 @@ class TableSettings(TeamSettings):
     optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or
     trained:NAME."""
     driver_policy: str = "rule"
-    """Who steers: rule, random, the folder of a trained run, or trained:NAME."""
+    """Driver policy: rule, random, the folder of a trained run, or trained:NAME."""
     episodes: int = 16
     """Episodes in each cell."""
     seed: int = 0
     """Seed of the first episode; the others count on from it."""
     world: str = "highway"
-    """Which world to drive in."""
+    """World to drive in."""
 
 
 @dataclass(frozen=True)
 class TableConfig(TableSettings):
-    """What to put in a table, checked.
+    """Settings of a table, checked.
 
     Raises:
         ValueError: unknown driver, HMI, policy or world, the same driver or HMI twice, no
@@ -94,7 +94,7 @@ def _check_names(field: str, names: Sequence[str]) -> None:
 
 @dataclass(frozen=True)
 class Cell:
-    """One HMI with one driver."""
+    """Results of one HMI with one driver."""
 
     driver: str
     hmi: str
@@ -106,30 +106,30 @@ class Cell:
     attention_return: Estimate
     """Distraction, alert and accept-alert terms together."""
     alerts: Estimate
-    """Per minute of driving."""
+    """Alerts per minute of driving."""
     crash_rate: Estimate
-    """Share of episodes."""
+    """Share of episodes that crash."""
     min_time_headway: Estimate
-    """Shortest of an episode [s]."""
+    """Shortest time headway of an episode [s]."""
     exact_distraction_return: float | None
-    """The exact expectation over an episode that runs its whole time; None if not known. For a
+    """Exact expectation over an episode that runs its whole time; None if not known. For a
     learned HMI that sees attention it is that of the optimum for the driver it was trained for."""
     exact_distraction_return_same_steps: float | None
     """The same, over as many steps as the episodes really had."""
     optimal_attention_return_same_steps: float
     """Attention return of the exact optimum for this driver, attention seen, over as many steps."""
     optimal_distraction_return: float
-    """Of the exact alert optimum for this driver, attention seen."""
+    """Distraction return of the exact optimum for this driver, attention seen."""
     reachable_distraction_return: oracle.Reachable
     """Least and most that any alert policy can reach."""
     rule_shortfall: float
-    """What "the strongest alert exactly when distracted" loses to the exact optimum for this driver
-    in an episode that runs its whole time, in attention return; 0 where it is the optimum."""
+    """Loss of "the strongest alert exactly when distracted" against the exact optimum for this
+    driver, over an episode that runs its whole time, in attention return."""
     share_following_rule: float | None = None
-    """Share of steps in which the HMI did what that rule does; None if nothing judged them."""
+    """Share of steps in which the HMI did what that rule does; None if they were not judged."""
     share_of_gain: float | None = None
-    """Of what the best alerts, attention seen, gain over none, by exact values in every step: 1
-    the optimum, 0 no alerts; None if alerts can gain nothing or nothing judged them."""
+    """Share of what the best alerts, attention seen, gain over none, by exact values in every step:
+    1 is the optimum, 0 no alerts; None if alerts can gain nothing or were not judged."""
     learned: bool = False
     """Whether the HMI is a learned policy."""
 
@@ -151,7 +151,7 @@ class Cell:
 
 
 def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:
-    """Sum up the episodes of one cell, beside what is known exactly."""
+    """Add up the episodes of one cell, and compute its exact values."""
     team = config.team(driver)
     settings, policy = exact_settings(team), make_hmi(hmi, team)
     best, rules = oracle.solve_alerts(**settings), ExactRules.of(team)
@@ -193,7 +193,7 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
 
 
 def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
-    """The alert rule over (t, d, i, c) that an HMI follows, or was trained to follow, if known.
+    """Return the alert rule over (t, d, i, c) that an HMI follows, or was trained to follow.
 
     A learned HMI that sees attention should have become the optimum for the driver that it was
     trained for, or, trained for several, for the one at the wheel.
@@ -219,7 +219,7 @@ def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
 
 
 def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episodes:
-    """Some of the episodes of one cell."""
+    """Play some of the episodes of one cell."""
     team = config.team(driver)
     seats = make_driver_policy(config.driver_policy, team), make_hmi(hmi, team)
     return play_episodes(team, *seats, np.array(seeds, np.uint64), config.world, AlertJudge(team))
@@ -228,13 +228,13 @@ def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episo
 def make_table(
     config: TableConfig, workers: int | None = None, progress: Callable[[int], Any] = id
 ) -> list[Cell]:
-    """Play every cell and sum it up, row by row. The result does not depend on ``workers``.
+    """Play every cell and add it up, row by row. The result does not depend on ``workers``.
 
     Workers begin by importing the script that started them: unless ``workers`` is 1, a script
     that calls this needs an ``if __name__ == "__main__":`` around what it does.
 
     Args:
-        config: what to put in the table.
+        config: settings of the table.
         workers: processes to share the episodes among; the number of cores by default.
         progress: called with the number of episodes that have just been finished.
 

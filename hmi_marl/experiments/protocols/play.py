@@ -1,4 +1,4 @@
-"""Playing every pair of a comparison of protocols, and adding up what each driver came to."""
+"""Play every pair of a comparison of protocols, and sum up the episodes by driver."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,29 +15,29 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.experiments.episodes import Episodes, play_episodes
-from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED
-from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings, Pair
+from hmi_marl.experiments.policies import EVALUATION_SEED
+from hmi_marl.experiments.protocols.experiment import ALL_DRIVERS, Pair, ProtocolComparison
 from hmi_marl.workers import results
 
 
 @dataclass(frozen=True)
 class Sums:
-    """What some episodes came to in all."""
+    """Sums over some episodes."""
 
     episodes: int
     crashes: int
     steps: int
     minutes: float
-    """Of driving."""
+    """Minutes of driving."""
     alerts: int
     time_headway: float
-    """Mean over episodes of each one's median while somebody is ahead [s]; NaN if nobody was."""
+    """Mean over episodes of the median while a vehicle is ahead [s]; NaN if there was none."""
     terms: dict[str, float]
-    """Of each reward term."""
+    """Sum of each reward term."""
 
     @classmethod
     def of(cls, episodes: Episodes, which: NDArray[np.bool_], frequency: float) -> Sums:
-        """Add up the episodes that are marked."""
+        """Sum up the marked episodes."""
         headways = episodes.median_time_headway[which]
         headways = headways[np.isfinite(headways)]
         steps = int(episodes.length[which].sum())
@@ -54,10 +53,10 @@ class Sums:
 
     @classmethod
     def join(cls, several: Iterable[Sums]) -> Sums:
-        """Put them together, as if one; at least one of them."""
+        """Join one or more sums into one."""
         parts = list(several)
-        heard = [part for part in parts if math.isfinite(part.time_headway)]
-        weights = [part.episodes for part in heard]
+        known = [part for part in parts if math.isfinite(part.time_headway)]
+        weights = [part.episodes for part in known]
         return cls(
             episodes=sum(part.episodes for part in parts),
             crashes=sum(part.crashes for part in parts),
@@ -65,23 +64,23 @@ class Sums:
             minutes=sum(part.minutes for part in parts),
             alerts=sum(part.alerts for part in parts),
             time_headway=(
-                float(np.average([part.time_headway for part in heard], weights=weights))
-                if heard
+                float(np.average([part.time_headway for part in known], weights=weights))
+                if known
                 else math.nan
             ),
             terms={name: sum(part.terms[name] for part in parts) for name in parts[0].terms},
         )
 
     def per_episode(self, names: Sequence[str] = TERMS) -> float:
-        """Mean return of an episode, of these terms together."""
+        """Return the mean return of an episode, of these terms together."""
         return _ratio(sum(self.terms[name] for name in names), self.episodes)
 
     def per_step(self, names: Sequence[str] = TERMS) -> float:
-        """Mean reward of a step."""
+        """Return the mean reward of a step."""
         return _ratio(sum(self.terms[name] for name in names), self.steps)
 
     def metrics(self) -> dict[str, float]:
-        """Everything by name; NaN where there was nothing."""
+        """Return every metric by name; NaN where there were no episodes."""
         return {
             "team_return": self.per_episode(),
             **{name: self.per_episode([name]) for name in TERMS},
@@ -99,11 +98,11 @@ def _ratio(amount: float, count: float) -> float:
 
 
 Played = Mapping[Pair, Mapping[str, Sums]]
-"""What every pair's episodes came to: by the driver's name, and ``EVERYBODY``."""
+"""Sums of every pair's episodes, by the driver's name and for ``ALL_DRIVERS``."""
 
 
-def play_pair(settings: CompareSettings, folder: Path, pair: Pair) -> dict[str, Sums]:
-    """Play a pair's episodes; add them up for each driver and for ``EVERYBODY``."""
+def play_pair(settings: ProtocolComparison, folder: Path, pair: Pair) -> dict[str, Sums]:
+    """Play a pair's episodes; sum them up for each driver and for ``ALL_DRIVERS``."""
     team = settings.team(pair.end_at_crash)
     runs = {run.name for run in settings.runs}
     driver, hmi = (str(folder / name) if name in runs else name for name in (pair.driver, pair.hmi))
@@ -112,7 +111,7 @@ def play_pair(settings: CompareSettings, folder: Path, pair: Pair) -> dict[str, 
     episodes = play_episodes(team, *seats, seeds, world="batched")
     drawn = team.population.draw(seeds).as_array()
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
-    sums = {EVERYBODY: add(np.ones(len(seeds), np.bool_))}
+    sums = {ALL_DRIVERS: add(np.ones(len(seeds), np.bool_))}
     for name in settings.drivers:
         known = get_driver(name)
         sums[known.name] = add((drawn == np.array(known.traits)).all(axis=1))
@@ -120,15 +119,15 @@ def play_pair(settings: CompareSettings, folder: Path, pair: Pair) -> dict[str, 
 
 
 def play_all(
-    settings: CompareSettings, folder: Path, workers: int, progress: Callable[[int], object] = id
+    settings: ProtocolComparison, folder: Path, workers: int, progress: Callable[[int], object] = id
 ) -> Played:
     """Play every pair; the result does not depend on ``workers``.
 
     Args:
-        settings: what is compared.
-        folder: where the runs are.
+        settings: the comparison.
+        folder: folder of the runs.
         workers: pairs at a time.
-        progress: called with the number of episodes that have just been finished.
+        progress: called with the number of episodes that have just finished.
     """
     pairs, play_one = settings.pairs(), partial(play_pair, settings, folder)
     played: dict[Pair, Mapping[str, Sums]] = {}
@@ -136,8 +135,3 @@ def play_all(
         played[pair] = sums
         progress(settings.episodes)
     return played
-
-
-def read_curves(settings: CompareSettings, folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """The rows of every run's learning curve, by the run's name."""
-    return {job.folder.name: job.curve() for job in settings.jobs(folder)}

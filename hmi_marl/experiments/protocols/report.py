@@ -1,22 +1,20 @@
-"""A comparison of protocols for people and programs: text, JSON, figures and a page."""
+"""Judge a comparison of protocols, and show it in tables and figures."""
 
 from __future__ import annotations
 
-import math
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from html import escape
-from pathlib import Path
+from itertools import cycle
 from typing import Any
 
-import hmi_marl
+import numpy as np
+from matplotlib.figure import Figure as Drawing
+from matplotlib.patches import Rectangle
+
 from hmi_marl.envs.rewards import TERMS
+from hmi_marl.experiments import criteria
 from hmi_marl.experiments.protocols.analysis import (
-    MARGIN,
+    CURVES,
     Comparison,
-    Curve,
-    Dependence,
-    Gaming,
+    Finding,
     crash_rate,
     curves_of,
     dependence_of,
@@ -24,329 +22,329 @@ from hmi_marl.experiments.protocols.analysis import (
     over_seeds,
     pooled,
     swap_matrix,
-    verdict_of,
+    worst_finding,
 )
-from hmi_marl.experiments.protocols.figures import curves_figure, swap_figure, terms_figure
+from hmi_marl.experiments.protocols.experiment import (
+    ALL_DRIVERS,
+    PROTOCOLS,
+    TWO_STAGE,
+)
 from hmi_marl.experiments.protocols.play import Sums
-from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings
-from hmi_marl.files import json_value, write_bytes, write_json, write_text
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.page import html_table, image, page, text_table
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.blocks import Block, Figure, Table, Text, png
+from hmi_marl.reporting.statistics import number
+from hmi_marl.reporting.verdicts import Outcome, Verdict
 
-Table = tuple[list[str], list[list[str]]]
-"""Head and rows."""
-
-
-def number(value: float, form: str) -> str:
-    """A number, or a dash where it is not known."""
-    return format(value, form) if math.isfinite(value) else "-"
-
-
-def entry(estimate: Estimate, form: str = "z.1f") -> str:
-    """A number and its interval, as far as they are known."""
-    if not math.isfinite(estimate.low):
-        return number(estimate.mean, form)
-    return f"{estimate.mean:{form}} [{estimate.low:{form}}, {estimate.high:{form}}]"
-
-
-def percent(estimate: Estimate) -> str:
-    """A share and its interval in percent."""
-    return entry(Estimate(*(100.0 * value for value in vars(estimate).values())))
-
-
-def summary_table(comparison: Comparison) -> Table:
-    """The protocols, and known policies beside them."""
-    head = ["driver and HMI", "team return", "per step", "attention return", "speed return"]
-    head += ["crashes [%]", "alerts/min", "steps", "headway [s]"]
-    rows = []
-    for label, pairs in comparison.groups().items():
-
-        def of(metric: str, form: str = "z.1f", pairs: Any = pairs) -> str:
-            return entry(over_seeds(comparison.played, pairs, metric), form)
-
-        rows.append(
-            [
-                label,
-                of("team_return"),
-                of("team_return_per_step", "z.2f"),
-                of("attention_return"),
-                of("speed_reward"),
-                percent(crash_rate(pooled(comparison.played, pairs))),
-                of("alerts_per_minute"),
-                of("length"),
-                of("time_headway", ".2f"),
-            ]
-        )
-    return head, rows
-
-
-def terms_table(comparison: Comparison) -> Table:
-    """The eight reward terms per episode."""
-    rows = [
-        [label, *(entry(over_seeds(comparison.played, pairs, term)) for term in TERMS)]
-        for label, pairs in comparison.groups().items()
-    ]
-    return ["driver and HMI", *TERMS], rows
-
-
-def swap_table(comparison: Comparison) -> Table:
-    """Team return of every driver with every HMI; own pairs in asterisks."""
-    protocols, matrix = comparison.settings.protocols, swap_matrix(comparison)
-    rows = []
-    for i, protocol in enumerate(protocols):
-        entries = [entry(statistics.mean(matrix[:, i, j])) for j in range(len(protocols))]
-        entries[i] = f"*{entries[i]}*"
-        rows.append([protocol, *entries])
-    return ["driver of", *(f"HMI of {name}" for name in protocols)], rows
-
-
-def dependence_table(rows: Sequence[Dependence]) -> Table:
-    """How far partners depend on each other."""
-    head = ["protocol", "own pair", "driver, others' HMIs", "HMI, others' drivers"]
-    head += ["dependence on protocol", "pairs across seeds", "dependence on seed"]
-    return head, [
-        [
-            row.protocol,
-            entry(row.own),
-            entry(row.driver_with_others),
-            entry(row.hmi_with_others),
-            entry(row.on_protocol, "+z.1f"),
-            entry(row.other_seeds),
-            entry(row.on_seed, "+z.1f"),
-        ]
-        for row in rows
-    ]
-
-
-def gaming_table(rows: Sequence[Gaming]) -> Table:
-    """Crash rates with and without an end at the crash, and whether crashing pays."""
-    head = ["protocol", "driver", "crashes [%]", "two-stage's [%]", "team return", "per step"]
-    head += ["worth of a step", "trained standing [%]", "return, stands", "verdict"]
-    return head, [
-        [
-            row.protocol,
-            row.driver,
-            percent(row.crash_rate),
-            percent(row.two_stage_crash_rate),
-            number(row.team_return, "z.1f"),
-            number(row.team_return_per_step, "z.2f"),
-            number(row.worth_of_a_step, "+z.2f"),
-            percent(row.crash_rate_if_trained_standing),
-            number(row.team_return_standing, "z.1f"),
-            row.verdict,
-        ]
-        for row in rows
-    ]
-
-
-def verdict_table(comparison: Comparison, rows: Sequence[Gaming]) -> Table:
-    """One verdict for each protocol, and with whom it was found unless all is well."""
-    told = []
-    for protocol in comparison.settings.protocols:
-        worst = verdict_of(rows, protocol)
-        found = [row.driver for row in rows if row.protocol == protocol and row.verdict == worst]
-        told.append([protocol, worst, "" if worst in ("fine", "reference") else ", ".join(found)])
-    return ["protocol", "verdict", "drivers"], told
-
-
-def time_table(comparison: Comparison) -> Table:
-    """Wall time of each protocol's runs."""
-    rows = []
-    for protocol in comparison.settings.protocols:
-        seconds = [comparison.seconds(run) for run in comparison.runs(protocol)]
-        spent = statistics.mean(seconds, lowest=0.0)
-        steps = comparison.curves[comparison.runs(protocol)[0].name][-1]["steps"]
-        rows.append([protocol, f"{steps}", entry(spent), f"{steps / spent.mean:.0f}"])
-    return ["protocol", "environment steps", "seconds of a run", "steps/s"], rows
-
-
-def notes(settings: CompareSettings, workers: int) -> dict[str, str]:
-    """What each part shows, by its title's key."""
-    return {
-        "summary": (
-            f"Means over {settings.seeds} seeds of {settings.episodes} episodes each, the same "
-            "ones for every pair, likeliest actions; in brackets Student's t interval (95 %) over "
-            "the seeds. Crashes: episodes of all seeds together with Wilson's interval, which "
-            "does not tell how runs differ. when-distracted is the exact alert optimum for the "
-            "paper's drivers. steps: of an episode; a crash ends it. headway: mean of the "
-            "episodes' medians while somebody is ahead."
-        ),
-        "curves": (
-            "Means over the seeds, interpolated on common environment steps, with the 95 % band of "
-            "Student's t, cut off at what was seen (two seeds: thin lines instead). These are "
-            "the episodes that were learned from, so with actions that were drawn (explored), not "
-            "the likeliest, by those who learn at the time. In two-stage's first part, and "
-            "alternating's, there is no HMI."
-        ),
-        "terms": "Per episode. In the figure a dot for each seed.",
-        "swap": (
-            "Team return per episode of the driver of one run with the HMI of another of the same "
-            "seed, the same episodes for all; own pairs are marked."
-        ),
-        "dependence": (
-            "Own pairs minus swapped pairs, ½ [M(a,a) + M(b,b)] - ½ [M(a,b) + M(b,a)] with M the "
-            "team return of a's driver with b's HMI: 0 if partners could be exchanged freely, "
-            "however good each is. On protocol: mean over the other protocols (each number is "
-            "shared by both of a pair); on seed: over the other runs of the protocol. Intervals "
-            "are over the seeds, whose pairs overlap among the latter."
-        ),
-        "gaming": (
-            "Crashes: a crash ends the episode, in training and now. Trained standing: one run "
-            "trained with end_at_crash=False, where a crashed car stands until the time is over "
-            "(whether it crashes does not depend on what would follow, so the rate is that of "
-            "both settings); return, stands: its team return in that setting. worth of a step: "
-            "mean reward of a step to the driver in what they learn from, without the collision "
-            "term; where it is negative, ending early pays. GAMED: crashes more often than "
-            f"two-stage's (intervals more than {MARGIN:g} apart) and a step is worth less than "
-            "nothing; crashes more: only the former; fine: neither. The two-stage driver learns "
-            "from driving alone and is the reference, a mild one if it has not learned long enough."
-        ),
-        "time": f"Training only, side by side (workers: {workers}, a thread each).",
-    }
-
-
-_TITLES = {
-    "summary": "Final team return, crashes and alerts",
-    "curves": "Learning curves",
-    "terms": "The eight reward terms",
-    "swap": "Swapped partners",
-    "dependence": "How far partners depend on each other",
-    "gaming": "Does it pay to crash?",
-    "time": "Wall time",
+COLOURS = dict(
+    zip(PROTOCOLS, cycle(("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c")), strict=False)
+)
+"""Colours of the protocols."""
+CURVE_TITLES = {
+    "team_return": "team return",
+    "speed_reward": "speed return",
+    "attention_return": "attention return",
+    "crash_rate": "crash rate",
+}
+_OUTCOMES: dict[Finding, Outcome] = {
+    "fine": Outcome.SUPPORTED,
+    "crashes more": Outcome.PARTLY,
+    "GAMED": Outcome.NOT_SUPPORTED,
+    "unknown": Outcome.UNTESTABLE,
 }
 
 
-def _tables(comparison: Comparison) -> dict[str, list[Table]]:
+def judge(comparison: Comparison) -> list[Verdict]:
+    """Judge whether each protocol is gamed; two-stage is the reference."""
     gaming = gaming_of(comparison)
+    verdicts = []
+    for protocol in comparison.settings.protocols:
+        if protocol == TWO_STAGE:
+            continue
+        worst = worst_finding(gaming, protocol)
+        rows = [row for row in gaming if row.protocol == protocol and row.finding == worst]
+        reason: str = worst
+        if worst != "fine":
+            reason += f" with {', '.join(row.driver for row in rows)}"
+        claim = f"{protocol}: crashes no more than {TWO_STAGE}, and crashing does not pay"
+        verdicts.append(Verdict(claim, _OUTCOMES[worst], reason))
+    return verdicts
+
+
+def numbers(comparison: Comparison) -> dict[str, Any]:
+    """JSON content, with every seed's numbers."""
+    settings, played, gaming = comparison.settings, comparison.played, gaming_of(comparison)
     return {
-        "summary": [summary_table(comparison)],
-        "curves": [],
-        "terms": [terms_table(comparison)],
-        "swap": [swap_table(comparison)],
-        "dependence": [dependence_table(dependence_of(comparison))],
-        "gaming": [verdict_table(comparison, gaming), gaming_table(gaming)],
-        "time": [time_table(comparison)],
-    }
-
-
-def as_text(comparison: Comparison) -> str:
-    """Everything for a terminal."""
-    told = notes(comparison.settings, comparison.workers)
-    blocks = []
-    for key, tables in _tables(comparison).items():
-        if tables:
-            note = textwrap.fill(told[key], 100, initial_indent="  ", subsequent_indent="  ")
-            texts = "\n\n".join(text_table(*table) for table in tables)
-            blocks.append(f"{_TITLES[key]}\n{texts}\n{note}")
-    return "\n\n".join(blocks)
-
-
-def as_json(comparison: Comparison) -> dict[str, Any]:
-    """Everything for programs, with every seed's numbers."""
-    settings, gaming = comparison.settings, gaming_of(comparison)
-    return {
-        "hmi_marl_version": hmi_marl.__version__,
-        "settings": json_value(settings),
         "steps_each": settings.steps_each,
         "workers": comparison.workers,
         "protocols": {
             label: {
-                "crash_rate_pooled": crash_rate(pooled(comparison.played, pairs)).as_json(),
+                "crash_rate_pooled": crash_rate(pooled(played, pairs)).as_json(),
                 "over_seeds": {
-                    metric: over_seeds(comparison.played, pairs, metric).as_json()
-                    for metric in comparison.played[pairs[0]][EVERYBODY].metrics()
+                    metric: over_seeds(played, pairs, metric).as_json()
+                    for metric in played[pairs[0]][ALL_DRIVERS].metrics()
                 },
             }
             for label, pairs in comparison.groups().items()
         },
-        "verdicts": {name: verdict_of(gaming, name) for name in settings.protocols},
-        "gaming": [_plain(row) for row in gaming],
-        "dependence": [_plain(row) for row in dependence_of(comparison)],
+        "findings": {name: worst_finding(gaming, name) for name in settings.protocols},
+        "gaming": json_value(gaming),
+        "dependence": json_value(dependence_of(comparison)),
         "swap_matrix": {
             "protocols": list(settings.protocols),
             "team_return_by_seed_driver_hmi": swap_matrix(comparison).tolist(),
         },
         "pairs": [
             vars(pair) | {"by_driver": {name: _metrics(sums) for name, sums in drivers.items()}}
-            for pair, drivers in comparison.played.items()
+            for pair, drivers in played.items()
         ],
-        "seconds": {run.name: comparison.seconds(run) for run in settings.runs},
-        "curves": {
-            protocol: {name: _plain_curve(c) for name, c in curves_of(comparison, protocol).items()}
-            for protocol in settings.protocols
-        },
-    }
-
-
-def _plain(row: Dependence | Gaming) -> dict[str, Any]:
-    return {
-        name: value.as_json()
-        if isinstance(value, Estimate)
-        else (_known(value) if isinstance(value, float) else value)
-        for name, value in vars(row).items()
+        "training_seconds": {run.name: comparison.seconds(run) for run in settings.runs},
+        "curves": {name: json_value(curves_of(comparison, name)) for name in settings.protocols},
     }
 
 
 def _metrics(sums: Sums) -> dict[str, Any]:
     counted = {name: getattr(sums, name) for name in ("episodes", "crashes", "steps", "alerts")}
-    return counted | {name: _known(value) for name, value in sums.metrics().items()}
+    return counted | dict(json_value(sums.metrics()))
 
 
-def _plain_curve(curve: Curve) -> dict[str, Any]:
-    return {
-        "steps": curve.steps.tolist(),
-        **{name: [_known(v) for v in getattr(curve, name)] for name in ("mean", "low", "high")},
-    }
-
-
-def _known(value: float) -> float | None:
-    """JSON has no NaN."""
-    return float(value) if math.isfinite(value) else None
-
-
-def as_html(comparison: Comparison, figures: Mapping[str, bytes], command: str) -> str:
-    """One page that needs nothing besides itself.
-
-    Args:
-        comparison: all of it.
-        figures: PNGs by the part of the page that they belong to.
-        command: that makes the page again.
-    """
+def blocks(comparison: Comparison) -> list[Block]:
+    """Show all tables and figures, each with a note."""
     settings = comparison.settings
-    told = notes(settings, comparison.workers)
-    parts = [
-        f"<p>Every run: {settings.steps_each:,} environment steps. Two-stage and alternating give "
-        f"{settings.steps_apart[0]:,} of them to the driver and {settings.steps_apart[1]:,} to the "
-        "HMI; in the others both learn in all.</p>"
+    driver_steps, hmi_steps = settings.steps_apart
+    return [
+        Text(
+            f"Every run: {settings.steps_each:,} environment steps. Two-stage and alternating give "
+            f"{driver_steps:,} of them to the driver and {hmi_steps:,} to the HMI; in the others "
+            "both learn in all."
+        ),
+        summary_table(comparison),
+        Text(
+            "Means over the seeds, interpolated at common environment steps, with the 95 % band of "
+            "Student's t, cut off at the values that occurred (two seeds: thin lines instead). "
+            "These are the training episodes, so with actions that were drawn (explored), not the "
+            "likeliest, by the policies that learn at the time. In two-stage's first part, and "
+            "alternating's, there is no HMI.",
+            lead="Learning curves",
+        ),
+        curves_figure(comparison),
+        terms_figure(comparison),
+        terms_table(comparison),
+        swap_figure(comparison),
+        swap_table(comparison),
+        dependence_table(comparison),
+        gaming_table(comparison),
+        time_table(comparison),
     ]
-    for key, tables in _tables(comparison).items():
-        parts.append(f"<h2>{escape(_TITLES[key])}</h2>")
-        parts.append(f"<p>{escape(told[key])}</p>")
-        if key in figures:
-            parts.append(image("png", figures[key], _TITLES[key]))
-        parts += [html_table(*table) for table in tables]
-    return page("Protocols compared", "\n".join(parts), command, json_value(settings))
 
 
-FIGURES: Mapping[str, Callable[[Comparison], bytes]] = {
-    "curves": curves_figure,
-    "swap": swap_figure,
-    "terms": terms_figure,
-}
+def summary_table(comparison: Comparison) -> Table:
+    """Show the protocols and the baselines of known policies."""
+    metrics = {
+        "team return": ("team_return", "z.1f"),
+        "per step": ("team_return_per_step", "z.2f"),
+        "attention return": ("attention_return", "z.1f"),
+        "speed return": ("speed_reward", "z.1f"),
+        "crashes [%]": ("", ""),
+        "alerts/min": ("alerts_per_minute", "z.1f"),
+        "steps": ("length", "z.1f"),
+        "headway [s]": ("time_headway", ".2f"),
+    }
+    rows = [
+        [
+            label,
+            *(
+                over_seeds(comparison.played, pairs, metric).shown(form)
+                if metric
+                else crash_rate(pooled(comparison.played, pairs)).percent()
+                for metric, form in metrics.values()
+            ),
+        ]
+        for label, pairs in comparison.groups().items()
+    ]
+    note = (
+        f"Means over {comparison.settings.seeds} seeds of {comparison.settings.episodes} episodes "
+        "each, the same ones for every pair, likeliest actions; in brackets Student's t interval "
+        "(95 %) over the seeds. Crashes: episodes of all seeds together with Wilson's interval, "
+        "which does not show how runs differ. when-distracted is the exact alert optimum for the "
+        "paper's drivers. steps: of an episode; a crash ends it. headway: mean of the episodes' "
+        "medians while a vehicle is ahead."
+    )
+    return Table("Final team return, crashes and alerts", ["driver and HMI", *metrics], rows, note)
 
 
-def write_report(out: Path, comparison: Comparison, command: str) -> Path:
-    """Write compare.txt, compare.json, curves.png, swap.png, terms.png and index.html into ``out``.
+def terms_table(comparison: Comparison) -> Table:
+    """Show the eight reward terms per episode."""
+    rows = [
+        [label, *(over_seeds(comparison.played, pairs, term).shown() for term in TERMS)]
+        for label, pairs in comparison.groups().items()
+    ]
+    note = "Per episode. In the figure a dot for each seed."
+    return Table("The eight reward terms", ["driver and HMI", *TERMS], rows, note)
 
-    Returns:
-        The page's path.
+
+def swap_table(comparison: Comparison) -> Table:
+    """Show the team return of every driver with every HMI; own pairs in asterisks."""
+    protocols, matrix = comparison.settings.protocols, swap_matrix(comparison)
+    rows = []
+    for i, protocol in enumerate(protocols):
+        entries = [statistics.mean(matrix[:, i, j]).shown() for j in range(len(protocols))]
+        entries[i] = f"*{entries[i]}*"
+        rows.append([protocol, *entries])
+    note = (
+        "Team return per episode of the driver of one run with the HMI of another of the same "
+        "seed, the same episodes for all; own pairs are marked."
+    )
+    head = ["driver of", *(f"HMI of {name}" for name in protocols)]
+    return Table("Swapped partners", head, rows, note)
+
+
+def dependence_table(comparison: Comparison) -> Table:
+    """Show how much partners depend on each other."""
+    head = ["protocol", "own pair", "driver, others' HMIs", "HMI, others' drivers"]
+    head += ["dependence on protocol", "pairs across seeds", "dependence on seed"]
+    rows = [
+        [
+            row.protocol,
+            row.own.shown(),
+            row.driver_with_others.shown(),
+            row.hmi_with_others.shown(),
+            row.on_protocol.shown("+z.1f"),
+            row.other_seeds.shown(),
+            row.on_seed.shown("+z.1f"),
+        ]
+        for row in dependence_of(comparison)
+    ]
+    note = (
+        "Own pairs minus swapped pairs, ½ [M(a,a) + M(b,b)] - ½ [M(a,b) + M(b,a)] with M the team "
+        "return of a's driver with b's HMI: 0 if partners could be exchanged freely, however good "
+        "each is. On protocol: mean over the other protocols (each number is shared by both of a "
+        "pair); on seed: over the other runs of the protocol. Intervals are over the seeds, whose "
+        "pairs overlap among the latter."
+    )
+    return Table("How much partners depend on each other", head, rows, note)
+
+
+def gaming_table(comparison: Comparison) -> Table:
+    """Show crash rates with and without an end at the crash, and whether crashing pays."""
+    head = ["protocol", "driver", "crashes [%]", "two-stage's [%]", "team return", "per step"]
+    head += ["worth of a step", "trained standing [%]", "return, stands", "finding"]
+    rows = [
+        [
+            row.protocol,
+            row.driver,
+            row.crash_rate.percent(),
+            row.two_stage_crash_rate.percent(),
+            number(row.team_return, "z.1f"),
+            number(row.team_return_per_step, "z.2f"),
+            number(row.worth_of_a_step, "+z.2f"),
+            row.crash_rate_if_trained_standing.percent(),
+            number(row.team_return_standing, "z.1f"),
+            row.finding,
+        ]
+        for row in gaming_of(comparison)
+    ]
+    note = (
+        "Crashes: a crash ends the episode, in training and now. Trained standing: one run trained "
+        "with end_at_crash=False, where a crashed car stands until the time is over (whether it "
+        "crashes does not depend on what would follow, so the rate is that of both settings); "
+        "return, stands: its team return in that setting. worth of a step: mean reward of a step "
+        "that the driver learns from, without the collision term; where it is negative, ending "
+        "early pays. GAMED: crashes more often than two-stage's (intervals more than "
+        f"{criteria.MORE_CRASHES:g} apart) and a step's worth is negative; crashes more: only the "
+        "former; fine: neither. The two-stage driver learns from driving alone and is the "
+        "reference, a mild one if it has not learned long enough."
+    )
+    return Table("Does crashing pay?", head, rows, note)
+
+
+def time_table(comparison: Comparison) -> Table:
+    """Show the wall time of each protocol's runs."""
+    rows = []
+    for protocol in comparison.settings.protocols:
+        seconds = [comparison.seconds(run) for run in comparison.runs(protocol)]
+        spent = statistics.mean(seconds, lowest=0.0)
+        steps = comparison.curves[comparison.runs(protocol)[0].name][-1]["steps"]
+        rows.append([protocol, f"{steps}", spent.shown(), f"{steps / spent.mean:.0f}"])
+    note = f"Training only, in parallel (workers: {comparison.workers}, a thread each)."
+    head = ["protocol", "environment steps", "seconds of a run", "steps/s"]
+    return Table("Wall time", head, rows, note)
+
+
+def curves_figure(comparison: Comparison) -> Figure:
+    """Draw learning curves: mean over seeds with the 95 % band, over environment steps.
+
+    The band of two seeds is nine times their standard deviation to either side and would hide the
+    rest; they are drawn as thin lines instead.
     """
-    figures = {name: draw(comparison) for name, draw in FIGURES.items()}
-    write_text(out / "compare.txt", as_text(comparison) + "\n")
-    write_json(out / "compare.json", as_json(comparison) | {"command": command})
-    for name, content in figures.items():
-        write_bytes(out / f"{name}.png", content)
-    page = out / "index.html"
-    write_text(page, as_html(comparison, figures, command))
-    return page
+    figure = Drawing(figsize=(11, 7), layout="constrained")
+    panels = dict(zip(CURVES, figure.subplots(2, 2).flat, strict=True))
+    for protocol in comparison.settings.protocols:
+        for name, curve in curves_of(comparison, protocol).items():
+            axes, colour = panels[name], COLOURS[protocol]
+            million = curve.steps / 1e6
+            axes.plot(million, curve.mean, color=colour, linewidth=1.4, label=protocol)
+            if comparison.settings.seeds > 2:
+                axes.fill_between(million, curve.low, curve.high, color=colour, alpha=0.15, lw=0)
+                continue
+            for run in comparison.runs(protocol):
+                rows = comparison.curves[run.name]
+                seen = [row["steps"] / 1e6 for row in rows], [row[name] for row in rows]
+                axes.plot(*seen, color=colour, linewidth=0.6, alpha=0.6)
+    shown = [comparison.curves[run.name] for run in comparison.settings.main_runs]
+    for name, axes in panels.items():
+        values = [row[name] for rows in shown for row in rows]
+        edge = 0.05 * (max(values) - min(values)) or 0.05
+        axes.set_ylim(min(values) - edge, max(values) + edge)
+        axes.set_title(CURVE_TITLES[name])
+        axes.set_xlabel("environment steps [million]")
+        axes.spines[["top", "right"]].set_visible(False)
+    lines = panels[CURVES[0]].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=len(PROTOCOLS))
+    return Figure("curves", "Learning curves", png(figure))
+
+
+def swap_figure(comparison: Comparison) -> Figure:
+    """Draw team returns of every driver (rows) with every HMI (columns), own pairs framed."""
+    protocols, returns = comparison.settings.protocols, swap_matrix(comparison).mean(axis=0)
+    size = 2.6 + 1.15 * len(protocols)
+    figure = Drawing(figsize=(size + 1, size * 0.85), layout="constrained")
+    axes = figure.subplots()
+    drawn = axes.imshow(returns, cmap="viridis", aspect="auto")
+    figure.colorbar(drawn, ax=axes, label="team return")
+    middle = (returns.min() + returns.max()) / 2.0
+    for (row, column), value in np.ndenumerate(returns):
+        colour = "white" if value < middle else "black"
+        weight = "bold" if row == column else "normal"
+        axes.text(
+            column, row, f"{value:.0f}", ha="center", va="center", color=colour, weight=weight
+        )
+        if row == column:
+            corner = (column - 0.48, row - 0.48)
+            axes.add_patch(Rectangle(corner, 0.96, 0.96, fill=False, edgecolor="red", linewidth=2))
+    labels = [name.replace("-", "-\n") for name in protocols]
+    axes.set_xticks(range(len(protocols)), labels)
+    axes.set_yticks(range(len(protocols)), labels)
+    axes.set_xlabel("HMI of")
+    axes.set_ylabel("driver of")
+    return Figure("swap", "Swapped partners", png(figure))
+
+
+def terms_figure(comparison: Comparison) -> Figure:
+    """Draw the reward terms per episode: a bar for each protocol, a dot for each seed."""
+    protocols = comparison.settings.protocols
+    figure = Drawing(figsize=(11, 5.6), layout="constrained")
+    for axes, term in zip(figure.subplots(2, 4).flat, TERMS, strict=True):
+        for place, protocol in enumerate(protocols):
+            pairs = comparison.own_pairs(protocol)
+            mean = over_seeds(comparison.played, pairs, term).mean
+            seeds = [comparison.played[p][ALL_DRIVERS].per_episode([term]) for p in pairs]
+            axes.bar(place, mean, 0.8, color=COLOURS[protocol], alpha=0.75, label=protocol)
+            axes.plot([place] * len(seeds), seeds, "k.", markersize=5)
+        axes.axhline(0, color="#333", linewidth=0.8)
+        axes.set_xticks([])
+        axes.set_title(term)
+        axes.spines[["top", "right"]].set_visible(False)
+    bars = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*bars, loc="outside lower center", ncols=len(PROTOCOLS))
+    return Figure("terms", "The eight reward terms", png(figure))

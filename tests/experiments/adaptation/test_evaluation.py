@@ -10,10 +10,13 @@ from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.experiments.adaptation import evaluation as adapt
 from hmi_marl.experiments.adaptation.evaluation import (
     POPULATION,
+    TRIPS,
+    AdaptSettings,
     Group,
     evaluate,
     groups,
     summarise,
+    tasks,
 )
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
@@ -24,10 +27,10 @@ from hmi_marl.experiments.adaptation.hmis import (
     NONE,
     hmi_names,
 )
-from hmi_marl.experiments.adaptation.settings import TRIPS, AdaptSettings
 from hmi_marl.experiments.adaptation.trips import Trips
+from hmi_marl.files import json_value
 
-TINY = AdaptSettings(drivers=2, strangers=2, repeats=2, candidates=1, changes=3)
+TINY = AdaptSettings(drivers=2, population=2, repeats=2, candidates=1, changes=3)
 LISA, MARGE, BART, HOMER = TYPES
 
 
@@ -41,20 +44,20 @@ def test_the_groups_are_the_types_the_population_and_changes_to_each_type():
         *(f"change to {name}" for name in ("lisa", "marge", "bart", "homer")),
     ]
     bart, change, population = (found[name] for name in ("bart", "change to bart", POPULATION))
-    assert (bart.drivers, bart.teams, bart.everybody) == ((BART,), 2, (BART,))
+    assert (bart.drivers, bart.teams, bart.all_drivers) == ((BART,), 2, (BART,))
     assert (change.drivers, change.changes_to) == ((LISA, MARGE, HOMER), BART)
-    assert set(change.everybody) == set(TYPES)
-    assert change.who.tolist() == [0, 1, 2]
+    assert set(change.all_drivers) == set(TYPES)
+    assert change.first_drivers.tolist() == [0, 1, 2]
     assert population.teams == 4
-    assert population.who.tolist() == [0, 1, 0, 1]
+    assert population.first_drivers.tolist() == [0, 1, 0, 1]
     for group in found.values():
         if group.name != POPULATION:
             assert group.candidates == TYPES
 
 
-def test_strangers_are_not_among_those_who_are_looked_among():
+def test_random_drivers_are_not_among_the_candidates():
     (population,) = (
-        g for g in groups(replace(TINY, strangers=50, candidates=60)) if g.name == POPULATION
+        g for g in groups(replace(TINY, population=50, candidates=60)) if g.name == POPULATION
     )
     chains = {driver.traits[:3] for driver in population.candidates}
     assert len(population.drivers) == 50
@@ -66,7 +69,7 @@ def test_strangers_are_not_among_those_who_are_looked_among():
     assert len(population.candidates) == 60 * len(inflations)
 
 
-def test_other_seeds_are_other_strangers():
+def test_other_seeds_draw_other_drivers():
     found = []
     for seed in (1, 1, 5):
         (population,) = (g for g in groups(replace(TINY, seed=seed)) if g.name == POPULATION)
@@ -89,7 +92,7 @@ def constant(group, value, crash=0, **changes):
 
 def summary(group, **played):
     """With HMIs of which all but those told earn nothing."""
-    every = {hmi: constant(group, 0) for hmi in hmi_names(group.everybody)}
+    every = {hmi: constant(group, 0) for hmi in hmi_names(group.all_drivers)}
     return summarise(group, every | played, TINY)
 
 
@@ -182,11 +185,11 @@ def test_regret_after_a_change_is_judged_from_20_to_40_s_after_it(crash):
 
 
 @pytest.mark.usefixtures("no_exact_worth")
-def test_repeats_of_one_stranger_are_one_driver():
-    strangers = tuple(replace(BART, name=f"s{k}", beta=0.1 * k) for k in range(1, 9))
-    group = Group(POPULATION, strangers, 32, TYPES)
-    other = Group("change to homer", strangers, 32, TYPES, HOMER)
-    value = np.random.default_rng(0).normal(4, 1, 8)[group.who]
+def test_repeats_of_one_random_driver_are_one_driver():
+    people = tuple(replace(BART, name=f"s{k}", beta=0.1 * k) for k in range(1, 9))
+    group = Group(POPULATION, people, 32, TYPES)
+    other = Group("change to homer", people, 32, TYPES, HOMER)
+    value = np.random.default_rng(0).normal(4, 1, 8)[group.first_drivers]
     knowing = constant(group, 0)
     knowing.rewards[:] = value[:, None, None]
     gap = summary(group, **{KNOWING: knowing}).shares[NONE]["3 trips"].gap
@@ -216,11 +219,11 @@ def small(monkeypatch):
 def test_everybody_meets_every_hmi(tmp_path):
     told = []
     trained = save_trained(tmp_path)
-    found = evaluate(TINY, "random", trained, 1, told.append)
+    found = evaluate(tasks(TINY, "random", trained), 1, told.append)
     assert [result.group for result in found] == ["lisa", "bart", POPULATION, "change to bart"]
-    assert len(told) == adapt.plays(TINY) == 11 + 11 + 10 + 10
+    assert len(told) == len(tasks(TINY, "random", trained)) == 11 + 11 + 10 + 10
     for result in found:
-        json.dumps(result.as_json(), allow_nan=False)
+        json.dumps(json_value(result), allow_nan=False)
         assert set(ADAPTIVE) < set(result.returns)
         is_change = result.group.startswith("change")
         assert bool(result.shares) != is_change
@@ -256,8 +259,5 @@ def test_workers_change_nothing(tmp_path, monkeypatch):
         adapt, "groups", lambda size: tuple(g for g in every(size) if g.name in wanted)
     )
     trained = save_trained(tmp_path)
-    found = [
-        [result.as_json() for result in evaluate(TINY, "random", trained, workers)]
-        for workers in (1, 2)
-    ]
+    found = [json_value(evaluate(tasks(TINY, "random", trained), workers)) for workers in (1, 2)]
     assert found[0] == found[1]

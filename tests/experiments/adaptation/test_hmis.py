@@ -18,7 +18,7 @@ from hmi_marl.experiments.adaptation.hmis import (
     LEARNED_KNOWING,
     NONE,
     Hmis,
-    ToldEvidence,
+    KnownDriver,
     hmi_names,
 )
 from hmi_marl.experiments.adaptation.trips import HandOver, play_trips
@@ -38,16 +38,16 @@ def hmis(tmp_path):
 
 
 def test_who_drives_is_told_without_a_doubt():
-    evidence = ToldEvidence([LISA, BART])
+    evidence = KnownDriver([LISA, BART])
     evidence.reset(3)
-    evidence.tell(Traits.of([BART, LISA, BART]))
+    evidence.set_drivers(Traits.of([BART, LISA, BART]))
     told = evidence.observe(np.zeros((3, 1), np.float32), np.array([True, True, False]))
     assert told.tolist() == [[-np.inf, 0], [0, -np.inf], [0, 0]]
     evidence.begin(np.ones(3, np.bool_))
     again = evidence.observe(np.zeros((3, 1), np.float32), np.ones(3, np.bool_))
     assert again.tolist() == [[-np.inf, 0], [0, -np.inf], [-np.inf, 0]]
-    with pytest.raises(ValueError, match="who is none of the candidates"):
-        evidence.tell(Traits.of([BART, MARGE, BART]))
+    with pytest.raises(ValueError, match="a driver is not among the candidates"):
+        evidence.set_drivers(Traits.of([BART, MARGE, BART]))
 
 
 def test_one_learned_for_the_driver_is_there_for_a_type_alone():
@@ -69,15 +69,17 @@ def test_adaptive_ones_are_of_the_kind_that_their_name_says(name, hmis):
     assert hmis.make(name) is not hmi
 
 
-def play(hmis, hmi, drivers, change=None, told=None):
+def play(hmis, hmi, drivers, change=None, on_drivers=None):
     policy = make_driver_policy("random", HIDDEN)
-    return play_trips(HIDDEN, policy, hmi, Traits.of(drivers), SEEDS[: len(drivers)], change, told)
+    return play_trips(
+        HIDDEN, policy, hmi, Traits.of(drivers), SEEDS[: len(drivers)], change, on_drivers
+    )
 
 
 def test_the_knowing_hmi_plays_the_optimum_for_whoever_drives(hmis):
     # Not marge: in her last step an alert may be worth just as much as none.
     drivers = [LISA, BART, HOMER]
-    found = play(hmis, hmis.make(KNOWING), drivers, told=hmis.told.tell)
+    found = play(hmis, hmis.make(KNOWING), drivers, on_drivers=hmis.known.set_drivers)
     for k, driver in enumerate(drivers):
         own = play(hmis, make_hmi(f"belief:{driver.name}:0.4", HIDDEN), drivers)
         np.testing.assert_array_equal(found.rewards[k], own.rewards[k])
@@ -86,8 +88,8 @@ def test_the_knowing_hmi_plays_the_optimum_for_whoever_drives(hmis):
 
 def test_the_knowing_hmi_is_told_of_a_change_at_once(hmis):
     change = HandOver(1, 10, Traits.of([BART] * 3))
-    played = play(hmis, hmis.make(KNOWING), [LISA, LISA, HOMER], change, hmis.told.tell)
-    before = play(hmis, hmis.make(KNOWING), [LISA, LISA, HOMER], told=hmis.told.tell)
+    played = play(hmis, hmis.make(KNOWING), [LISA, LISA, HOMER], change, hmis.known.set_drivers)
+    before = play(hmis, hmis.make(KNOWING), [LISA, LISA, HOMER], on_drivers=hmis.known.set_drivers)
     np.testing.assert_array_equal(played.rewards[:, 0], before.rewards[:, 0])
     np.testing.assert_array_equal(played.rewards[:, 1, :10], before.rewards[:, 1, :10])
     barts = play(hmis, make_hmi("belief:bart:0.4", HIDDEN), [BART] * 3)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from hmi_marl.experiments.adaptation.evaluation import POPULATION, WHEN, Result
+from hmi_marl.experiments.adaptation.experiment import AdaptEvaluation
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
     AVERAGE,
@@ -13,15 +14,11 @@ from hmi_marl.experiments.adaptation.hmis import (
     LEARNED_AVERAGE,
     NONE,
 )
-from hmi_marl.experiments.adaptation.measures import Closed
-from hmi_marl.experiments.adaptation.report import (
-    as_json,
-    as_text,
-    figure,
-    tables,
-    verdicts,
-    write_report,
-)
+from hmi_marl.experiments.adaptation.report import blocks, figure, judge, tables
+from hmi_marl.experiments.adaptation.trips import Closed
+from hmi_marl.experiments.experiment import Place, conduct
+from hmi_marl.reporting.blocks import Verdicts, as_text
+from hmi_marl.reporting.report import Stopwatch
 from hmi_marl.reporting.statistics import Estimate
 
 HMIS = (KNOWING, AVERAGE, NONE, LEARNED_AVERAGE, *ADAPTIVE)
@@ -85,6 +82,10 @@ CLAIMS = [
 ]
 
 
+def verdicts(every):
+    return {verdict.claim: verdict.holds for verdict in judge(every)}
+
+
 def test_what_is_asked_of_it():
     found = verdicts(results())
     assert list(found) == CLAIMS
@@ -103,10 +104,11 @@ def test_what_is_asked_of_it():
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_is_missed_is_told(change, missed):
+def test_what_is_missed_is_reported(change, missed):
     found = verdicts(results(**change))
     assert [claim for claim, holds in found.items() if not holds] == [missed]
-    assert f"MISSED  {missed}" in as_text(results(**change))
+    text = as_text([*blocks(results(**change)), Verdicts(judge(results(**change)))])
+    assert f"not supported  {missed}" in text
 
 
 def test_first_seconds_that_are_worse_by_chance_alone_are_no_worse():
@@ -119,43 +121,46 @@ def without_gap(name):
     return replace(given, shares=dict.fromkeys(HMIS, none))
 
 
-def test_where_there_is_no_gap_no_share_is_told():
+def test_where_there_is_no_gap_no_share_is_given():
     every = [*results(), without_gap("marge")]
-    (shares,) = (rows for title, _, rows in tables(every) if title.startswith("Share of the gap"))
+    (shares,) = (t.rows for t in tables(every) if t.title.startswith("Share of the gap"))
     marge = [row for row in shares if row[0] == "marge"]
     assert len(marge) == len(ADAPTIVE)
     assert all(row[2:6] == ["no gap"] * 4 for row in marge)
     lisa = next(row for row in shares if row[:2] == ["lisa", EXPECTED])
     assert lisa[4] == "95.0 [85.0, 105.0]"
     assert "marge: first 5 s not worse than AvgHMI by more than the interval" in verdicts(every)
-    content = json.dumps(as_json(every), allow_nan=False)
+    content = json.dumps(AdaptEvaluation().numbers(every), allow_nan=False)
     assert json.loads(content)["results"][-1]["shares"][EXPECTED]["10 s"]["share"]["mean"] is None
 
 
 def test_tables_are_whole():
-    for _, head, rows in tables(results()):
-        assert rows
-        assert all(len(row) == len(head) for row in rows)
-    titles = [title for title, *_ in tables(results())]
+    for table in tables(results()):
+        assert table.rows
+        assert all(len(row) == len(table.head) for row in table.rows)
+    titles = [table.title for table in tables(results())]
     assert len(titles) == len(set(titles))
 
 
-def test_the_figure_is_a_picture_that_shows_what_it_is_told():
-    one = figure(results())
+def test_the_figure_is_a_picture_that_shows_its_numbers():
+    one = figure(results()).content
     assert one.startswith(b"\x89PNG")
     other = replace(steady("lisa"), regret={hmi: [3.0] * 80 for hmi in HMIS})
-    assert figure(results(lisa=other)) != one
+    assert figure(results(lisa=other)).content != one
 
 
-def test_a_report_is_written(tmp_path):
-    text, _ = write_report(
-        tmp_path, results(), {"playing": 12.0}, "hmi-marl adapt --quick", {"drivers": 40}
-    )
+def test_a_report_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(AdaptEvaluation, "run", lambda self, place: results())
+    monkeypatch.setattr(AdaptEvaluation, "settings", lambda self: {"drivers": 40})
+    watch = Stopwatch()
+    watch.seconds["playing"] = 12.0
+    place = Place(tmp_path, tmp_path, command_line="hmi-marl adapt --quick", watch=watch)
+    text = conduct(AdaptEvaluation(), place).text
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"adapt.txt", "adapt.json", "adapt.png", "index.html"}
     assert (tmp_path / "adapt.txt").read_text("utf-8") == text + "\n"
     content = json.loads((tmp_path / "adapt.json").read_text("utf-8"))
-    assert list(content["verdicts"]) == CLAIMS
+    assert [verdict["claim"] for verdict in content["verdicts"]] == CLAIMS
     assert content["command"] == "hmi-marl adapt --quick"
     assert content["settings"] == {"drivers": 40}
     assert [result["group"] for result in content["results"]] == [

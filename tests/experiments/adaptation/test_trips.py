@@ -11,7 +11,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.scene import Scene
 from hmi_marl.exact.evidence import ChainEvidence
-from hmi_marl.experiments.adaptation.trips import AtTheWheel, HandOver, play_trips
+from hmi_marl.experiments.adaptation.trips import FixedDrivers, HandOver, play_trips
 from hmi_marl.experiments.episodes import play_episodes
 
 TEAM = TeamConfig(ai_sees_attention=False, duration=4.0, scene=Scene(vehicles=20))
@@ -58,8 +58,8 @@ def test_every_trip_is_an_ordinary_episode(hmi):
 
 
 def test_it_is_settled_who_drives_whatever_the_seeds():
-    assert AtTheWheel(FOUR).draw(SEEDS[:, 0]) is FOUR
-    team = replace(TEAM, driver=AtTheWheel(FOUR))
+    assert FixedDrivers(FOUR).draw(SEEDS[:, 0]) is FOUR
+    team = replace(TEAM, driver=FixedDrivers(FOUR))
     assert team.only_driver is None
 
 
@@ -112,7 +112,7 @@ def test_rewards_after_a_change_of_driver_by_hand():
         SEEDS[:2],
         "rule",
         hand_over=HandOver(1, 7, Traits.of([ALWAYS, NEVER])),
-        told=lambda traits: told.append(traits.beta.tolist()),
+        on_drivers=lambda traits: told.append(traits.beta.tolist()),
     )
     assert found.driving.all()
     expected = np.full((2, 3, 20), 10.0)

@@ -13,16 +13,19 @@ from hmi_marl.demonstrations.dataset import Demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
-from hmi_marl.experiments.latent_traits.assessment import PARTS, Assessment, assess, exact_evidence
-from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence
-from hmi_marl.experiments.latent_traits.driving import driving, of_drivers, replay
-from hmi_marl.experiments.latent_traits.identification import (
+from hmi_marl.experiments.latent_traits.assessment import (
+    PARTS,
+    Assessment,
     Split,
+    assess,
     disjoint_pools,
     pool_sizes,
     regress_traits,
 )
-from hmi_marl.experiments.latent_traits.settings import AssessSettings
+from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence, exact_evidence
+from hmi_marl.experiments.latent_traits.experiment import AssessSettings
+from hmi_marl.experiments.latent_traits.imitation import by_driver, driving, replay
+from hmi_marl.files import json_value
 
 CAST = ("lisa", "homer")
 SMALL = AssessSettings(windows=10, episodes=3, ranked=4)
@@ -77,7 +80,7 @@ def test_everything_is_asked(assessment: Assessment, split: Split) -> None:
     assert assessment.embedding.names == CAST
     assert [row.driver for row in assessment.likelihood] == list(CAST)
     assert [row.driver for row in assessment.driving] == list(CAST)
-    assert [(row.driver, row.episodes) for row in assessment.ranking] == [
+    assert [(row.driver, row.episodes) for row in assessment.reward_ranking] == [
         ("lisa", 4),
         ("homer", 4),
     ]
@@ -87,7 +90,7 @@ def test_everything_is_asked(assessment: Assessment, split: Split) -> None:
         assert (row.demonstrated.drives, row.imitated.drives) == (3, 3)
     unseen = split.unseen.observed
     some = unseen.take(unseen.number < 3)
-    shown = of_drivers(replay(some), some.labels())
+    shown = by_driver(replay(some), some.labels())
     assert assessment.driving[1].demonstrated == driving(shown["homer"], 5)
 
 
@@ -116,7 +119,7 @@ def test_it_comes_back_from_json(assessment: Assessment) -> None:
         "traits",
     }
     assert [row["windows"] for row in content["identified"]] == [1, 2]
-    assert content["identified"][1]["types"] == assessment.identified[1].types.as_json()
+    assert content["identified"][1]["types"] == json_value(assessment.identified[1].types)
     assert content["embedding"]["means"] == assessment.embedding.means.tolist()
     assert content["embedding"]["drivers"] == ["lisa"] * 4 + ["homer"] * 4
     assert content["traits"]["eta"]["linear"]["mean"] == pytest.approx(
@@ -155,7 +158,7 @@ def test_recorded_people_are_judged_as_far_as_can_be(split: Split) -> None:
     )
     people, calls = Split(*sides), []
     found = assess(model_for(split), people, None, None, SMALL, (1, 2), lambda: calls.append(None))
-    assert (found.driving, found.ranking, found.traits) == ([], [], None)
+    assert (found.driving, found.reward_ranking, found.traits) == ([], [], None)
     assert [row.windows for row in found.identified] == [1, 2]
     assert found.identified[0].preferences is None
     assert len(found.likelihood) == 2
@@ -183,9 +186,9 @@ def test_the_evidence_is_of_those_who_drove(split: Split) -> None:
 
 
 def test_where_there_is_no_ceiling_that_is_told(split: Split, tmp_path: Path) -> None:
-    with pytest.raises(NoCeilingError, match="nobody knows these drivers' traits"):
+    with pytest.raises(NoCeilingError, match="the drivers' traits are not known"):
         exact_evidence(Demonstrations(split.unseen.observed), None)
-    with pytest.raises(NoCeilingError, match="are steered by 'rule'"):
+    with pytest.raises(NoCeilingError, match="are by 'rule'"):
         exact_evidence(record("rule"), None)
     # That somebody can do something about is no such thing.
     with pytest.raises(FileNotFoundError, match="give the folder of the driver policy"):
@@ -200,7 +203,7 @@ def test_where_there_is_no_ceiling_that_is_told(split: Split, tmp_path: Path) ->
     [
         ("windows", 0, "windows is at least 1"),
         ("episodes", 0, "episodes is at least 1"),
-        ("ranked", 1, "two windows can be ranked, but not one"),
+        ("ranked", 1, "ranking takes two windows: ranked is at least 2"),
     ],
 )
 def test_judging_by_nothing_is_refused(name: str, value: int, told: str) -> None:

@@ -14,6 +14,7 @@ from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.exact.identify import Identification, identify
 from hmi_marl.experiments.latent_traits.ceiling import ceiling, ceilings, driver_policy_of, evidence
+from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
 FOUR = tuple(DRIVERS[name] for name in PAPER_DRIVERS)
@@ -50,7 +51,7 @@ def test_a_policy_that_has_moved_is_found_where_it_is_said_to_be(tmp_path: Path)
     observed = observe(save_driver(tmp_path / "before", 0))
     shutil.move(tmp_path / "before", tmp_path / "after")
     config = team_of(observed)
-    with pytest.raises(FileNotFoundError, match=r"cannot be had: no policy .*; give the folder"):
+    with pytest.raises(FileNotFoundError, match=r"no exact ceiling: no policy .*; give the folder"):
         driver_policy_of(observed, None, config)
     found = driver_policy_of(observed, str(tmp_path / "after" / "driver.json"), config)
     assert found.card.seat == "driver"
@@ -64,23 +65,23 @@ def test_another_policy_is_refused(steering: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("policy", ["rule", "random"])
-def test_who_tells_no_probabilities_gives_no_ceiling(policy: str, steering: Path) -> None:
+def test_a_driver_without_probabilities_gives_no_ceiling(policy: str, steering: Path) -> None:
     observed = observe(policy)
     for given in (None, str(steering)):
-        with pytest.raises(ValueError, match=f"cannot be had: .* are steered by '{policy}'"):
+        with pytest.raises(ValueError, match=f"no exact ceiling: .* are by '{policy}'"):
             evidence(observed, given, PAPER_DRIVERS)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"seeds": None}, "cannot be had: recorded drives have no seeds"),
-        ({"about": {"hmi": "random:0.2"}}, "are not told who steered"),
+        ({"seeds": None}, "no exact ceiling: recorded drives without seeds"),
+        ({"about": {"hmi": "random:0.2"}}, "are by an unknown driver policy"),
         ({"about": {"hmi": "optimal"}}, "takes alerts at random, but they came from 'optimal'"),
         ({"about": {}}, "takes alerts at random, but they came from None"),
     ],
 )
-def test_data_that_do_not_tell_enough_give_no_ceiling(
+def test_data_without_what_it_takes_give_no_ceiling(
     steering: Path, change: dict[str, Any], message: str
 ) -> None:
     observed = replace(observe("rule"), **change)
@@ -100,7 +101,7 @@ def test_the_evidence_is_that_of_the_oracle(steering: Path) -> None:
     np.testing.assert_array_equal(found.log_evidence, expected.log_evidence)
 
 
-# How often anybody could be right.
+# Accuracy.
 
 
 def told(*odds: list[float]) -> Identification:
@@ -125,7 +126,7 @@ def test_identity_and_preference() -> None:
     found = told([0.3, 0.35, 0.3, 0.05], [0.1, 0.2, 0.1, 0.6])
     both = ceilings(found, [[0], [1]], [0, 1])
     assert (both.identity, both.preference) == (share(0, 2), share(2, 2))
-    assert both.as_json()["preference"] == share(2, 2).as_json()
+    assert json_value(both)["preference"] == share(2, 2).as_json()
 
 
 def test_preferences_are_kinds_of_drivers_not_degrees() -> None:

@@ -23,6 +23,7 @@ from hmi_marl.experiments.latent_traits.imitation import (
     driver_latents,
     pool_latents,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 
 NAMES = ("lisa", "bart", "mona")
@@ -164,7 +165,7 @@ def test_only_the_true_policy_reaches_the_exact_likelihood(tmp_path: Path) -> No
         ([[0, 18]], "lie in 0 to 17"),
         ([[-1, 2]], "lie in 0 to 17"),
         ([[0, 1]], "of one driver who is known"),
-        ([[0, 3], [3, 6], [1, 4], [7, 10]], "a window stands in the pools twice"),
+        ([[0, 3], [3, 6], [1, 4], [7, 10]], "a window is in the pools twice"),
         ([[0, 3], [6, 9], [1, 4]], "two pools or more of each driver"),
         ([[0, 3], [6, 9]], "two drivers or more"),
     ],
@@ -185,7 +186,7 @@ def test_evidence_of_others_is_refused(observed: Observed) -> None:
     candidates = tuple(Driver(name, 0.5, 0.5, 0.5, 1.0) for name in NAMES)
     impossible = np.where(np.arange(18)[:, None] == 7, -np.inf, np.zeros((18, 3)))
     for known, told, message in (
-        (2, np.zeros((18, 2)), "mona drove, but is none of the candidates lisa, bart"),
+        (2, np.zeros((18, 2)), "mona drove, but is not among the candidates lisa, bart"),
         (3, np.zeros((17, 3)), "the evidence is of 17 windows, but there are 18"),
         (3, impossible, "by the evidence bart cannot have driven"),
     ):
@@ -196,6 +197,6 @@ def test_evidence_of_others_is_refused(observed: Observed) -> None:
 
 def test_it_is_told_as_json(observed: Observed) -> None:
     rows = action_likelihood(untrained(observed.layout), observed, POOLS)
-    content = rows[0].as_json()
+    content = json_value(rows[0])
     assert (content["driver"], content["exact"]) == ("lisa", None)
     assert content["own"] == rows[0].own.as_json()

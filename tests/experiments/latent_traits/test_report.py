@@ -2,39 +2,38 @@ import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.latent_traits import report as trait_report
-from hmi_marl.experiments.latent_traits.assessment import Assessment
+from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
-from hmi_marl.experiments.latent_traits.driving import Driving, DrivingRow
-from hmi_marl.experiments.latent_traits.identification import Embedding, Identified
-from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood
-from hmi_marl.experiments.latent_traits.regression import TraitR2
+from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
+from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
+from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2
 from hmi_marl.experiments.latent_traits.report import (
-    accuracy,
+    TraitResults,
     accuracy_figure,
-    as_json,
-    as_text,
-    average_kl,
-    driving_rows,
+    blocks,
+    driving_table,
     embeddings_figure,
-    exhibits,
-    identity_rows,
+    identity_table,
+    judge,
     left_out,
-    likelihood_rows,
+    likelihood_table,
+    numbers,
     over_seeds,
-    ranking_rows,
-    trait_rows,
-    verdicts,
+    ranking_table,
+    trait_table,
 )
 from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
-from hmi_marl.experiments.latent_traits.separability import Separability
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.blocks import page_of, show
+from hmi_marl.reporting.blocks import as_text
+from hmi_marl.reporting.report import PAGE, Stopwatch
 from hmi_marl.reporting.statistics import Estimate, share
 
 NOT_KNOWN = Estimate(math.nan, math.nan, math.nan)
@@ -42,7 +41,7 @@ NAMES = ("lisa", "marge<b>", "bart", "homer")
 POOL = 8
 
 
-def told(mean: float, half: float = 0.1) -> Estimate:
+def about(mean: float, half: float = 0.1) -> Estimate:
     return Estimate(mean, mean - half, mean + half)
 
 
@@ -73,7 +72,7 @@ def one(
     rng = np.random.default_rng(0)
     types = np.repeat(np.arange(4), 5)
     embedding = Embedding(types[:, None] + rng.normal(size=(20, 2)), types, NAMES)
-    drives = Driving(9, told(20.25), told(1.5), told(6.0), told(0.5), NOT_KNOWN, share(1, 9))
+    drives = Driving(9, about(20.25), about(1.5), about(6.0), about(0.5), NOT_KNOWN, share(1, 9))
     content: dict[str, Any] = {
         "supervision": supervision,
         "identified": [
@@ -82,14 +81,18 @@ def one(
         ],
         "embedding": embedding,
         "likelihood": [
-            ActionLikelihood("lisa", 4, told(-1.0), told(-1.5), told(0.5), told(-0.5), told(0.5)),
-            ActionLikelihood("marge<b>", 4, told(-1.25), told(-1.5), told(0.25)),
+            ActionLikelihood(
+                "lisa", 4, about(-1.0), about(-1.5), about(0.5), about(-0.5), about(0.5)
+            ),
+            ActionLikelihood("marge<b>", 4, about(-1.25), about(-1.5), about(0.25)),
         ],
-        "driving": [DrivingRow("lisa", drives, replace(drives, speed=told(19.0)))],
-        "ranking": [
-            RewardRanking("lisa", 5, Ranks(NOT_KNOWN, told(0.25)), Ranks(told(0.75), told(0.5)), {})
+        "driving": [DrivingRow("lisa", drives, replace(drives, speed=about(19.0)))],
+        "reward_ranking": [
+            RewardRanking(
+                "lisa", 5, Ranks(NOT_KNOWN, about(0.25)), Ranks(about(0.75), about(0.5)), {}
+            )
         ],
-        "traits": {"beta": TraitR2(told(0.5), told(0.625)), "eta": TraitR2(NOT_KNOWN, NOT_KNOWN)},
+        "traits": {"beta": TraitR2(about(0.5), about(0.625)), "eta": TraitR2(NOT_KNOWN, NOT_KNOWN)},
     }
     return Assessment(**(content | changed))
 
@@ -99,6 +102,20 @@ THREE = {
     "id": [one("id", hits=88, kl=80.0)],
     "preference": [one("preference", hits=60, kl=70.0, likes=94)],
 }
+ALL = TraitResults(THREE, POOL)
+
+
+def results(**assessments: list[Assessment]) -> TraitResults:
+    return TraitResults(assessments, POOL)
+
+
+def judged(found: TraitResults) -> dict[str, bool]:
+    return {f"{verdict.claim} ({verdict.reason})": verdict.holds for verdict in judge(found)}
+
+
+def text_of(found: TraitResults) -> str:
+    """The report's text, without verdicts."""
+    return as_text(blocks(found))
 
 
 # Over seeds.
@@ -113,29 +130,31 @@ def test_seeds_are_averaged() -> None:
 
 def test_accuracies_are_over_pools_of_one_seed_or_over_several_seeds() -> None:
     single, several = [one(hits=60)], [one(hits=60), one(hits=70), one(hits=80)]
-    assert accuracy(single, POOL) == share(60, 100)
-    assert accuracy(single, 1) == share(30, 100)
-    assert accuracy(single, POOL, "preferences") == share(90, 100)
-    assert accuracy(several, POOL) == statistics.mean([0.6, 0.7, 0.8])
-    assert accuracy(several, 1) == Estimate(0.3, 0.3, 0.3)
+    found = results(none=single, id=several)
+    assert found.accuracy("none", POOL) == share(60, 100)
+    assert found.accuracy("none", 1) == share(30, 100)
+    assert found.accuracy("none", POOL, "preferences") == share(90, 100)
+    assert found.accuracy("id", POOL) == statistics.mean([0.6, 0.7, 0.8])
+    assert found.accuracy("id", 1) == Estimate(0.3, 0.3, 0.3)
 
 
 def test_kl_is_averaged_over_seeds() -> None:
-    assert average_kl([one(kl=10.0)], POOL) == Estimate(10.0, 10.0, 10.0)
-    assert average_kl([one(kl=10.0), one(kl=20.0)], POOL) == statistics.mean([10.0, 20.0])
-    assert average_kl([one(kl=10.0)], 1).mean == 1.0
+    found = results(none=[one(kl=10.0)], id=[one(kl=10.0), one(kl=20.0)])
+    assert found.average_kl("none", POOL) == Estimate(10.0, 10.0, 10.0)
+    assert found.average_kl("id", POOL) == statistics.mean([10.0, 20.0])
+    assert found.average_kl("none", 1).mean == 1.0
 
 
 # Claims.
 
 
 def test_what_holds_by_hand() -> None:
-    assert verdicts(THREE, POOL) == {
-        "by driver: accuracy within 3 points of the ceiling (2.0)": True,
-        "by preference: of preferences within 2 points of it (1.0)": True,
-        "unsupervised: 20 points above chance (35.0)": True,
-        "by driver: KL 6 times the unsupervised one (8.0)": True,
-        "by preference: KL 6 times the unsupervised one (7.0)": True,
+    assert judged(ALL) == {
+        "by driver: accuracy within 3 points of the ceiling (2.0 points below it)": True,
+        "by preference: of preferences within 2 points of the ceiling (1.0 points below it)": True,
+        "unsupervised: 20 points above chance (35.0 points above it)": True,
+        "by driver: KL 6 times the unsupervised one (8.0 times)": True,
+        "by preference: KL 6 times the unsupervised one (7.0 times)": True,
     }
 
 
@@ -145,44 +164,48 @@ def test_what_is_missed_by_hand() -> None:
         "id": [one("id", hits=86, kl=59.0)],
         "preference": [one("preference", likes=92, kl=0.0)],
     }
-    assert verdicts(missed, POOL) == {
-        "by driver: accuracy within 3 points of the ceiling (4.0)": False,
-        "by preference: of preferences within 2 points of it (3.0)": False,
-        "unsupervised: 20 points above chance (19.0)": False,
-        "by driver: KL 6 times the unsupervised one (5.9)": False,
-        "by preference: KL 6 times the unsupervised one (0.0)": False,
+    assert judged(results(**missed)) == {
+        "by driver: accuracy within 3 points of the ceiling (4.0 points below it)": False,
+        "by preference: of preferences within 2 points of the ceiling (3.0 points below it)": False,
+        "unsupervised: 20 points above chance (19.0 points above it)": False,
+        "by driver: KL 6 times the unsupervised one (5.9 times)": False,
+        "by preference: KL 6 times the unsupervised one (0.0 times)": False,
     }
 
 
 def test_claims_are_of_the_size_of_the_pools_and_of_means_over_seeds() -> None:
     # 30 % of single windows is five points above chance.
-    assert verdicts({"none": [one()]}, 1) == {"unsupervised: 20 points above chance (5.0)": False}
+    assert judged(TraitResults({"none": [one()]}, 1)) == {
+        "unsupervised: 20 points above chance (5.0 points above it)": False
+    }
     seeds = {"none": [one(hits=30), one(hits=70)]}
-    assert verdicts(seeds, POOL) == {"unsupervised: 20 points above chance (25.0)": True}
+    assert judged(results(**seeds)) == {
+        "unsupervised: 20 points above chance (25.0 points above it)": True
+    }
 
 
 def test_settings_that_are_not_there_claim_nothing() -> None:
     supervised = {name: THREE[name] for name in ("id", "preference")}
-    assert [claim.split(":")[0] for claim in verdicts(supervised, POOL)] == [
+    assert [claim.split(":")[0] for claim in judged(results(**supervised))] == [
         "by driver",
         "by preference",
     ]
-    assert list(verdicts({"id": THREE["id"]}, POOL)) == [
-        "by driver: accuracy within 3 points of the ceiling (2.0)"
+    assert list(judged(results(id=THREE["id"]))) == [
+        "by driver: accuracy within 3 points of the ceiling (2.0 points below it)"
     ]
 
 
 def test_without_a_ceiling_or_preferences_nothing_is_claimed_of_them() -> None:
     no_ceiling = {name: [one(name, best=None)] for name in ("id", "preference")}
-    assert verdicts(no_ceiling, POOL) == {}
+    assert judged(results(**no_ceiling)) == {}
     alike = {"preference": [one("preference", likes=None)]}
-    assert verdicts(alike, POOL) == {}
+    assert judged(results(**alike)) == {}
 
 
 def test_vectors_that_are_all_one_are_no_division_by_zero() -> None:
     def kl_holds(unsupervised: float, supervised: float) -> bool:
         both = {"none": [one(kl=unsupervised)], "id": [one("id", kl=supervised)]}
-        (holds,) = (value for claim, value in verdicts(both, POOL).items() if "KL" in claim)
+        (holds,) = (value for claim, value in judged(results(**both)).items() if "KL" in claim)
         return holds
 
     assert kl_holds(0.0, 5.0)
@@ -193,8 +216,9 @@ def test_vectors_that_are_all_one_are_no_division_by_zero() -> None:
 
 
 def test_rows_of_who_drives_by_hand() -> None:
-    rows = identity_rows(THREE, POOL)
-    assert all(len(row) == len(trait_report.IDENTITY_HEAD) for row in rows)
+    table = identity_table(ALL)
+    rows = table.rows
+    assert all(len(row) == len(table.head) for row in rows)
     assert [row[:2] for row in rows] == [
         [title, size]
         for title in ("unsupervised", "by driver", "by preference")
@@ -219,22 +243,22 @@ def test_rows_of_who_drives_by_hand() -> None:
 
 
 def test_what_is_not_known_is_a_dash() -> None:
-    (row, _) = identity_rows({"id": [one("id", likes=None, best=None)]}, POOL)
+    (row, _) = identity_table(results(id=[one("id", likes=None, best=None)])).rows
     assert (row[3], row[5], row[6]) == ("-", "-", "-")
-    (row, _) = identity_rows({"id": [one("id", likes=None)]}, POOL)
+    (row, _) = identity_table(results(id=[one("id", likes=None)])).rows
     assert (row[5], row[6]) == ("-", "-")
-    assert trait_rows({"id": [one("id")]})[1] == ["by driver", "eta", "-", "-"]
+    assert trait_table(results(id=[one("id")])).rows[1] == ["by driver", "eta", "-", "-"]
 
 
 def test_rows_of_the_other_tables_by_hand() -> None:
-    both = {"none": [one(), one(likelihood=[], driving=[], ranking=[], traits=None)]}
-    assert trait_rows(both)[0] == [
+    both = results(none=[one(), one(likelihood=[], driving=[], reward_ranking=[], traits=None)])
+    assert trait_table(both).rows[0] == [
         "unsupervised",
         "beta",
         "0.50 [0.40, 0.60]",
         "0.62 [0.53, 0.72]",
     ]
-    assert likelihood_rows(both) == [
+    assert likelihood_table(both).rows == [
         [
             "unsupervised",
             "lisa",
@@ -254,7 +278,7 @@ def test_rows_of_the_other_tables_by_hand() -> None:
             "-",
         ],
     ]
-    assert driving_rows(both) == [
+    assert driving_table(both).rows == [
         [
             "unsupervised",
             "lisa",
@@ -266,63 +290,72 @@ def test_rows_of_the_other_tables_by_hand() -> None:
             "0.111 / 0.111",
         ]
     ]
-    assert ranking_rows(both) == [
+    assert ranking_table(both).rows == [
         ["unsupervised", "lisa", "-", "0.25 [0.15, 0.35]", "0.75 [0.65, 0.85]", "0.50 [0.40, 0.60]"]
     ]
-    for rows, head in (
-        (trait_rows(both), trait_report.TRAITS_HEAD),
-        (likelihood_rows(both), trait_report.LIKELIHOOD_HEAD),
-        (driving_rows(both), trait_report.DRIVING_HEAD),
-        (ranking_rows(both), trait_report.RANKING_HEAD),
-    ):
-        assert all(len(row) == len(head) for row in rows)
+    for show in (trait_table, likelihood_table, driving_table, ranking_table):
+        table = show(both)
+        assert all(len(row) == len(table.head) for row in table.rows)
 
 
 def test_no_population_no_rows() -> None:
-    assert trait_rows({"none": [one(traits=None)]}) == []
+    assert trait_table(results(none=[one(traits=None)])).rows == []
 
 
 # Text and JSON.
 
 
-def test_the_text_tells_everything() -> None:
-    text = as_text(THREE, POOL, {"judging": 61.6})
+def report_of(found: TraitResults, folder: Path, monkeypatch: pytest.MonkeyPatch, **place: Any):
+    """Report of these results, as an experiment writes it."""
+    monkeypatch.setattr(TraitEvaluation, "run", lambda self, place: found)
+    settings = {"windows": "<5>"}
+    monkeypatch.setattr(TraitEvaluation, "settings", lambda self: settings)
+    return conduct(TraitEvaluation((), folder), Place(folder, folder, **place))
+
+
+def test_the_text_holds_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = Stopwatch()
+    watch.seconds["judging"] = 61.6
+    text = report_of(ALL, tmp_path, monkeypatch, watch=watch).text
     for part in (
-        "Who drives, from so many windows",
+        "Drivers identified, by number of windows",
         "Traits of unseen drivers",
         "Log-likelihood of held-out actions per step [nats]",
         "The learned policy / the demonstrations",
         "Rank correlation of recovered and true driving return",
-        "holds   by driver: accuracy within 3 points of the ceiling (2.0)",
+        "supported  by driver: accuracy within 3 points of the ceiling (2.0 points below it)",
         "pools of 2, 4, 16.",
-        "judging: 62 s",
+        "judging  62 s",
     ):
         assert part in text
     assert "nan" not in text
-    assert "MISSED  unsupervised" in as_text({"none": [one(hits=30)]}, POOL, {})
+    missed = report_of(results(none=[one(hits=30)]), tmp_path, monkeypatch).text
+    assert "not supported  unsupervised" in missed
 
 
 def test_what_was_left_out_is_told_and_nothing_else() -> None:
     every = [identified(size, 60, 10.0, best=(90, 95)) for size in (1, 2, 4, 8, 16)]
-    assert left_out({"none": [one(identified=every)]}) == []
-    assert left_out({"none": [one(identified=every[:3])]}) == [
-        "Too few windows were held out to tell drivers apart by pools of 8, 16."
+    assert left_out(results(none=[one(identified=every)])) == []
+    assert left_out(results(none=[one(identified=every[:3])])) == [
+        "Too few windows were held out to identify drivers from pools of 8, 16."
     ]
-    people = one(best=None, driving=[], ranking=[], traits=None)
-    assert len(left_out({"none": [people]})) == 3
-    text = as_text({"none": [people]}, POOL, {})
+    people = one(best=None, driving=[], reward_ranking=[], traits=None)
+    assert len(left_out(results(none=[people]))) == 3
+    text = text_of(results(none=[people]))
     assert "There is no exact ceiling." in text
-    assert "Recorded drives cannot be played again" in text
+    assert "Recorded drives cannot be replayed" in text
     for title in ("The learned policy", "Rank correlation", "Traits of unseen"):
         assert title not in text
 
 
-def test_json_holds_every_seed_and_no_nan() -> None:
+def test_json_holds_every_seed_and_no_nan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     several = THREE | {"none": [one(hits=60), one(hits=70)]}
-    content = json.loads(json.dumps(as_json(several, POOL), allow_nan=False))
+    report_of(results(**several), tmp_path, monkeypatch)
+    content = json.loads((tmp_path / "traits-report.json").read_text("utf-8"))
+    assert "NaN" not in (tmp_path / "traits-report.json").read_text("utf-8")
     assert content["pool"] == POOL
-    assert list(content["settings"]) == ["none", "id", "preference"]
-    unsupervised = content["settings"]["none"]
+    assert list(content["supervisions"]) == ["none", "id", "preference"]
+    unsupervised = content["supervisions"]["none"]
     # The t interval, [0.01, 1.29], as far as an accuracy reaches.
     expected = statistics.mean([0.6, 0.7]).as_json() | {"high": 1.0}
     assert unsupervised["accuracy"] == expected
@@ -333,15 +366,16 @@ def test_json_holds_every_seed_and_no_nan() -> None:
     assert first["reward_ranking"][0]["demonstrated"]["f"]["mean"] is None
     assert first["traits"]["eta"]["linear"] == {"mean": None, "low": None, "high": None}
     assert first["driving"][0]["imitated"]["alert_effect"]["mean"] is None
-    assert content["verdicts"] == verdicts(several, POOL)
+    assert content["verdicts"] == [v.as_json() for v in judge(results(**several))]
+    assert set(numbers(results(**several))) == {"pool", "supervisions"}
 
 
 # Figures and the page.
 
 
 def test_figures_are_pngs() -> None:
-    for content in (embeddings_figure(THREE, POOL), accuracy_figure(THREE)):
-        assert content.startswith(b"\x89PNG\r\n\x1a\n")
+    for figure in (embeddings_figure(ALL), accuracy_figure(ALL)):
+        assert figure.content.startswith(b"\x89PNG\r\n\x1a\n")
 
 
 def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -361,21 +395,24 @@ def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(trait_report, "draw_accuracy", curves)
     monkeypatch.setattr(trait_report, "draw_embeddings", panels)
-    assert accuracy_figure(THREE) == embeddings_figure(THREE, POOL) == b"figure"
+    assert accuracy_figure(ALL).content == embeddings_figure(ALL).content == b"figure"
     windows, lines, ceiling, chance = drawn["accuracy"]
     assert (windows, ceiling, chance) == ([1, 8], [0.9, 0.9], 0.25)
     assert lines["by driver"] == [share(30, 100), share(88, 100)]
     titles = [(panel.title, panel.average_kl) for panel in drawn["panels"]]
     assert titles == [("unsupervised", 10.0), ("by driver", 80.0), ("by preference", 70.0)]
-    accuracy_figure({"none": [one(best=None)]})
+    accuracy_figure(results(none=[one(best=None)]))
     assert drawn["accuracy"][2] is None, "an unknown ceiling is not one of 100 %"
 
 
-def test_the_page_needs_nothing_besides_itself_and_is_escaped() -> None:
+def test_the_page_needs_no_other_file_and_is_escaped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch = Stopwatch()
+    watch.seconds["judging <1>"] = 2.0
     command = "hmi-marl traits evaluate 'a <folder>' --out \"b & c\""
-    html = page_of(
-        "Traits", exhibits(THREE, POOL), {"judging <1>": 2.0}, command, {"windows": "<5>"}
-    )
+    report_of(ALL, tmp_path, monkeypatch, command_line=command, watch=watch)
+    html = (tmp_path / PAGE).read_text("utf-8")
     assert html.startswith("<!doctype html>")
     sources = re.findall(r'src="([^"]{0,40})', html)
     assert len(sources) == 2
@@ -387,7 +424,8 @@ def test_the_page_needs_nothing_besides_itself_and_is_escaped() -> None:
     for escaped in ("marge&lt;b&gt;", "a &lt;folder&gt;", "judging &lt;1&gt;", "&lt;5&gt;"):
         assert escaped in html
     assert "pools of 8; 1 seed(s)" in html
-    assert "holds: unsupervised: 20 points above chance (35.0)" in html
-    assert "by pools of 2, 4, 16." in html
-    assert "MISSED" not in html
-    assert "MISSED: unsupervised" in show(exhibits({"none": [one(hits=30)]}, POOL))
+    assert "unsupervised: 20 points above chance</td><td>35.0 points above it" in html
+    assert "from pools of 2, 4, 16." in html
+    assert "not supported" not in html
+    report_of(results(none=[one(hits=30)]), tmp_path, monkeypatch)
+    assert "<td class='bad'>not supported</td>" in (tmp_path / PAGE).read_text("utf-8")

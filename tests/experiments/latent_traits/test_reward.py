@@ -12,7 +12,7 @@ from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
 from hmi_marl.demonstrations.dataset import Observed
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.observations import Layout
-from hmi_marl.experiments.latent_traits.driving import replay
+from hmi_marl.experiments.latent_traits.imitation import replay
 from hmi_marl.experiments.latent_traits.reward import (
     DEMONSTRATED,
     LEARNED,
@@ -22,6 +22,7 @@ from hmi_marl.experiments.latent_traits.reward import (
     ways_to_drive,
     with_noise,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 
 WAYS = [DEMONSTRATED, LEARNED, "10% random", "30% random", "random"]
@@ -156,7 +157,7 @@ def test_a_constant_reward_ranks_nothing() -> None:
     observed = observe()
     row = reward_ranking(model_of(observed.layout), observed, {"bart": [0, 0]})[0]
     assert np.isnan(row.demonstrated.g.mean)
-    assert row.as_json()["mixture"]["f"] == {"mean": None, "low": None, "high": None}
+    assert json_value(row)["mixture"]["f"] == {"mean": None, "low": None, "high": None}
 
 
 def test_what_is_told() -> None:
@@ -170,7 +171,7 @@ def test_what_is_told() -> None:
     assert row.demonstrated.f == row.demonstrated.g
     again = reward_ranking(speed_reward(observed.layout), observed, {"marge": [0, 0]}, seed=3)[0]
     assert again == row
-    content = json.loads(json.dumps(row.as_json()))
+    content = json.loads(json.dumps(json_value(row)))
     assert list(content["returns"]) == WAYS
 
 
@@ -208,5 +209,5 @@ def test_what_cannot_be_ranked_is_refused() -> None:
         reward_ranking(model, observed, {"homer": [0, 0]})
     with pytest.raises(ValueError, match="z of bart is 2 finite numbers"):
         reward_ranking(model, observed, {"bart": [0, 0, 0]})
-    with pytest.raises(ValueError, match="cannot be played again"):
+    with pytest.raises(ValueError, match="cannot be replayed"):
         reward_ranking(model, replace(observed, seeds=None), Z)

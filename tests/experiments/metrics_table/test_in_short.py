@@ -51,13 +51,13 @@ def table(rows: dict[str, Shares | dict[str, Shares]], **settings: Any) -> dict[
             )
         )
     remarks = in_short(config, cells)
-    assert [r.title for r in remarks] == [
-        t for t in (LEARNED, ALIKE, DIFFER, NEXT) if t in {r.title for r in remarks}
+    assert [r.lead for r in remarks] == [
+        t for t in (LEARNED, ALIKE, DIFFER, NEXT) if t in {r.lead for r in remarks}
     ]
     for remark in remarks:
         assert remark.text.endswith(".")
-        assert remark.plain() == f"{remark.title}: {remark.text.replace('`', '')}"
-    return {remark.title: remark.text for remark in remarks}
+        assert remark.as_text() == f"{remark.lead}: {remark.text.replace('`', '')}"
+    return {remark.lead: remark.text for remark in remarks}
 
 
 def test_the_first_run_as_it_should_end() -> None:
@@ -243,6 +243,6 @@ def test_a_played_table_gives_the_sentences_that_are_true_of_it() -> None:
     )
     cells = make_table(config, workers=1)
     assert [cell.share_of_gain for cell in cells] == pytest.approx([0.0, 1.0, 1.0])
-    said = {remark.title: remark.text for remark in in_short(config, cells)}
+    said = {remark.lead: remark.text for remark in in_short(config, cells)}
     assert said[ALIKE].startswith(f"when-distracted and own do the same: {RULE} is the exact")
     assert set(said) == {ALIKE, NEXT}

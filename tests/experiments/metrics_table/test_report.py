@@ -18,6 +18,7 @@ from hmi_marl.experiments.metrics_table import report
 from hmi_marl.experiments.metrics_table.figures import table_figure
 from hmi_marl.experiments.metrics_table.in_short import in_short
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig, make_cell
+from hmi_marl.reporting.blocks import Clip, as_text
 from hmi_marl.reporting.statistics import Estimate
 
 COMMAND = "hmi-marl table --drivers homer lisa --episodes 3"
@@ -93,8 +94,8 @@ def alone() -> tuple[TableConfig, list[Cell]]:
     return config, [cell(config, "homer", "belief", [42.0])]
 
 
-def record_clip(path: Path) -> None:
-    path.write_bytes(CLIP)
+def clip(caption: str = "") -> Clip:
+    return Clip("clip", caption, CLIP)
 
 
 def png_size(content: bytes) -> tuple[int, int]:
@@ -115,10 +116,12 @@ def embedded(page: Page, kind: str) -> list[bytes]:
 def test_a_report_writes_all_its_files(
     tmp_path: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
-    page = report.write_report(tmp_path / "out", config, cells, record_clip, COMMAND)
+    page = report.write_report(tmp_path / "out", config, cells, COMMAND, clip())
     assert page == tmp_path / "out" / "index.html"
     assert {path.name for path in page.parent.iterdir()} == WITHOUT_CLIP | {"clip.gif"}
-    assert (page.parent / "table.txt").read_text("utf-8") == report.as_text(config, cells) + "\n"
+    assert (page.parent / "table.txt").read_text("utf-8") == (
+        report.make_report(config, cells, COMMAND, clip()).text + "\n"
+    )
     assert (page.parent / "table.csv").read_text("utf-8") == report.as_csv(cells)
     assert png_size((page.parent / "table.png").read_bytes())[0] > 800
 
@@ -126,7 +129,7 @@ def test_a_report_writes_all_its_files(
 def test_a_report_without_a_clip_shows_none(
     tmp_path: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
-    path = report.write_report(tmp_path, config, cells, None, COMMAND)
+    path = report.write_report(tmp_path, config, cells, COMMAND)
     assert {path.name for path in tmp_path.iterdir()} == WITHOUT_CLIP
     page = Page(path.read_text("utf-8"))
     assert page.tags.count("img") == 1
@@ -136,15 +139,15 @@ def test_a_report_without_a_clip_shows_none(
 def test_a_report_without_a_clip_removes_an_older_one(
     tmp_path: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
-    report.write_report(tmp_path, config, cells, record_clip, COMMAND)
-    report.write_report(tmp_path, config, cells, None, COMMAND)
+    report.write_report(tmp_path, config, cells, COMMAND, clip())
+    report.write_report(tmp_path, config, cells, COMMAND)
     assert {path.name for path in tmp_path.iterdir()} == WITHOUT_CLIP
 
 
 def test_the_page_needs_nothing_besides_itself(
     tmp_path: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
-    path = report.write_report(tmp_path, config, cells, record_clip, COMMAND)
+    path = report.write_report(tmp_path, config, cells, COMMAND, clip())
     html = path.read_text("utf-8")
     page = Page(html)
     assert len(page.links) == 3
@@ -159,14 +162,14 @@ def test_the_page_needs_nothing_besides_itself(
 
 
 def test_the_page_begins_with_what_came_out(config: TableConfig, cells: list[Cell]) -> None:
-    html = report.as_html(config, cells, b"png", CLIP, COMMAND, "4.0 to 8.0 s: homer drives.")
+    html = report.make_report(config, cells, COMMAND, clip("4.0 to 8.0 s: homer drives.")).page
     page = Page(html)
     remarks = in_short(config, cells)
     assert remarks
     for remark in remarks:
-        assert remark.title in page.text
+        assert remark.lead in page.text
         assert remark.text.replace("`", "") in page.text
-    assert page.text.index(remarks[-1].title) < page.text.index("4.0 to 8.0 s: homer drives.")
+    assert page.text.index(remarks[-1].lead) < page.text.index("4.0 to 8.0 s: homer drives.")
     assert page.text.index("4.0 to 8.0 s") < page.text.index(report.METRICS[0][1])
     assert html.count("<code>") == 2, "the command to try next, and the one that made the page"
 
@@ -174,26 +177,25 @@ def test_the_page_begins_with_what_came_out(config: TableConfig, cells: list[Cel
 def test_json_has_the_sentences_and_the_caption(
     tmp_path: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
-    def record(path: Path) -> str:
-        record_clip(path)
-        return "4.0 to 8.0 s: homer drives."
-
-    page = report.write_report(tmp_path, config, cells, record, COMMAND)
+    shown = clip("4.0 to 8.0 s: homer drives.")
+    page = report.write_report(tmp_path, config, cells, COMMAND, shown)
     content = json.loads((tmp_path / "table.json").read_text("utf-8"))
     assert content["clip"] == "4.0 to 8.0 s: homer drives."
     assert content["clip"] in Page(page.read_text("utf-8")).text
-    assert content["in_short"] == [vars(remark) for remark in in_short(config, cells)]
+    assert content["in_short"] == [
+        {"title": remark.lead, "text": remark.text} for remark in in_short(config, cells)
+    ]
 
 
 def test_a_page_is_made_for_telephones(config: TableConfig, cells: list[Cell]) -> None:
-    html = report.as_html(config, cells, b"png", None, COMMAND)
+    html = report.make_report(config, cells, COMMAND).page
     assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in html
     tables = html.count("<table>")
     assert tables == html.count('<div class="wide"><table>') == len(report.METRICS)
 
 
 def test_the_page_tells_how_it_was_made(config: TableConfig, cells: list[Cell]) -> None:
-    page = Page(report.as_html(config, cells, b"png", None, COMMAND))
+    page = Page(report.make_report(config, cells, COMMAND).page)
     assert COMMAND in page.text
     assert hmi_marl.__version__ in page.text
     assert "seed = 0" in page.text
@@ -202,19 +204,19 @@ def test_the_page_tells_how_it_was_made(config: TableConfig, cells: list[Cell]) 
 
 
 def test_the_page_shows_the_entries_of_the_text(config: TableConfig, cells: list[Cell]) -> None:
-    page = Page(report.as_html(config, cells, b"png", None, COMMAND))
+    page = Page(report.make_report(config, cells, COMMAND).page)
     heads = [row for row in page.rows if row[1:] == ["homer", "lisa"]]
     assert len(heads) == len(report.METRICS)
     rows = [row for row in page.rows if row[0] in ("NoHMI", "belief")]
     assert len(rows) == 2 * len(report.METRICS)
-    text = report.as_text(config, cells)
+    text = as_text(report.metric_tables(config, cells))
     for entry in (entry for row in rows for entry in row):
         assert entry in text
 
 
 def test_what_could_be_markup_is_escaped(config: TableConfig, cells: list[Cell]) -> None:
     command = "hmi-marl table --out '<script>alert(1)</script>' && \"x\""
-    html = report.as_html(config, cells, b"png", None, command)
+    html = report.make_report(config, cells, command).page
     page = Page(html)
     assert "<script" not in html
     assert "script" not in page.tags
@@ -248,7 +250,7 @@ def test_csv_leaves_empty_what_is_not_known(cells: list[Cell]) -> None:
 def test_json_holds_the_cells_and_how_to_make_them(
     tmp_path: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
-    report.write_report(tmp_path, config, cells, None, COMMAND)
+    report.write_report(tmp_path, config, cells, COMMAND)
     content = json.loads((tmp_path / "table.json").read_text("utf-8"))
     assert content["hmi_marl_version"] == hmi_marl.__version__
     assert len(content["cells"]) == 4
@@ -256,13 +258,13 @@ def test_json_holds_the_cells_and_how_to_make_them(
     assert content["cells"][0]["min_time_headway"]["mean"] is None
     settings = {
         name: tuple(value) if isinstance(value, list) else value
-        for name, value in content["config"].items()
+        for name, value in content["settings"].items()
     }
     assert TableConfig(**settings) == config
 
 
 def test_the_text_has_a_block_for_each_metric(config: TableConfig, cells: list[Cell]) -> None:
-    blocks = report.as_text(config, cells).split("\n\n")
+    blocks = as_text(report.metric_tables(config, cells)).split("\n\n")
     assert len(blocks) == len(report.METRICS)
     for block, (_, title, _) in zip(blocks, report.METRICS, strict=True):
         head, columns, *rows = block.splitlines()
@@ -272,7 +274,7 @@ def test_the_text_has_a_block_for_each_metric(config: TableConfig, cells: list[C
 
 
 def test_entries_of_the_text_worked_by_hand(config: TableConfig, cells: list[Cell]) -> None:
-    blocks = report.as_text(config, cells).split("\n\n")
+    blocks = as_text(report.metric_tables(config, cells)).split("\n\n")
     speed, distraction, attention, alerts, crashes, headway = blocks
     # standard deviation sqrt(7) over sqrt(3), two degrees of freedom: 4.3027 x 1.5275
     assert "42 [35, 49]" in speed
@@ -294,7 +296,7 @@ def test_one_episode_alone_has_entries_without_an_interval(
 ) -> None:
     config, cells = alone
     assert math.isnan(cells[0].speed_return.low)
-    speed = report.as_text(config, cells).split("\n\n")[0]
+    speed = as_text(report.metric_tables(config, cells)).split("\n\n")[0]
     assert speed.splitlines()[-1].split() == ["belief", "42"]
 
 

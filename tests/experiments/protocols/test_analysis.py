@@ -13,19 +13,19 @@ from hmi_marl.experiments.protocols.analysis import (
     crash_rate,
     dependence_of,
     dependences,
+    find,
     gaming_of,
-    judge,
     over_seeds,
     pooled,
     seed_matrix,
     swap_matrix,
-    verdict_of,
+    worst_finding,
 )
+from hmi_marl.experiments.protocols.experiment import ALL_DRIVERS, Pair, ProtocolComparison
 from hmi_marl.experiments.protocols.play import Sums
-from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings, Pair
 from hmi_marl.reporting.statistics import Estimate
 
-SETTINGS = CompareSettings(
+SETTINGS = ProtocolComparison(
     protocols=("two-stage", "simultaneous"), seeds=2, drivers=("bart",), num_teams=16
 )
 
@@ -36,12 +36,12 @@ def sums(team_return: float = 0.0, episodes: int = 100, crashes: int = 0, **term
     return Sums(episodes, crashes, 100 * episodes, 10.0, 0, math.nan, everything)
 
 
-def comparison(settings: CompareSettings = SETTINGS, **changed: Sums) -> Comparison:
+def comparison(settings: ProtocolComparison = SETTINGS, **changed: Sums) -> Comparison:
     """Every pair alike, but for those whose driver's run is named."""
     played = {}
     for pair in settings.pairs():
         found = changed.get(pair.driver.replace("-", "_"), sums(200.0))
-        played[pair] = {EVERYBODY: found, "bart": found}
+        played[pair] = {ALL_DRIVERS: found, "bart": found}
     return Comparison(settings, played, {})
 
 
@@ -115,7 +115,7 @@ def test_dependence_worked_by_hand() -> None:
     told = comparison()
     for pair in told.played:
         if pair.driver != pair.hmi:
-            told.played[pair][EVERYBODY] = sums(150.0)  # type: ignore[index]
+            told.played[pair][ALL_DRIVERS] = sums(150.0)  # type: ignore[index]
     two_stage, simultaneous = dependence_of(told)
     assert simultaneous.protocol == "simultaneous"
     for row in (two_stage, simultaneous):
@@ -164,7 +164,7 @@ def test_a_crash_rate_without_episodes_is_unknown() -> None:
 
 
 @pytest.mark.parametrize(
-    ("low", "worth", "verdict"),
+    ("low", "worth", "finding"),
     [
         (0.13, 1.0, "fine"),
         (0.13, -1.0, "fine"),  # a step may be worth nothing: nobody crashes for it
@@ -176,8 +176,8 @@ def test_a_crash_rate_without_episodes_is_unknown() -> None:
         (0.16, math.nan, "unknown"),
     ],
 )
-def test_the_rule_of_gaming(low: float, worth: float, verdict: str) -> None:
-    assert judge(Estimate(0.2, low, 0.3), Estimate(0.05, 0.0, 0.1), worth) == verdict
+def test_the_rule_of_gaming(low: float, worth: float, finding: str) -> None:
+    assert find(Estimate(0.2, low, 0.3), Estimate(0.05, 0.0, 0.1), worth) == finding
 
 
 def test_a_driver_who_crashes_to_get_away_games() -> None:
@@ -191,25 +191,25 @@ def test_a_driver_who_crashes_to_get_away_games() -> None:
     assert row.team_return == -300.0
     assert row.team_return_per_step == -3.0
     assert row.worth_of_a_step == -2.0
-    assert row.verdict == "GAMED"
-    assert found["two-stage", "bart"].verdict == "reference"
-    assert verdict_of(list(found.values()), "simultaneous") == "GAMED"
-    assert verdict_of(list(found.values()), "two-stage") == "reference"
+    assert row.finding == "GAMED"
+    assert found["two-stage", "bart"].finding == "reference"
+    assert worst_finding(list(found.values()), "simultaneous") == "GAMED"
+    assert worst_finding(list(found.values()), "two-stage") == "reference"
 
 
 def test_a_driver_who_crashes_but_would_gain_by_going_on_does_not_game() -> None:
     crashing = sums(200.0, crashes=60)
     told = comparison(simultaneous_seed0=crashing, simultaneous_seed1=crashing)
-    assert verdict_of(gaming_of(told), "simultaneous") == "crashes more"
+    assert worst_finding(gaming_of(told), "simultaneous") == "crashes more"
 
 
 def test_the_worth_of_a_step_is_in_the_reward_that_is_learned_from() -> None:
     # the driver's own terms are worth less than nothing, alerts make up for it
     crashing = sums(-200.0, crashes=60, alert=500.0 * 100)
     changed = {"simultaneous_seed0": crashing, "simultaneous_seed1": crashing}
-    assert verdict_of(gaming_of(comparison(**changed)), "simultaneous") == "crashes more"
+    assert worst_finding(gaming_of(comparison(**changed)), "simultaneous") == "crashes more"
     individual = comparison(replace(SETTINGS, reward="individual"), **changed)
-    assert verdict_of(gaming_of(individual), "simultaneous") == "GAMED"
+    assert worst_finding(gaming_of(individual), "simultaneous") == "GAMED"
 
 
 def test_the_standing_run_is_told_in_both_settings() -> None:
@@ -225,6 +225,6 @@ def test_the_standing_run_is_told_in_both_settings() -> None:
     assert all(math.isnan(row.crash_rate_standing.mean) for row in unchecked)
 
 
-def test_without_two_stage_there_is_no_verdict() -> None:
+def test_without_two_stage_nothing_is_found() -> None:
     told = gaming_of(comparison(replace(SETTINGS, protocols=("simultaneous",))))
-    assert {row.verdict for row in told} == {"unknown"}
+    assert {row.finding for row in told} == {"unknown"}

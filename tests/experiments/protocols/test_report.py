@@ -12,27 +12,31 @@ from PIL import Image
 
 import hmi_marl
 from hmi_marl.envs.rewards import TERMS
-from hmi_marl.experiments.protocols import figures as compare_figures
+from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.protocols import report as compare_report
 from hmi_marl.experiments.protocols.analysis import CURVES, Comparison
+from hmi_marl.experiments.protocols.experiment import ALL_DRIVERS, ProtocolComparison
 from hmi_marl.experiments.protocols.play import Sums
-from hmi_marl.experiments.protocols.settings import EVERYBODY, CompareSettings
+from hmi_marl.experiments.protocols.report import curves_figure, swap_figure, terms_figure
+from hmi_marl.reporting.blocks import as_text
+from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import Outcome
 
-SETTINGS = CompareSettings(
+SETTINGS = ProtocolComparison(
     protocols=("two-stage", "simultaneous"), seeds=2, drivers=("bart", "homer"), num_teams=16
 )
 COMMAND = "hmi-marl compare --out '<script>alert(1)</script>'"
 
 
-def made(settings: CompareSettings = SETTINGS, crashes: int = 0) -> Comparison:
+def made(settings: ProtocolComparison = SETTINGS, crashes: int = 0) -> Comparison:
     """Pair k has a team return of -100 + 10 k; own policies of simultaneous crash."""
     played = {}
     for k, pair in enumerate(settings.pairs()):
         crashed = crashes if pair.driver.startswith("simultaneous") else 0
         terms = dict.fromkeys(TERMS, 0.0) | {"distraction": 100.0 * (10 * k - 100)}
         sums = Sums(100, crashed, 5000, 50.0, 300, math.nan, terms)
-        played[pair] = {EVERYBODY: sums, "bart": sums, "homer": replace(sums, episodes=0)}
+        played[pair] = {ALL_DRIVERS: sums, "bart": sums, "homer": replace(sums, episodes=0)}
     curves = {
         run.name: [
             dict.fromkeys(CURVES, run.seed + 0.1 * k) | {"steps": 100 * k, "seconds": 2.0 * k}
@@ -41,6 +45,13 @@ def made(settings: CompareSettings = SETTINGS, crashes: int = 0) -> Comparison:
         for run in settings.runs
     }
     return Comparison(settings, played, curves, workers=2)
+
+
+def write_report(out: Path, comparison: Comparison) -> Report:
+    """Write the report of a comparison that was made."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ProtocolComparison, "run", lambda self, place: comparison)
+        return conduct(comparison.settings, Place(out, out, command_line=COMMAND))
 
 
 class Page(HTMLParser):
@@ -62,19 +73,19 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("report")
-    assert compare_report.write_report(out, made(crashes=60), COMMAND) == out / "index.html"
+    write_report(out, made(crashes=60))
     return out
 
 
 def block(comparison: Comparison, title: str) -> list[str]:
     """A part of the text, by its title."""
-    text = compare_report.as_text(comparison).split("\n")
+    text = as_text(compare_report.blocks(comparison)).split("\n")
     start = text.index(title)
     ends = [k for k, line in enumerate(text) if k > start and line and not line.startswith(" ")]
     return [line.strip() for line in text[start + 1 : ends[0] if ends else None]]
 
 
-def test_the_page_needs_nothing_besides_itself(out: Path) -> None:
+def test_the_page_needs_no_other_file(out: Path) -> None:
     page = Page((out / "index.html").read_text("utf-8"))
     assert not {"script", "link", "iframe"} & set(page.tags)
     start = "data:image/png;base64,"
@@ -94,27 +105,29 @@ def test_the_page_tells_how_it_was_made(out: Path) -> None:
     assert "workers: 2" in page.text
 
 
-def test_the_text_is_written_as_it_is_printed(out: Path) -> None:
-    text = compare_report.as_text(made(crashes=60))
-    assert (out / "compare.txt").read_text("utf-8") == text + "\n"
+def test_the_text_is_written_as_it_is_printed(tmp_path: Path) -> None:
+    text = write_report(tmp_path, made(crashes=60)).text
+    assert (tmp_path / "compare.txt").read_text("utf-8") == text + "\n"
 
 
 def test_json_has_no_nan_and_everything_in_it(out: Path) -> None:
     content = json.loads((out / "compare.json").read_text("utf-8"))
     assert content["hmi_marl_version"] == hmi_marl.__version__
     assert content["command"] == COMMAND
-    assert content["verdicts"] == {"two-stage": "reference", "simultaneous": "GAMED"}
+    assert content["findings"] == {"two-stage": "reference", "simultaneous": "GAMED"}
+    (verdict,) = content["verdicts"]
+    assert (verdict["outcome"], verdict["reason"]) == ("not supported", "GAMED with all, bart")
     assert content["protocols"]["two-stage"]["over_seeds"]["time_headway"]["mean"] is None
     assert content["pairs"][0]["by_driver"]["homer"]["team_return"] is None
-    assert content["pairs"][0]["by_driver"][EVERYBODY]["team_return"] == -100.0
+    assert content["pairs"][0]["by_driver"][ALL_DRIVERS]["team_return"] == -100.0
     assert content["curves"]["two-stage"]["team_return"]["steps"] == [100, 200, 300]
     assert content["curves"]["two-stage"]["team_return"]["mean"] == pytest.approx([0.6, 0.7, 0.8])
-    assert content["seconds"]["two-stage-seed0"] == 6.0
+    assert content["training_seconds"]["two-stage-seed0"] == 6.0
     settings = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in content["settings"].items()
     }
-    assert CompareSettings(**settings) == SETTINGS
+    assert ProtocolComparison(**settings) == SETTINGS
 
 
 def test_the_summary_worked_by_hand() -> None:
@@ -145,12 +158,20 @@ def test_own_pairs_are_marked() -> None:
     assert second.endswith("*-50.0 [-304.1, 204.1]*")
 
 
-def test_verdicts_are_told_with_their_drivers() -> None:
-    _, two_stage, simultaneous, *_ = block(made(crashes=60), "Does it pay to crash?")
-    assert two_stage.split() == ["two-stage", "reference"]
-    assert simultaneous.split() == ["simultaneous", "GAMED", "all,", "bart"]
-    *_, fine = block(made(), "Does it pay to crash?")[:3]
-    assert fine.split() == ["simultaneous", "unknown", "homer"]
+def test_verdicts_name_their_drivers() -> None:
+    def judged(comparison: Comparison) -> list[tuple[str, str, str]]:
+        return [
+            (verdict.claim.split(":")[0], verdict.outcome, verdict.reason)
+            for verdict in compare_report.judge(comparison)
+        ]
+
+    assert judged(made(crashes=60)) == [
+        ("simultaneous", Outcome.NOT_SUPPORTED, "GAMED with all, bart")
+    ]
+    assert judged(made()) == [("simultaneous", Outcome.UNTESTABLE, "unknown with homer")]
+    rows = block(made(crashes=60), "Does crashing pay?")
+    assert rows[1].split()[:2] + rows[1].split()[-1:] == ["two-stage", "all", "reference"]
+    assert rows[4].split()[:2] + rows[4].split()[-1:] == ["simultaneous", "all", "GAMED"]
 
 
 def test_the_time_of_a_run() -> None:
@@ -160,25 +181,28 @@ def test_the_time_of_a_run() -> None:
 
 def test_one_protocol_with_one_seed_can_be_reported(tmp_path: Path) -> None:
     alone = replace(SETTINGS, protocols=("joint",), seeds=1, crash_check=False)
-    compare_report.write_report(tmp_path, made(alone), COMMAND)
+    write_report(tmp_path, made(alone))
     content = json.loads((tmp_path / "compare.json").read_text("utf-8"))
-    assert content["verdicts"] == {"joint": "unknown"}
+    assert content["findings"] == {"joint": "unknown"}
+    assert content["verdicts"][0]["outcome"] == "cannot be tested here"
     assert content["dependence"][0]["on_protocol"]["mean"] is None
 
 
 def test_an_entry_says_what_is_known() -> None:
-    assert compare_report.entry(Estimate(1.26, 1.0, 1.5)) == "1.3 [1.0, 1.5]"
-    assert compare_report.entry(Estimate(-0.01, math.nan, math.nan)) == "0.0"
-    assert compare_report.entry(Estimate(math.nan, math.nan, math.nan)) == "-"
+    assert Estimate(1.26, 1.0, 1.5).shown() == "1.3 [1.0, 1.5]"
+    assert Estimate(-0.01, math.nan, math.nan).shown() == "0.0"
+    assert Estimate(math.nan, math.nan, math.nan).shown() == "-"
 
 
 def test_the_figures_show_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
-    for draw in compare_report.FIGURES.values():
+    for draw in (curves_figure, swap_figure, terms_figure):
         draw(made())
     curves, swap, terms = drawn
-    assert [panel.get_title() for panel in curves.axes] == list(compare_figures.TITLES.values())
+    assert [panel.get_title() for panel in curves.axes] == list(
+        compare_report.CURVE_TITLES.values()
+    )
     line = curves.axes[0].lines[0]
     assert line.get_label() == "two-stage"
     assert list(line.get_ydata()) == pytest.approx([0.6, 0.7, 0.8])
@@ -198,5 +222,5 @@ def test_the_figures_show_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_two_seeds_have_no_band(seeds: int, bands: int, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
-    compare_figures.curves_figure(made(replace(SETTINGS, seeds=seeds)))
+    curves_figure(made(replace(SETTINGS, seeds=seeds)))
     assert len(drawn[0].axes[0].collections) == bands

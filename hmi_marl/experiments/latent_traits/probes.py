@@ -1,7 +1,8 @@
-"""How well latent vectors keep the types of drivers apart.
+"""Read driver types and traits from latent vectors, and measure how far types lie apart.
 
 Everything here is a pure function over arrays. A vector is the posterior mean of z given a pool of
-windows, P vectors of Z numbers in an array of shape (P, Z); a type is an integer, one a vector.
+windows, P vectors of Z numbers in an array of shape (P, Z); a type is an integer, one for each
+vector; traits are T numbers of each vector's driver, shape (P, T).
 
 **Average KL** (under the paper's figure of embeddings). Each type's vectors are summed up by a
 Gaussian N(μ, Σ) with full, unbiased covariance, and
@@ -15,7 +16,9 @@ sample covariance is: compare it only between equal numbers of vectors.
 
 from __future__ import annotations
 
+import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,19 +26,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.extras import needing
-from hmi_marl.reporting.statistics import Estimate, accuracy
+from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, accuracy
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 SMALLEST_SPREAD = 1e-6
-"""Of a type's cluster in any direction, in standard deviations of all vectors. A cluster that is
-thinner (float32 hardly tells it from a plane) counts as singular and is thickened by this much."""
+"""Least spread of a type's cluster in any direction, in standard deviations of all vectors. A
+thinner cluster (in float32 hardly different from a plane) is singular; it is thickened by this.
+"""
+_BOOTSTRAPS = 2000
+_FOLDS = 5
+_LANDMARKS = 100
+_PENALTIES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+_SHARPNESS = (1 / 16, 1 / 4, 1.0, 4.0)  # of the kernel, exp(-s |z - z'|² / Z)
+_SCORING = "neg_mean_squared_error"  # defined for a fold of one vector, as R² is not
 
 
 @dataclass(frozen=True)
 class Separability:
-    """How well vectors keep driver types apart. All but the training is on held-out vectors."""
+    """Separation of driver types in latent vectors; everything but training is on held-out ones."""
 
     linear_probe: Estimate
     """Accuracy of multinomial logistic regression."""
@@ -44,23 +54,16 @@ class Separability:
     chance: float
     """Accuracy of always naming the most frequent held-out type: 1 / types where all are equal."""
     silhouette: float
-    """Of the true types, -1 to 1: (b - a) / max(a, b) averaged over vectors, where a and b are the
-    mean distances to the own type and to the nearest other one."""
+    """Silhouette of the true types, -1 to 1: (b - a) / max(a, b) averaged over vectors, where a and
+    b are the mean distances to a vector's own type and to the nearest other one."""
     adjusted_rand: float
     """Agreement of k-means clusters, as many as types, with the types: 1 full, 0 by chance."""
     average_kl: float
-    """In nats, as :func:`average_kl`."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Accuracies with their intervals, the rest as numbers."""
-        return {
-            name: value.as_json() if isinstance(value, Estimate) else value
-            for name, value in vars(self).items()
-        }
+    """See :func:`average_kl` [nats]."""
 
 
 def gaussian_kl(mean0: ArrayLike, cov0: ArrayLike, mean1: ArrayLike, cov1: ArrayLike) -> float:
-    """KL(N0 || N1) in nats; the equation is in the module's docstring.
+    """Return KL(N0 || N1) [nats]; the equation is in the module's docstring.
 
     Args:
         mean0: shape (Z,).
@@ -96,11 +99,11 @@ def _cholesky(cov: ArrayLike, size: int) -> Array:
 
 
 def kl_matrix(means: ArrayLike, types: ArrayLike) -> Array:
-    """KL(row || column) between the types' Gaussians, types in rising order, in nats.
+    """Return KL(row || column) between the types' Gaussians [nats], types in rising order.
 
-    Axes of z on which all vectors agree tell nothing and are left out. Where a cluster is singular
-    (:data:`SMALLEST_SPREAD`), SMALLEST_SPREAD² of each axis' variance over all vectors is added to
-    the diagonal of its covariance; the KL is then large, and depends on that number.
+    Axes of z on which all vectors agree hold no information and are left out. Where a cluster is
+    singular (:data:`SMALLEST_SPREAD`), SMALLEST_SPREAD² of each axis' variance over all vectors is
+    added to the diagonal of its covariance; the KL is then large, and depends on that number.
 
     Args:
         means: shape (P, Z).
@@ -139,7 +142,7 @@ def _gaussian(vectors: Array) -> tuple[Array, Array]:
 
 
 def average_kl(means: ArrayLike, types: ArrayLike) -> float:
-    """The mean of :func:`kl_matrix` over all ordered pairs of different types, in nats."""
+    """Average :func:`kl_matrix` over all ordered pairs of different types [nats]."""
     matrix = kl_matrix(means, types)
     return float(matrix[~np.eye(len(matrix), dtype=bool)].mean())
 
@@ -152,7 +155,7 @@ def separability(
     groups: ArrayLike | None = None,
     seed: int = 0,
 ) -> Separability:
-    """How well held-out vectors keep driver types apart.
+    """Measure how well held-out vectors separate driver types.
 
     The linear probe standardises by the training vectors. All other measures take distances in z
     as they are, since its prior N(0, I) gives them a scale.
@@ -161,11 +164,11 @@ def separability(
         train_means: shape (P', Z).
         train_types: integers, shape (P',).
         means: held-out vectors, shape (P, Z).
-        types: theirs, shape (P,).
-        groups: which held-out vectors are not independent (of the same episodes), as labels of any
-            kind, shape (P,). The Wilson intervals then count groups, not vectors, as trials: as
-            wide as if the members of a group always agreed. None: all are independent.
-        seed: of k-means.
+        types: their types, shape (P,).
+        groups: labels of any kind, shape (P,), equal for held-out vectors that are not independent
+            (of the same episodes). The Wilson intervals then count groups, not vectors, as trials:
+            as wide as if the members of a group always agreed. None: all are independent.
+        seed: seed of k-means.
 
     Raises:
         ValueError: as :func:`kl_matrix`; or different types or Z in training and held-out vectors;
@@ -188,13 +191,13 @@ def separability(
             f"trained on the types {np.unique(known).tolist()}, but held out are {kinds.tolist()}"
         )
     trials = len(labels) if groups is None else len(np.unique(_checked_groups(groups, labels)))
-    kl = average_kl(vectors, labels)  # first: it is the one that refuses too few vectors
+    kl = average_kl(vectors, labels)  # first, since it refuses too few vectors
     scaler = StandardScaler().fit(fitted)
     probe = LogisticRegression(max_iter=10_000).fit(scaler.transform(fitted), known)
     centroids = np.stack([fitted[known == kind].mean(axis=0) for kind in kinds])
     nearest = np.linalg.norm(vectors[:, None] - centroids, axis=-1).argmin(axis=1)
     with warnings.catch_warnings():
-        # Vectors that have collapsed on fewer places than types; the index then says so.
+        # Vectors may have collapsed to fewer points than types; the index then shows it.
         warnings.simplefilter("ignore", ConvergenceWarning)
         clusters = KMeans(len(kinds), n_init=10, random_state=seed).fit_predict(vectors)
     return Separability(
@@ -207,10 +210,116 @@ def separability(
     )
 
 
+@dataclass(frozen=True)
+class TraitR2:
+    """Share of a trait's variance over held-out drivers that z explains, with intervals."""
+
+    linear: Estimate
+    """R² of ridge regression."""
+    smooth: Estimate
+    """R² of kernel ridge regression, which fits any smooth function of z."""
+
+
+def trait_r2(
+    train_means: ArrayLike,
+    train_traits: ArrayLike,
+    means: ArrayLike,
+    traits: ArrayLike,
+    names: Sequence[str],
+    seed: int = 0,
+) -> dict[str, TraitR2]:
+    """Measure how well each trait of held-out drivers can be read from z.
+
+    R² = 1 - SSE / SST, where SST is about the held-out mean: 1 is perfect, 0 no better than a
+    constant, less than 0 worse than a constant. NaN where held-out drivers do not differ. Intervals
+    are percentiles over resampled held-out drivers.
+
+    Both regressions are on standardised z, their strengths chosen by cross-validation over training
+    drivers. The smooth one is kernel ridge with a Gaussian kernel on at most 100 landmarks. With
+    100 to 1000 vectors in few dimensions it takes any smooth shape, is solved in closed form
+    (nothing to converge), and far from its data falls back to a constant, where polynomials
+    explode; nearest neighbours are too coarse and trees too jagged for a smooth trait.
+
+    Args:
+        train_means: shape (P', Z).
+        train_traits: shape (P', T). Vectors with equal traits count as the same driver's.
+        means: held-out vectors, shape (P, Z).
+        traits: their traits, shape (P, T).
+        names: names of the T traits.
+        seed: seed of folds, landmarks and resampling.
+
+    Raises:
+        ValueError: arrays that are not finite or do not fit each other, or fewer than two drivers
+            to learn from.
+        ModuleNotFoundError: scikit-learn is not installed.
+    """
+    with needing("judging latent vectors"):
+        from sklearn.kernel_approximation import Nystroem
+        from sklearn.linear_model import Ridge
+        from sklearn.model_selection import GridSearchCV, GroupKFold
+        from sklearn.pipeline import Pipeline
+        from sklearn.preprocessing import StandardScaler
+
+    fitted, known = _checked_traits(train_means, train_traits, names, "training vectors")
+    vectors, truth = _checked_traits(means, traits, names, "vectors")
+    same_size(fitted, vectors)
+    own, held_out = _drivers(known), _drivers(truth)
+    if own.max() == 0:
+        raise ValueError("traits are learned from two drivers or more")
+    folds = GroupKFold(min(_FOLDS, own.max() + 1), shuffle=True, random_state=seed)
+    splits = list(folds.split(fitted, groups=own))
+    landmarks = min(_LANDMARKS, *(len(rows) for rows, _ in splits))
+    steps = [("scale", StandardScaler()), ("ridge", Ridge())]
+    kernel = ("kernel", Nystroem(n_components=landmarks, random_state=seed))
+    penalties = {"ridge__alpha": _PENALTIES}
+    sharpness = {"kernel__gamma": [value / fitted.shape[1] for value in _SHARPNESS]}
+    models = (
+        (Pipeline(steps), penalties),
+        (Pipeline([steps[0], kernel, steps[1]]), penalties | sharpness),
+    )
+    linear, smooth = (
+        GridSearchCV(model, grid, cv=splits, scoring=_SCORING) for model, grid in models
+    )
+    scores = {}
+    for column, name in enumerate(names):
+        trait, wanted = known[:, column], truth[:, column]
+        read = [model.fit(fitted, trait).predict(vectors) for model in (linear, smooth)]
+        scores[name] = TraitR2(*(_r2(wanted, each, held_out, seed) for each in read))
+    return scores
+
+
+def _r2(truth: Array, predicted: Array, drivers: Labels, seed: int) -> Estimate:
+    """Return R² and its interval over resampled drivers; arguments have shape (P,)."""
+    if np.ptp(truth) == 0.0:
+        return Estimate(math.nan, math.nan, math.nan)
+    count = int(drivers.max()) + 1
+    centred = truth - truth.mean()
+    sums = [
+        np.bincount(drivers, weights, count)
+        for weights in (np.ones_like(truth), centred, centred**2, (truth - predicted) ** 2)
+    ]
+    rng = np.random.default_rng(seed)
+    resampled = rng.multinomial(count, np.full(count, 1 / count), _BOOTSTRAPS)
+    drawn = np.concatenate([np.ones((1, count)), resampled])  # the first row: as they are
+    vectors, first, second, errors = (drawn @ each for each in sums)
+    total = second - first**2 / vectors
+    # Resamples of one driver alone have no variance, but for rounding.
+    total[total <= 1e-12 * vectors * np.abs(centred).max() ** 2] = math.nan
+    scores = 1.0 - errors / total
+    known = scores[1:][np.isfinite(scores[1:])]  # not empty, since drivers differ
+    low, high = np.quantile(known, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return Estimate(float(scores[0]), float(low), float(high))
+
+
+def _drivers(traits: Array) -> Labels:
+    """Number the drivers from 0, shape (P,): equal traits are one driver."""
+    return np.unique(traits, axis=0, return_inverse=True)[1].reshape(len(traits))
+
+
 def checked_vectors(
     means: ArrayLike, types: ArrayLike, what: str = "vectors"
 ) -> tuple[Array, Labels]:
-    """Vectors, shape (P, Z), and their types, shape (P,), as arrays.
+    """Return vectors, shape (P, Z), and their types, shape (P,), as arrays.
 
     Raises:
         ValueError: not these shapes, numbers that are not finite, types that are no integers, or
@@ -222,12 +331,12 @@ def checked_vectors(
     if not np.issubdtype(labels.dtype, np.integer):
         raise ValueError(f"types of {what} are integers, not {labels.dtype}")
     if len(np.unique(labels)) < 2:
-        raise ValueError(f"{what} of two types or more can be kept apart, not of one")
+        raise ValueError(f"{what} of one type cannot be separated; give two types or more")
     return vectors, labels.astype(np.int64)
 
 
 def checked_means(means: ArrayLike, what: str) -> Array:
-    """Vectors as an array of shape (P, Z).
+    """Return vectors as an array of shape (P, Z).
 
     Raises:
         ValueError: not this shape, none at all, or numbers that are not finite.
@@ -253,3 +362,15 @@ def same_size(fitted: Array, vectors: Array) -> None:
         raise ValueError(
             f"training vectors have {fitted.shape[1]} dimensions, held-out ones {vectors.shape[1]}"
         )
+
+
+def _checked_traits(
+    means: ArrayLike, traits: ArrayLike, names: Sequence[str], what: str
+) -> tuple[Array, Array]:
+    vectors, values = checked_means(means, what), np.asarray(traits, np.float64)
+    if values.shape != (len(vectors), len(names)):
+        wanted = len(vectors), len(names)
+        raise ValueError(f"traits of {what} have shape {wanted}, not {values.shape}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"traits of {what} are finite")
+    return vectors, values

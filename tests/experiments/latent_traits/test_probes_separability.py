@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_marl.experiments.latent_traits.separability import (
+from hmi_marl.experiments.latent_traits.probes import (
     SMALLEST_SPREAD,
     average_kl,
     gaussian_kl,
     kl_matrix,
     separability,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
 CORNERS = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
@@ -170,7 +171,9 @@ def test_intervals_of_groups_are_rounded_outwards():
 
 
 def test_json_holds_every_measure():
-    content = json.loads(json.dumps(separability(clusters(0), TYPES, clusters(1), TYPES).as_json()))
+    content = json.loads(
+        json.dumps(json_value(separability(clusters(0), TYPES, clusters(1), TYPES)))
+    )
     assert content["linear_probe"] == share(100, 100).as_json()
     assert set(content) == {
         "linear_probe", "nearest_centroid", "chance", "silhouette", "adjusted_rand", "average_kl"

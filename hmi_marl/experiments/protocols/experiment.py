@@ -1,37 +1,43 @@
-"""The protocols at equal environment steps and over several seeds: what is trained, who plays.
+"""Compare the protocols at equal environment steps and over several seeds.
 
 Every pair of driver and HMI plays the same seeded episodes on the batched world, with the driver
-of each drawn from the population (``compare_play.py``). What that shows is worked out in
-``compare_analysis.py``, and drawn and told by ``compare_figures.py`` and ``compare_report.py``.
+of each drawn from the population.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from hmi_marl.checks import check_count
+from hmi_marl.checks import check_choice, check_count, check_share
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
+from hmi_marl.experiments.experiment import Experiment, Place
 from hmi_marl.names import unknown
+from hmi_marl.reporting.blocks import Block
+from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.protocols.settings import Budget, TrainSettings
-from hmi_marl.training.runs.jobs import Job
+from hmi_marl.training.runs.folder import read_curve
+from hmi_marl.training.runs.jobs import Job, train_all
+
+if TYPE_CHECKING:
+    from hmi_marl.experiments.protocols.analysis import Comparison
 
 Protocol = str
 """Name of a protocol or of a variant, as :func:`compared` lists them."""
 PROTOCOLS: tuple[Protocol, ...] = tuple(compared())
 TWO_STAGE: Protocol = "two-stage"
-EVERYBODY = "all"
-"""In place of a driver's name: all of the population."""
+ALL_DRIVERS = "all"
+"""In place of a driver's name: all drivers of the population together."""
 QUICK = {"steps": 300_000, "seeds": 2, "episodes": 200, "num_teams": 128}
-"""What a coarse comparison changes."""
+"""Settings of a coarse comparison."""
 
 
 @dataclass(frozen=True)
@@ -41,73 +47,77 @@ class Run:
     protocol: Protocol
     seed: int
     standing: bool = False
-    """Trained with ``end_at_crash=False``: a crashed car stands until the time is over."""
+    """Whether it is trained with ``end_at_crash=False``: a crashed car stands until the end."""
 
     @property
     def name(self) -> str:
-        """Also its folder's."""
+        """Name of the run and of its folder."""
         return f"{self.protocol}-seed{self.seed}" + ("-standing" if self.standing else "")
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Who plays."""
+    """Driver and HMI that play together."""
 
     driver: str
-    """A run's name, or one of the catalogue."""
+    """Name of a run, or of a driver policy in the catalogue."""
     hmi: str
-    """The same."""
+    """Name of a run, or of an HMI in the catalogue."""
     end_at_crash: bool = True
 
 
 @dataclass(frozen=True)
-class CompareSettings:
-    """What to compare, and how large.
+class ProtocolComparison(Experiment["Comparison"]):
+    """Train by every protocol with equal environment steps and several seeds, and compare them.
+
+    Learning curves, final returns and their terms, crashes, alerts, wall time, swapped partners,
+    and whether crashing pays.
 
     Raises:
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
     protocols: tuple[Protocol, ...] = PROTOCOLS
-    """Which protocols. The others are judged beside two-stage."""
+    """Protocols to compare; two-stage is the reference."""
     steps: int = 3_000_000
-    """Environment steps of each run in all, rounded to batches, alike for every protocol."""
+    """Environment steps of each run in all, rounded to batches, the same for every protocol."""
     driver_share: float = 0.8
-    """Of the steps of two-stage and alternating: in how many of them the driver learns."""
+    """Share of the steps of two-stage and alternating in which the driver learns."""
     rounds: int = 4
-    """Of alternating."""
+    """Rounds of alternating."""
     seeds: int = 3
     """Runs of each protocol."""
     seed: int = 0
-    """Of the first run; the others count on from it."""
+    """Seed of the first run; the others count up from it."""
     episodes: int = 1000
     """Episodes that each pair of driver and HMI plays."""
     drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Who drives, drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
+    """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     reward: Literal["default", "team", "individual"] = "default"
-    """What they learn from: each protocol's own default (the driver learns from driving and the HMI
-    from the team's reward where they learn apart, both from the team's where they learn together),
-    or one for all but two-stage. (Joint learns from the sum of both agents' rewards.)"""
+    """Reward to learn from: each protocol's own (where the seats learn one after the other, the
+    driver learns from driving and the HMI from the team's reward; where they learn together, both
+    from the team's), or one for all but two-stage. (Joint learns from the sum of both agents'
+    rewards.)"""
     crash_check: bool = True
     """Train every protocol also with end_at_crash=False, with the first seed, to see whether
     crashing early pays."""
     num_teams: int = 512
-    """Teams side by side in training."""
+    """Teams that train side by side."""
     duration: float = 20.0
     """Length of an episode [s]."""
     vehicles: tuple[int, int] = (1, 20)
     """Least and most other vehicles."""
 
+    name = "protocols"
+    files = "compare"
+    title = "Protocols compared"
+
     def __post_init__(self) -> None:
         _check_protocols(self.protocols)
         for name in ("steps", "rounds", "seeds", "episodes", "num_teams"):
             check_count(name, getattr(self, name))
-        if not 0.0 < self.driver_share < 1.0:
-            raise ValueError(
-                f"driver_share lies between 0 and 1, both apart, but got {self.driver_share}"
-            )
-        if self.reward not in ("default", "team", "individual"):
-            raise ValueError(f"reward is 'default', 'team' or 'individual', not {self.reward!r}")
+        check_share("driver_share", self.driver_share, zero=False, one=False)
+        check_choice("reward", self.reward, ("default", "team", "individual"))
         object.__setattr__(self, "seed", check_seed(self.seed))
         check_seed(self.seed + self.seeds - 1)
         if not isinstance(self.drivers, tuple) or not self.drivers:
@@ -119,11 +129,11 @@ class CompareSettings:
 
     @property
     def driver_names(self) -> tuple[str, ...]:
-        """Of those who drive."""
+        """Names of the drivers."""
         return tuple(get_driver(driver).name for driver in self.drivers)
 
     def team(self, end_at_crash: bool = True) -> TeamConfig:
-        """The teams of an evaluation."""
+        """Settings of the teams of an evaluation."""
         return TeamConfig(
             driver=self.drivers,
             duration=self.duration,
@@ -133,7 +143,7 @@ class CompareSettings:
 
     @property
     def _batches(self) -> tuple[int, int]:
-        """In each round of alternating: of the driver, of the HMI. At least one each."""
+        """Batches of the driver and of the HMI in each round of alternating; at least one each."""
         wanted = self.steps / (self.num_teams * self.team().horizon * self.rounds)
         shares = self.driver_share, 1.0 - self.driver_share
         driver, hmi = (max(1, round(share * wanted)) for share in shares)
@@ -141,7 +151,7 @@ class CompareSettings:
 
     @property
     def steps_apart(self) -> tuple[int, int]:
-        """In how many environment steps driver and HMI learn where they learn one by one."""
+        """Environment steps of the driver and of the HMI where they learn one after the other."""
         driver, hmi = (
             count * self.rounds * self.num_teams * self.team().horizon for count in self._batches
         )
@@ -149,29 +159,29 @@ class CompareSettings:
 
     @property
     def steps_each(self) -> int:
-        """Environment steps that every run really takes."""
+        """Environment steps of every run, rounded to batches."""
         return sum(self.steps_apart)
 
     @property
     def main_runs(self) -> tuple[Run, ...]:
-        """Every protocol with every seed."""
+        """Runs of every protocol with every seed."""
         return tuple(
             Run(protocol, self.seed + k) for protocol in self.protocols for k in range(self.seeds)
         )
 
     @property
     def standing_runs(self) -> tuple[Run, ...]:
-        """Those in which a crash does not end the episode."""
+        """Runs in which a crash does not end the episode."""
         wanted = self.protocols if self.crash_check else ()
         return tuple(Run(protocol, self.seed, standing=True) for protocol in wanted)
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """All that is trained."""
+        """All runs."""
         return self.main_runs + self.standing_runs
 
     def jobs(self, folder: Path) -> list[Job]:
-        """All training, a folder for each run."""
+        """Training of all runs, a folder for each."""
         return [Job(self._training(run), folder / run.name) for run in self.runs]
 
     def _training(self, run: Run) -> TrainSettings:
@@ -190,17 +200,15 @@ class CompareSettings:
         return protocol.for_comparison(budget, **shared, **variant)
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
-        """The reward terms that the driver learns from."""
+        """Reward terms that the driver learns from."""
         return self._training(Run(protocol, self.seed)).driver_terms
 
     def pairs(self) -> list[Pair]:
-        """Every pair that plays, each once."""
+        """List every pair that plays, each once."""
         by_seed = [
             [run for run in self.main_runs if run.seed == self.seed + k] for k in range(self.seeds)
         ]
-        wanted = [
-            Pair(a.name, b.name) for same in by_seed for a, b in product(same, same)
-        ]  # with the own ones
+        wanted = [Pair(a.name, b.name) for same in by_seed for a, b in product(same, same)]
         for protocol in self.protocols:
             own = [run for run in self.main_runs if run.protocol == protocol]
             wanted += [Pair(a.name, b.name) for a, b in permutations(own, 2)]
@@ -211,7 +219,7 @@ class CompareSettings:
         return list(dict.fromkeys(wanted))
 
     def baselines(self) -> dict[str, list[Pair]]:
-        """Pairs of known policies, and the two-stage driver with known HMIs, by what they are.
+        """List pairs of known policies, and the two-stage driver with known HMIs, by label.
 
         "when-distracted" is the exact alert optimum for all of the paper's drivers.
         """
@@ -221,6 +229,53 @@ class CompareSettings:
         if learned:
             known |= {f"{TWO_STAGE}, {hmi}": [Pair(name, hmi) for name in learned] for hmi in hmis}
         return known
+
+    @classmethod
+    def quick(cls) -> ProtocolComparison:
+        """See :meth:`Experiment.quick`."""
+        return cls().coarse()
+
+    def coarse(self) -> ProtocolComparison:
+        """Return the same comparison with the sizes of ``QUICK``.
+
+        Raises:
+            ValueError: one of these sizes was chosen.
+        """
+        default = type(self)()
+        chosen = [name for name in QUICK if getattr(self, name) != getattr(default, name)]
+        if chosen:
+            raise ValueError(f"--quick sets {', '.join(chosen)} itself; leave out one or the other")
+        return replace(self, **QUICK)  # type: ignore[arg-type]
+
+    def run(self, place: Place) -> Comparison:
+        """See :meth:`Experiment.run`."""
+        from hmi_marl.experiments.protocols.analysis import Comparison
+        from hmi_marl.experiments.protocols.play import play_all
+
+        jobs = self.jobs(place.folder)
+        train_all(jobs, place.workers, place.command_line)
+        with place.playing(len(self.pairs()) * self.episodes, "episodes") as progress:
+            played = play_all(self, place.folder, place.workers, progress)
+        curves = {job.folder.name: read_curve(job.folder) for job in jobs}
+        return Comparison(self, played, curves, place.workers)
+
+    def numbers(self, results: Comparison) -> Mapping[str, Any]:
+        """See :meth:`Experiment.numbers`."""
+        from hmi_marl.experiments.protocols.report import numbers
+
+        return numbers(results)
+
+    def judge(self, results: Comparison) -> Sequence[Verdict]:
+        """See :meth:`Experiment.judge`."""
+        from hmi_marl.experiments.protocols.report import judge
+
+        return judge(results)
+
+    def blocks(self, results: Comparison) -> Sequence[Block]:
+        """See :meth:`Experiment.blocks`."""
+        from hmi_marl.experiments.protocols.report import blocks
+
+        return blocks(results)
 
 
 def _check_protocols(protocols: Sequence[str]) -> None:
@@ -232,16 +287,3 @@ def _check_protocols(protocols: Sequence[str]) -> None:
             raise ValueError(unknown("protocol", name, PROTOCOLS, "hmi-marl compare --help"))
         if times > 1:
             raise ValueError(f"protocols names {name!r} twice")
-
-
-def quick(settings: CompareSettings) -> CompareSettings:
-    """The coarse version.
-
-    Raises:
-        ValueError: a size was chosen that it would set itself.
-    """
-    default = CompareSettings()
-    chosen = [name for name in QUICK if getattr(settings, name) != getattr(default, name)]
-    if chosen:
-        raise ValueError(f"--quick sets {', '.join(chosen)} itself; leave out one or the other")
-    return replace(settings, **QUICK)  # type: ignore[arg-type]

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from hmi_marl.envs.drivers import TRAIT_NAMES
-from hmi_marl.experiments.latent_traits.regression import trait_r2
+from hmi_marl.experiments.latent_traits.probes import trait_r2
+from hmi_marl.files import json_value
 
 
 def scores(trait, train=200, held_out=200, noise=0.0):
@@ -62,7 +63,7 @@ def test_every_trait_has_its_own_score():
     assert found["beta"].linear.mean == pytest.approx(found["alpha"].linear.mean, abs=1e-3)
     assert found["eta"].linear.mean < 0.2
     assert math.isnan(found["inflation"].linear.mean), "held-out drivers do not differ"
-    content = json.loads(json.dumps(found["inflation"].as_json()))
+    content = json.loads(json.dumps(json_value(found["inflation"])))
     assert content["smooth"] == {"mean": None, "low": None, "high": None}
 
 

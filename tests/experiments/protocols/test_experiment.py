@@ -11,19 +11,18 @@ from hmi_marl.agents.learned.policy import read_policy
 from hmi_marl.cli import main
 from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.experiments.episodes import Episodes, play_episodes
-from hmi_marl.experiments.metrics_table.reproduction import EVALUATION_SEED
-from hmi_marl.experiments.protocols.play import Sums, play_all, play_pair, read_curves
-from hmi_marl.experiments.protocols.settings import (
-    EVERYBODY,
+from hmi_marl.experiments.policies import EVALUATION_SEED
+from hmi_marl.experiments.protocols.experiment import (
+    ALL_DRIVERS,
     PROTOCOLS,
-    CompareSettings,
     Pair,
+    ProtocolComparison,
     Run,
-    quick,
 )
+from hmi_marl.experiments.protocols.play import Sums, play_all, play_pair
 from hmi_marl.training.runs.jobs import train_all
 
-TINY = CompareSettings(
+TINY = ProtocolComparison(
     steps=160,  # of 80 in a batch: two for the driver, one for the HMI
     rounds=1,
     seeds=2,
@@ -50,21 +49,21 @@ def content(folder: Path) -> dict:
     return json.loads((folder / "compare.json").read_text("utf-8"))
 
 
-def batches(settings: CompareSettings, training) -> int:
+def batches(settings: ProtocolComparison, training) -> int:
     return sum(phase.iterations(settings.num_teams, 1) for phase in training.phases())
 
 
 @pytest.mark.parametrize(
     "settings",
     [
-        CompareSettings(),
-        quick(CompareSettings()),
+        ProtocolComparison(),
+        ProtocolComparison.quick(),
         TINY,
-        CompareSettings(steps=1),
-        CompareSettings(steps=777_777, driver_share=0.37, rounds=3, num_teams=100),
+        ProtocolComparison(steps=1),
+        ProtocolComparison(steps=777_777, driver_share=0.37, rounds=3, num_teams=100),
     ],
 )
-def test_every_run_takes_the_same_number_of_steps(settings: CompareSettings) -> None:
+def test_every_run_takes_the_same_number_of_steps(settings: ProtocolComparison) -> None:
     jobs = settings.jobs(Path("out"))
     assert len(jobs) == len(PROTOCOLS) * (settings.seeds + 1)
     taken = {batches(settings, job.settings) for job in jobs}
@@ -74,9 +73,9 @@ def test_every_run_takes_the_same_number_of_steps(settings: CompareSettings) -> 
 
 
 def test_the_steps_are_about_those_that_were_asked_for() -> None:
-    assert CompareSettings().steps_each == 60 * 51_200  # 3 million are 58.6 batches
-    assert CompareSettings().steps_apart == (48 * 51_200, 12 * 51_200)
-    assert quick(CompareSettings()).steps_each == 24 * 12_800
+    assert ProtocolComparison().steps_each == 60 * 51_200  # 3 million are 58.6 batches
+    assert ProtocolComparison().steps_apart == (48 * 51_200, 12 * 51_200)
+    assert ProtocolComparison.quick().steps_each == 24 * 12_800
 
 
 def test_every_run_has_its_own_folder_seed_and_setting() -> None:
@@ -144,9 +143,9 @@ def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
         ({"episodes": 0}, "episodes is at least 1"),
         ({"num_teams": 0}, "teams is at least 1"),
         ({"num_teams": 8}, "cannot split 8 teams into 16 mini-batches"),
-        ({"driver_share": 0.0}, "driver_share lies between 0 and 1"),
-        ({"driver_share": float("nan")}, "driver_share lies between 0 and 1"),
-        ({"reward": "driving"}, "reward is 'default', 'team' or 'individual'"),
+        ({"driver_share": 0.0}, r"driver_share lies in \(0, 1\)"),
+        ({"driver_share": float("nan")}, r"driver_share lies in \(0, 1\)"),
+        ({"reward": "driving"}, "reward is one of default, team, individual"),
         ({"seed": -1}, "a seed lies in"),
         ({"seed": 2**64 - 1}, "a seed lies in"),
         ({"drivers": ()}, "at least one name"),
@@ -157,7 +156,7 @@ def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
         ({"vehicles": (3, 1)}, "vehicles"),
     ],
 )
-def test_impossible_settings_are_told_at_the_door(change: dict, told: str) -> None:
+def test_impossible_settings_are_refused(change: dict, told: str) -> None:
     with pytest.raises(ValueError, match=told):
         replace(TINY, **change)
 
@@ -209,20 +208,20 @@ def test_no_episodes_come_to_nothing_known() -> None:
 def test_a_driver_who_never_came_is_left_open() -> None:
     few = replace(TINY, episodes=1)
     sums = play_pair(few, Path("none"), Pair("rule", "never"))
-    assert list(sums) == [EVERYBODY, "lisa", "marge", "bart", "homer"]
+    assert list(sums) == [ALL_DRIVERS, "lisa", "marge", "bart", "homer"]
     assert sorted(part.episodes for part in sums.values()) == [0, 0, 0, 1, 1]
 
 
 def test_drivers_share_the_episodes_among_them(folder: Path) -> None:
     sums = play_pair(TINY, folder, Pair("joint-seed0", "two-stage-seed0"))
-    parts = [part for name, part in sums.items() if name != EVERYBODY]
+    parts = [part for name, part in sums.items() if name != ALL_DRIVERS]
     assert sum(part.episodes for part in parts) == 8
-    assert Sums.join(parts).per_episode() == pytest.approx(sums[EVERYBODY].per_episode())
+    assert Sums.join(parts).per_episode() == pytest.approx(sums[ALL_DRIVERS].per_episode())
 
 
 def test_a_swapped_pair_plays_as_anybody_would_play_it(folder: Path) -> None:
     swapped = Pair("alternating-seed1", "simultaneous-moves-seed1")
-    sums = play_pair(TINY, folder, swapped)[EVERYBODY]
+    sums = play_pair(TINY, folder, swapped)[ALL_DRIVERS]
     team = TINY.team()
     seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + 8, dtype=np.uint64)
     episodes = play_episodes(
@@ -267,7 +266,7 @@ def test_a_second_call_trains_nothing_and_another_comparison_is_refused(folder: 
 
 
 def test_curves_reach_the_last_step(folder: Path) -> None:
-    curves = read_curves(TINY, folder)
+    curves = {job.folder.name: job.curve() for job in TINY.jobs(folder)}
     assert set(curves) == {run.name for run in TINY.runs}
     assert {rows[-1]["steps"] for rows in curves.values()} == {TINY.steps_each}
 
@@ -283,15 +282,17 @@ def test_json_holds_every_seeds_numbers(content: dict) -> None:
     assert content["workers"] == 1
     assert content["settings"]["protocols"] == list(PROTOCOLS)
     assert content["command"].startswith(f"hmi-marl {TYPED} --out ")
-    assert set(content["seconds"]) == {run.name for run in TINY.runs}
-    told = {(p["driver"], p["hmi"], p["end_at_crash"]): p["by_driver"] for p in content["pairs"]}
-    assert len(told) == len(TINY.pairs())
+    assert set(content["training_seconds"]) == {run.name for run in TINY.runs}
+    found = {(p["driver"], p["hmi"], p["end_at_crash"]): p["by_driver"] for p in content["pairs"]}
+    assert len(found) == len(TINY.pairs())
     for k, (i, a), (j, b) in product(range(2), enumerate(PROTOCOLS), enumerate(PROTOCOLS)):
-        pair = told[f"{a}-seed{k}", f"{b}-seed{k}", True]
+        pair = found[f"{a}-seed{k}", f"{b}-seed{k}", True]
         matrix = content["swap_matrix"]["team_return_by_seed_driver_hmi"]
-        assert matrix[k][i][j] == pytest.approx(pair[EVERYBODY]["team_return"])
-    assert set(content["verdicts"]) == set(PROTOCOLS)
-    assert content["verdicts"]["two-stage"] == "reference"
+        assert matrix[k][i][j] == pytest.approx(pair[ALL_DRIVERS]["team_return"])
+    assert set(content["findings"]) == set(PROTOCOLS)
+    assert content["findings"]["two-stage"] == "reference"
+    claims = [verdict["claim"].split(":")[0] for verdict in content["verdicts"]]
+    assert claims == [name for name in PROTOCOLS if name != "two-stage"]
     assert {len(curve["mean"]) for curve in content["curves"]["joint"].values()} == {3}
 
 

@@ -3,21 +3,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from trait_models import save_driver
 
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import DRIVERS, get_driver
-from hmi_marl.experiments.metrics_table import reproduction_report
-from hmi_marl.experiments.metrics_table.reproduction import (
+from hmi_marl.experiments.metrics_table.experiment import MetricsTable
+from hmi_marl.experiments.metrics_table.paper_table import (
     ETA_1,
     PRINTED,
-    ReproducedTable,
-    ReproductionSettings,
+    PaperTable,
     agrees_with_exact,
+    paper_verdict,
     shortfall,
-    spec,
 )
 from hmi_marl.experiments.metrics_table.table import TableConfig, make_cell, play_cell
+from hmi_marl.experiments.policies import spec
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.reporting.statistics import Estimate
 
@@ -59,7 +58,7 @@ def test_equal_drivers_share_their_hmi_and_others_do_not():
 
 
 def test_one_driver_policy_learns_with_everybody_who_drives(tmp_path):
-    settings = ReproductionSettings()
+    settings = MetricsTable()
     job = settings.driver_job(tmp_path)
     assert {get_driver(name).traits for name in job.settings.drivers} == {
         *(driver.traits for driver in DRIVERS.values()),
@@ -74,7 +73,7 @@ def test_one_driver_policy_learns_with_everybody_who_drives(tmp_path):
 @pytest.mark.parametrize("name", ["driver_steps", "hmi_steps", "episodes"])
 def test_a_reproduction_of_nothing_is_refused(name):
     with pytest.raises(ValueError, match=f"{name} is at least 1"):
-        ReproductionSettings(**{name: 0})
+        MetricsTable(**{name: 0})
 
 
 def test_a_cell_agrees_within_its_interval_or_two_percent(cell):
@@ -103,7 +102,7 @@ def test_the_verdict_on_the_paper_is_out_of_reach_agrees_or_differs(cell):
             least=-800.0, most=-770.0
         ),
     )
-    verdict = reproduction_report.paper_verdict
+    verdict = paper_verdict
     assert verdict(bart, "distraction_return", -123.0).startswith("out of reach")
     assert verdict(bart, "distraction_return", -745.0) == "agrees"
     fast = replace(cell, speed_return=Estimate(440.0, 435.0, 445.0))
@@ -114,7 +113,7 @@ def test_the_verdict_on_the_paper_is_out_of_reach_agrees_or_differs(cell):
 
 
 def test_the_diagonal_is_the_papers_own_row():
-    table = ReproducedTable(PRINTED, {})
+    table = PaperTable(PRINTED, {})
     assert table.paper_row("lisa", "lisa") == "own"
     assert table.paper_row("lisa", "bart") is None
     assert table.paper_row("AvgHMI", "bart") == "AvgHMI"
@@ -146,45 +145,3 @@ def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys):
     weights = (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns
     assert main(command) == 0  # nothing is learned twice
     assert (out / "hmi-bart" / "vehicle_ai.safetensors").stat().st_mtime_ns == weights
-
-
-def test_traits_are_reproduced_and_nothing_is_learned_twice(tmp_path: Path, monkeypatch, capsys):
-    out = tmp_path / "traits"
-    command = ["reproduce", "traits", "--driver-run", str(save_driver(tmp_path / "driver"))]
-    command += ["--demonstrated", "2000", "--population", "4", "--workers", "1", "--out", str(out)]
-    learn = {"pool": 1, "num_teams": 2, "ppo.mini-batches": 1, "steps": 1, "imitation-updates": 1}
-    for name, value in (learn | {"encoder-units": 4, "device": "cpu"}).items():
-        command += [f"--learn.{name}", str(value)]
-    command += ["--judge.episodes", "1", "--judge.ranked", "2"]
-    assert main(command) == 0
-    printed = capsys.readouterr().out
-    for told in ("Who drives", "Traits of unseen drivers", "KL 6 times", "training traits-id:"):
-        assert told in printed
-    content = json.loads((out / "traits-report.json").read_text())
-    assert list(content["settings"]) == ["none", "id", "preference"]
-    for setting in content["settings"].values():
-        (seed,) = setting["seeds"]
-        assert seed["identified"][0]["ceilings"] is not None
-        assert set(seed["traits"]) == {"beta", "alpha", "eta", "inflation"}
-    page = (out / "index.html").read_text()
-    assert page.count("data:image/png;base64") == 2
-    assert "http" not in page
-    kept = [*out.glob("traits-*/*.safetensors"), *out.glob("*/*.parquet")]
-    assert len(kept) == 3 * 2 + 2 * 2
-    before = {path: path.stat().st_mtime_ns for path in kept}
-    assert main([*command, "--learn.latent", "3"]) == 2  # it needs more windows
-    assert "too few windows to judge by" in capsys.readouterr().err
-
-    def judged(runs, *_):
-        raise ValueError(f"{len(runs)} runs once more")
-
-    monkeypatch.setattr("hmi_marl.experiments.latent_traits.reproduction.assess_runs", judged)
-    assert main(command) == 2
-    assert "3 runs once more" in capsys.readouterr().err
-    assert {path: path.stat().st_mtime_ns for path in kept} == before
-
-
-def test_a_driver_to_demonstrate_must_be_there(tmp_path: Path, capsys):
-    command = ["reproduce", "traits", "--driver-run", str(tmp_path / "nowhere")]
-    assert main([*command, "--out", str(tmp_path / "traits")]) == 2
-    assert "no policy for the seat of driver" in capsys.readouterr().err.splitlines()[-1]

@@ -2,8 +2,8 @@ import pytest
 from evidence_models import save_trained, small_evaluation
 from PIL import Image
 
-from hmi_marl.experiments.adaptation.clip import record_change
-from hmi_marl.experiments.adaptation.settings import AdaptSettings
+from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
+from hmi_marl.experiments.adaptation.experiment import record_change
 from hmi_marl.reporting import clip
 
 

@@ -17,25 +17,23 @@ from hmi_marl.demonstrations.parquet import (
 )
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import PAPER_DRIVERS
-from hmi_marl.experiments.latent_traits import reproduction as trait_reproduction
-from hmi_marl.experiments.latent_traits.reproduction import (
-    assess_runs,
-    collect_datasets,
-    write_report,
-)
-from hmi_marl.experiments.latent_traits.settings import (
+from hmi_marl.experiments.experiment import Place, conduct
+from hmi_marl.experiments.latent_traits import assessment, ceiling
+from hmi_marl.experiments.latent_traits.assessment import Assessment
+from hmi_marl.experiments.latent_traits.experiment import (
     DEMONSTRATIONS,
     POPULATION,
     SUPERVISIONS,
     AssessSettings,
-    TraitReproduction,
+    LatentTraits,
+    TraitEvaluation,
 )
 from hmi_marl.files import sha256_of
-from hmi_marl.reporting.stopwatch import Stopwatch
+from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.training.traits.settings import TraitSettings
 
 SMALL = AssessSettings(windows=10, episodes=2, ranked=2)
-TINY = TraitReproduction(demonstrated=2000, population=4, learn=TraitSettings(pool=1), judge=SMALL)
+TINY = LatentTraits(demonstrated=2000, population=4, learn=TraitSettings(pool=1), evaluation=SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -89,11 +87,30 @@ def a_run(
     return folder
 
 
+def assess_runs(
+    runs: list[Path],
+    data: Path,
+    population: Path | None,
+    driver_policy: str | None,
+    size: AssessSettings,
+) -> tuple[dict[str, list[Assessment]], int]:
+    evaluation = TraitEvaluation(tuple(runs), data, population, driver_policy, size)
+    found = evaluation.run(Place(data, data))
+    return dict(found.assessments), found.pool
+
+
+def write_report(
+    out: Path, runs: list[Path], data: Path, population: Path | None = None, **place: Any
+) -> Report:
+    evaluation = TraitEvaluation(tuple(runs), data, population, None, SMALL)
+    return conduct(evaluation, Place(out, out, **place))
+
+
 # What is made.
 
 
 def test_every_setting_is_learned_as_often_as_there_are_seeds(tmp_path: Path) -> None:
-    size = TraitReproduction(seeds=2, seed=5, learn=TraitSettings(latent=3))
+    size = LatentTraits(seeds=2, seed=5, learn=TraitSettings(latent=3))
     jobs = size.trainings(tmp_path)
     assert [(path.name, job.supervision, job.seed) for path, job in jobs.items()] == [
         ("traits-none", "none", 5),
@@ -121,21 +138,21 @@ def test_the_population_shares_no_driver_and_no_episode_with_the_demonstrations(
 @pytest.mark.parametrize("name", ["driver_steps", "demonstrated", "population", "seeds"])
 def test_a_reproduction_of_nothing_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name} is at least 1"):
-        TraitReproduction(**{name: 0})
+        LatentTraits(**{name: 0})
 
 
 def test_what_a_reproduction_sets_itself_is_refused() -> None:
     for learn in (TraitSettings(supervision="id"), TraitSettings(seed=1)):
         with pytest.raises(ValueError, match=r"leave out --learn\.supervision and"):
-            TraitReproduction(learn=learn)
+            LatentTraits(learn=learn)
     with pytest.raises(ValueError, match="over 4 drivers or more, but got population = 3"):
-        TraitReproduction(population=3)
+        LatentTraits(population=3)
 
 
 def test_what_is_recorded_is_not_recorded_again(
     tmp_path: Path, steering: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    collect_datasets(TINY, steering, tmp_path)
+    TINY.collect(steering, tmp_path)
     written = {name: read_demonstrations(tmp_path / name) for name in (DEMONSTRATIONS, POPULATION)}
     assert len(written[DEMONSTRATIONS]) == 4 * 20
     assert written[POPULATION].observed.names == tuple(f"population-{k}" for k in range(4))
@@ -143,22 +160,22 @@ def test_what_is_recorded_is_not_recorded_again(
     (tmp_path / POPULATION / TRUTH).unlink()
     before = (tmp_path / DEMONSTRATIONS / OBSERVED).stat().st_mtime_ns
     moved = save_driver(tmp_path / "moved")  # the same policy elsewhere
-    collect_datasets(TINY, moved, tmp_path)
+    TINY.collect(moved, tmp_path)
     assert (tmp_path / POPULATION / TRUTH).is_file()
     assert (tmp_path / DEMONSTRATIONS / OBSERVED).stat().st_mtime_ns == before
     # Another dataset in its place is told.
     with pytest.raises(ValueError, match=r"demonstrations holds another .*steps = 2000, now 1900"):
-        collect_datasets(replace(TINY, demonstrated=1900), steering, tmp_path)
+        replace(TINY, demonstrated=1900).collect(steering, tmp_path)
     # Too little is told before anything is learned from it.
     larger = replace(TINY, learn=TraitSettings(pool=2))
     with pytest.raises(ValueError, match="too few windows to judge by"):
-        collect_datasets(larger, steering, tmp_path)
-    monkeypatch.setattr(trait_reproduction, "pool_sizes", lambda *given: (1,))
+        larger.collect(steering, tmp_path)
+    monkeypatch.setattr(assessment, "pool_sizes", lambda *given: (1,))
     many = replace(TINY, learn=TraitSettings(pool=32))
     with pytest.raises(ValueError, match=r"population holds another .*windows = 16, now 64"):
-        collect_datasets(many, steering, tmp_path)
+        many.collect(steering, tmp_path)
     with pytest.raises(ValueError, match="recorded with another driver policy than that of"):
-        collect_datasets(TINY, save_driver(tmp_path / "other", 7), tmp_path)
+        TINY.collect(save_driver(tmp_path / "other", 7), tmp_path)
 
 
 # Judging.
@@ -181,23 +198,24 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
     assert not (first.embedding.means == second.embedding.means).all()
     assert first.traits is not None
     assert second.traits is None  # only what is told over seeds
-    assert not second.ranking
-    seconds = {"judging": 1.0}
-    told = write_report(tmp_path / "out", found, pools, seconds, "hmi-marl", {"windows": 10})
+    assert not second.reward_ranking
+    watch = Stopwatch()
+    watch.seconds["judging"] = 1.0
+    report = write_report(tmp_path / "out", runs, data, population, watch=watch)
     out = tmp_path / "out"
     assert {path.name for path in out.iterdir()} == {
-        "traits.txt",
+        "traits-report.txt",
         "traits-report.json",
         "embeddings.png",
         "accuracy.png",
         "index.html",
     }
-    assert (out / "traits.txt").read_text("utf-8") == told.text + "\n"
-    assert "pools of 4, 8, 16." in told.text
-    assert told.seconds == seconds
-    assert "seconds" not in told.numbers  # which are the same however long it took
+    assert (out / "traits-report.txt").read_text("utf-8") == report.text + "\n"
+    assert "pools of 4, 8, 16." in report.text
+    assert report.seconds == {"judging": 1.0}
+    assert "seconds" not in report.numbers  # which are the same however long it took
     content = json.loads((out / "traits-report.json").read_text("utf-8"))
-    assert len(content["settings"]["id"]["seeds"]) == 2
+    assert len(content["supervisions"]["id"]["seeds"]) == 2
     for name in ("embeddings.png", "accuracy.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
     assert "data:image/png;base64" in (out / "index.html").read_text("utf-8")
@@ -211,17 +229,16 @@ def test_sizes_of_z_may_differ(tmp_path: Path, data: Path) -> None:
     for name in sizes:
         assert [row.windows for row in found[name][0].identified] == [1]
         assert found[name][0].traits is None
-    write_report(tmp_path / "out", found, 1, {}, "", {})
+    write_report(tmp_path / "out", runs, data)
 
 
 def test_a_rule_has_no_ceiling_and_is_judged_all_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = record(tmp_path / "data", "rule")
-    found, pools = assess_runs([a_run(tmp_path / "run", data)], data, None, None, SMALL)
-    assert "ceiling cannot be had: it takes a driver that tells" in capsys.readouterr().err
-    told = write_report(tmp_path / "out", found, pools, {}, "", {})
-    assert "There is no exact ceiling." in told.text
+    report = write_report(tmp_path / "out", [a_run(tmp_path / "run", data)], data)
+    assert "no exact ceiling: it takes a learned driver policy" in capsys.readouterr().err
+    assert "There is no exact ceiling." in report.text
 
 
 def test_what_cannot_be_judged_together_is_told(tmp_path: Path, data: Path) -> None:
@@ -231,8 +248,11 @@ def test_what_cannot_be_judged_together_is_told(tmp_path: Path, data: Path) -> N
         (a_run(tmp_path / "pool", data, pool=1), "pool pools or holds out other windows than"),
         (a_run(tmp_path / "share", data, held_out=0.3), "share pools or holds out other"),
         (a_run(tmp_path / "from", other), "from learned from other demonstrations than"),
-        (a_run(tmp_path / "none", data, training={}), "none does not tell what it learned from"),
-        (good, "good and .*good are of one seed"),
+        (
+            a_run(tmp_path / "none", data, training={}),
+            "card of .*none does not name its",
+        ),
+        (good, "good and .*good have the same seed"),
         (
             a_run(tmp_path / "wide", data, margin=3.0, seed=1),
             "wide was learned with another margin",
@@ -254,7 +274,7 @@ def test_too_little_to_judge_by_is_told_before_anything_is_judged(
     def never(*given: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(trait_reproduction, "exact_evidence", never)
+    monkeypatch.setattr(ceiling, "exact_evidence", never)
     run = a_run(tmp_path / "large", data, pool=3)
     with pytest.raises(ValueError, match=r"takes 12 of each driver .* of lisa there are 8"):
         assess_runs([run], data, None, None, SMALL)
@@ -265,7 +285,7 @@ def test_too_little_to_judge_by_is_told_before_anything_is_judged(
     few = record(tmp_path / "few", "rule", drivers=(), population=3, windows=2)
     with pytest.raises(ValueError, match="4 drivers or more with 2 windows each"):
         assess_runs([run], data, few, None, SMALL)
-    with pytest.raises(ValueError, match="everybody in the population has demonstrated"):
+    with pytest.raises(ValueError, match="all drivers of the population have demonstrated"):
         assess_runs([run], data, data, None, SMALL)
     coarse = made_up([5] * 8, driver=[0, 1, 2, 3] * 2, names=("a", "b", "c", "d"))
     write_demonstrations(tmp_path / "coarse", coarse)

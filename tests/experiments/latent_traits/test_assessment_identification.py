@@ -11,17 +11,19 @@ from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
-from hmi_marl.experiments.latent_traits import identification as traits
-from hmi_marl.experiments.latent_traits.identification import (
-    Hidden,
+from hmi_marl.experiments.latent_traits import assessment as traits
+from hmi_marl.experiments.latent_traits.assessment import (
     Split,
     disjoint_pools,
+    encode,
     identify_drivers,
     likes_help,
+    mean_latents,
     pool_sizes,
     population_pools,
     regress_traits,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
 NAMES = ("lisa", "marge", "bart")
@@ -89,17 +91,18 @@ def test_pools_share_no_window_and_have_one_driver(size: int) -> None:
 
 def test_pooled_states_are_averages() -> None:
     data = driven({"lisa": 3, "marge": 2})
-    hidden = Hidden.of(speed_reader(), data.observed)
+    model = speed_reader()
+    states = encode(model, data.observed)
     speed, target = (
         data.observed.layout.scalar(data.observed.states, part)[:, -1]
         for part in ("speed", "target_speed")
     )
     z = np.tanh(np.tanh(np.stack([speed, target], axis=1)))
-    np.testing.assert_allclose(hidden.states, z, rtol=1e-6)
+    np.testing.assert_allclose(states, z, rtol=1e-6)
     pools = np.array([[0, 2], [3, 4]])
     expected = [(z[0] + z[2]) / 2, (z[3] + z[4]) / 2]
-    np.testing.assert_allclose(hidden.pooled(pools), expected, rtol=1e-6)
-    np.testing.assert_array_equal(hidden.driver, [0, 0, 0, 1, 1])
+    np.testing.assert_allclose(mean_latents(model, states, pools), expected, rtol=1e-6)
+    np.testing.assert_array_equal(data.observed.driver, [0, 0, 0, 1, 1])
 
 
 # What was learned from, and what was not.
@@ -198,13 +201,14 @@ def test_drivers_who_lie_apart_are_told_apart() -> None:
         assert row.preferences.linear_probe == share(row.pools, row.pools)
         assert row.preferences.chance == 20 / 32
         assert row.ceilings is None
-        assert row.as_json()["ceilings"] is None
+        assert json_value(row)["ceilings"] is None
     assert rows[1].types.average_kl > rows[0].types.average_kl > 10
     # Of pools of the model's own size.
     unseen = split.unseen.observed
     pools = disjoint_pools(unseen.driver, 2)
-    hidden = Hidden.of(speed_reader(), unseen)
-    np.testing.assert_allclose(embedding.means, hidden.pooled(pools))
+    model = speed_reader()
+    expected = mean_latents(model, encode(model, unseen), pools)
+    np.testing.assert_allclose(embedding.means, expected)
     np.testing.assert_array_equal(embedding.types, np.repeat([0, 1, 2], [5, 6, 5]))
     assert embedding.names == NAMES
 
@@ -240,7 +244,7 @@ def test_preferences_are_asked_where_they_are_known_and_differ() -> None:
     ):
         rows, _ = identify_drivers(speed_reader(1), Split.of(data, 0.5, 100), None, (1,))
         assert rows[0].preferences is None
-        assert rows[0].as_json()["preferences"] is None
+        assert json_value(rows[0])["preferences"] is None
 
 
 def test_windows_of_nobody_are_not_judged() -> None:
@@ -255,7 +259,7 @@ def test_windows_of_nobody_are_not_judged() -> None:
 # Traits of drivers who were not learned from.
 
 
-def strangers(count: int = 12, windows: int = 2, seed: int = 0) -> Demonstrations:
+def random_drivers(count: int = 12, windows: int = 2, seed: int = 0) -> Demonstrations:
     """β and inflation follow from the speed; α and η from nothing that is seen."""
     data = driven({f"population-{k}": windows for k in range(count)}, seed=seed)
     assert data.truth is not None
@@ -270,7 +274,7 @@ def strangers(count: int = 12, windows: int = 2, seed: int = 0) -> Demonstration
 
 
 def test_what_can_be_read_from_z_is_told_of_every_trait() -> None:
-    found = regress_traits(speed_reader(), strangers(60), 2)
+    found = regress_traits(speed_reader(), random_drivers(60), 2)
     assert tuple(found) == TRAIT_NAMES
     for name in ("beta", "inflation"):
         assert found[name].linear.mean > 0.95
@@ -286,7 +290,7 @@ def test_no_driver_is_on_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
         return {}
 
     monkeypatch.setattr(traits, "trait_r2", record)
-    population = strangers(7, windows=5)
+    population = random_drivers(7, windows=5)
     regress_traits(speed_reader(), population, 2, seed=3)
     assert (given["names"], given["seed"]) == (TRAIT_NAMES, 3)
     sides = [np.unique(given[side], axis=0) for side in ("known", "truth")]
@@ -300,7 +304,7 @@ def test_no_driver_is_on_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_halves_are_equal_whoever_has_too_few_windows() -> None:
     # Every other driver has a single window, and so no pool of two.
-    data = strangers(8)
+    data = random_drivers(8)
     kept = (data.observed.driver % 2 == 0) | (data.observed.number == 0)
     found = regress_traits(speed_reader(), data.take(kept), 2)
     whole = regress_traits(speed_reader(), data.take(data.observed.driver % 2 == 0), 2)
@@ -310,11 +314,11 @@ def test_halves_are_equal_whoever_has_too_few_windows() -> None:
 
 def test_a_population_that_tells_too_little_is_refused() -> None:
     with pytest.raises(ValueError, match="only where the truth is known"):
-        population_pools(Demonstrations(strangers().observed), 2)
+        population_pools(Demonstrations(random_drivers().observed), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 2 windows each, but .* has 3"):
-        regress_traits(speed_reader(), strangers(3), 2)
+        regress_traits(speed_reader(), random_drivers(3), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 3 windows each, but .* has 0"):
-        population_pools(strangers(), 3)
-    truth, pools = population_pools(strangers(), 2)
+        population_pools(random_drivers(), 3)
+    truth, pools = population_pools(random_drivers(), 2)
     assert pools.shape == (12, 2)
     assert truth.traits.shape == (24, 4)

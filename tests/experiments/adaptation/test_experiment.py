@@ -1,13 +1,14 @@
 import pytest
 
-from hmi_marl.experiments.adaptation.settings import AdaptReproduction, AdaptSettings
+from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
+from hmi_marl.experiments.adaptation.experiment import Adaptation
 
 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
         ({"drivers": 1}, "an interval needs at least 2, but got drivers = 1"),
-        ({"strangers": 0}, "an interval needs at least 2, but got strangers = 0"),
+        ({"population": 0}, "an interval needs at least 2, but got population = 0"),
         ({"changes": 1}, "an interval needs at least 2, but got changes = 1"),
         ({"repeats": 0}, "repeats is at least 1"),
         ({"candidates": 0}, "candidates is at least 1"),
@@ -24,16 +25,14 @@ def test_sizes_that_make_no_evaluation_are_refused(changes, told):
 
 
 def test_what_is_learned_for_it_goes_by_the_driver_that_was_learned(tmp_path):
-    size = AdaptReproduction(
-        drives=1000, updates=7, hmi_steps=99, rnn_hidden_dim=5, num_teams=16, seed=3
-    )
-    evidence, hmi = size.evidence(tmp_path), size.conditioned(tmp_path)
+    size = Adaptation(drives=1000, updates=7, hmi_steps=99, rnn_hidden_dim=5, num_teams=16, seed=3)
+    evidence, hmi = size.encoder(tmp_path), size.conditioned(tmp_path)
     assert (evidence.drives, evidence.updates, evidence.seed) == (1000, 7, 3)
-    assert (hmi.hmi_steps, hmi.memory, hmi.teams, hmi.seed) == (99, 5, 16, 3)
+    assert (hmi.hmi_steps, hmi.rnn_hidden_dim, hmi.num_teams, hmi.seed) == (99, 5, 16, 3)
     assert evidence.driver_policy == hmi.driver_policy == str(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["drives", "updates", "hmi_steps", "memory"])
+@pytest.mark.parametrize("name", ["drives", "updates", "hmi_steps", "rnn_hidden_dim"])
 def test_learning_nothing_is_refused(name):
     with pytest.raises(ValueError, match=f"{name} is at least 1, but got 0"):
-        AdaptReproduction(**{name: 0})
+        Adaptation(**{name: 0})

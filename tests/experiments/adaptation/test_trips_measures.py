@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from hmi_marl.experiments.adaptation.measures import (
-    at_the_wheel,
+from hmi_marl.experiments.adaptation.trips import (
+    Trips,
     by_second,
+    by_turn,
     closed,
     earned_between,
     ratio,
 )
-from hmi_marl.experiments.adaptation.trips import Trips
 
 # Two drivers, three trips of four steps; the second driver crashes in the first two trips.
 REWARDS = np.array(
@@ -29,10 +29,10 @@ def test_returns_are_those_of_each_trip():
     assert TRIPS.returns.tolist() == [[10, 26, 42], [3, 3, 22]]
 
 
-def test_turns_at_the_wheel_leave_out_what_came_after_a_crash():
+def test_turns_by_turn_leave_out_what_came_after_a_crash():
     expected = [list(range(1, 13)), [1, 2, 3, 4, 5, 6, 7, NAN, NAN, NAN, NAN, NAN]]
-    np.testing.assert_array_equal(at_the_wheel(TRIPS, REWARDS), expected)
-    other = at_the_wheel(TRIPS, REWARDS + 100 * ~DRIVING)
+    np.testing.assert_array_equal(by_turn(TRIPS, REWARDS), expected)
+    other = by_turn(TRIPS, REWARDS + 100 * ~DRIVING)
     np.testing.assert_array_equal(other, expected)
 
 

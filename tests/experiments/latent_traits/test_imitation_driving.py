@@ -9,14 +9,15 @@ from hmi_marl.agents.learned.situations import EXTRA, situations
 from hmi_marl.demonstrations.dataset import Observed
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.observations import FASTEST, Layout
-from hmi_marl.experiments.latent_traits.driving import (
+from hmi_marl.experiments.latent_traits.imitation import (
+    by_driver,
     checked_z,
     compare_driving,
     driving,
     imitate,
-    of_drivers,
     replay,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import mean, share
 from hmi_marl.training.traits.rollouts import Drives
 
@@ -56,7 +57,7 @@ def test_a_replay_is_what_was_recorded(end_at_crash: bool) -> None:
 
 def test_what_cannot_be_played_again_is_refused() -> None:
     observed = observe()
-    with pytest.raises(ValueError, match="no seeds, so they cannot be played again"):
+    with pytest.raises(ValueError, match="no seeds, so they cannot be replayed"):
         replay(replace(observed, seeds=None))
     with pytest.raises(ValueError, match="do not crash where they did"):
         replay(replace(observed, crash_step=np.full(len(observed), -1)))
@@ -155,7 +156,7 @@ def test_driving_by_hand() -> None:
     assert found.repeated == mean([1 / 3, 0.0], lowest=0.0)
     assert found.alert_effect == mean([0.0 - 1.0])  # the other had no alert
     assert found.crash_rate == share(1, 2)
-    assert found.as_json()["crash_rate"] == share(1, 2).as_json()
+    assert json_value(found)["crash_rate"] == share(1, 2).as_json()
 
 
 def test_a_drive_that_nothing_is_known_of_is_left_out() -> None:
@@ -170,7 +171,7 @@ def test_drivers_are_compared_one_by_one() -> None:
     observed = observe()
     model = untrained(observed.layout)
     drives = replay(observed)
-    apart = of_drivers(drives, [*observed.labels()[:-1], None])
+    apart = by_driver(drives, [*observed.labels()[:-1], None])
     assert {name: len(one.actions) for name, one in apart.items()} == {"bart": 10, "marge": 9}
     np.testing.assert_array_equal(apart["marge"].actions, observed.actions[10:19])
     played = imitate(model, observed, {"marge": [1, 0], "bart": [0, 0]}, 4, 0)
@@ -178,7 +179,7 @@ def test_drivers_are_compared_one_by_one() -> None:
     assert [row.driver for row in rows] == ["bart", "marge"]
     assert rows[1].demonstrated == driving(apart["marge"], 5)
     assert rows[1].imitated == driving(played["marge"], 5)
-    assert rows[1].as_json()["imitated"]["drives"] == 4
+    assert json_value(rows[1])["imitated"]["drives"] == 4
     with pytest.raises(ValueError, match="only one has marge"):
         compare_driving(apart, {"bart": played["bart"]}, 5)
 
@@ -186,7 +187,7 @@ def test_drivers_are_compared_one_by_one() -> None:
 def test_who_repeats_what_they_did_is_seen_from_their_driving() -> None:
     # Of random intents an attentive driver repeats a fifth, and bart most of the rest.
     observed = observe(steps=15_000)
-    rows = of_drivers(replay(observed), observed.labels())
+    rows = by_driver(replay(observed), observed.labels())
     bart, marge = (driving(rows[name], 5) for name in ("bart", "marge"))
     assert bart.repeated.low > 0.75
     assert marge.repeated.high < 0.4

@@ -1,0 +1,96 @@
+"""Thresholds by which experiments and the paper's claims are judged.
+
+Experiments and claims that ask for the same thing read the same number, so that they cannot
+contradict each other. Shares are in [0, 1]. What the paper prints is in
+:mod:`hmi_marl.paper.printed`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+# HMIs that see attention.
+
+EXACT_TOLERANCE = 0.02
+"""Largest difference from an exact value that counts as agreement, as a share of it; a value within
+the 95 % interval agrees as well."""
+PAPER_TOLERANCE: Mapping[str, float] = MappingProxyType(
+    {"distraction_return": 0.1, "speed_return": 0.03}
+)
+"""Largest difference of a figure that the paper prints from ours that counts as agreement, as a
+share of the paper's figure. Speed returns of all policies are close together, so theirs is
+smaller."""
+REACHABLE_LEAST, REACHABLE_MOST = 1.001, 0.94
+"""Factors on the ends of the reachable distraction returns: the paper's episodes may have been a
+few steps shorter than ours."""
+ETA_1_TOLERANCE = 0.1
+"""Largest difference of a figure that the paper prints from what η = 1 would give, as a share."""
+OPTIMAL_SHARE = 0.99
+"""Share of the gain of the best alerts from which an HMI counts as optimal, and share of steps from
+which it counts as following a rule."""
+SAME_GAIN = 0.01
+"""Difference in share of gain below which two HMIs count as alike."""
+AVERAGE_HMI_GAIN = 0.9
+"""Least share of what the own HMI gains that AvgHMI gains if it does a good job."""
+MOST_SPARED_BY_IGNORING, LEAST_SPARED_BY_HEEDING = 0.1, 0.5
+"""Share of a driver's distraction that their own HMI spares: at most, if the driver ignores alerts;
+at least, if the driver is receptive."""
+
+# Drivers without distraction.
+
+LEAST_SPEED_RETURN: Mapping[str, float] = MappingProxyType({"confident": 460.0, "cautious": 405.0})
+"""Least speed return per episode, by driver."""
+MOST_CRASHES = 0.04
+"""Crash rate that the confident driver stays below."""
+LEAST_HEADWAY_RATIO = 1.2
+"""Least ratio of the cautious driver's median time headway to the confident driver's."""
+
+# HMIs that do not see attention.
+
+BAYES_MARGIN = 0.01
+"""Largest shortfall against the Bayes filter of an HMI as good as it, as a share of the filter's
+return."""
+
+# Graded alerts.
+
+GRADED_OPTIMUM_SHARE = 0.97
+"""Least share of the exact optimum that a learned HMI reaches."""
+
+# Latent traits.
+
+IDENTITY_MARGIN, PREFERENCE_MARGIN = 0.03, 0.02
+"""Largest difference of a supervised accuracy from the exact classifier's, for drivers and for
+preferences."""
+ABOVE_CHANCE = 0.20
+"""Least difference of the unsupervised accuracy from chance."""
+KL_FACTOR = 6.0
+"""Least ratio of a supervised setting's average KL to the unsupervised one's, as in the paper."""
+KL_INFLUENCE = 2.0
+"""Ratio of these from which supervision counts as a heavy influence."""
+SMALLEST_KL = 1e-9
+"""Least value that the unsupervised average KL counts as: equal vectors have 0 [nats]."""
+APART, PARTLY_APART = 0.9, 0.75
+"""Share of pools next to their own kind, and of drivers named, from which kinds count as apart, and
+as partly apart. By chance it is one half for two kinds."""
+SHOWN_BY_SCENARIO = 0.95
+"""Accuracy of the exact classifier from which a scenario shows who drives."""
+
+# Unknown drivers.
+
+GAP_DRIVERS = ("lisa", "bart")
+"""Drivers for whom knowing them is worth much."""
+GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.90, "3 trips": 0.97})
+"""Least share of the gap between AvgHMI and an HMI that knows the driver that is closed."""
+POPULATION_GAP_CLOSED = 0.80
+"""The same for the continuous population after three trips."""
+MOST_REGRET = 0.10
+"""Largest regret 20 s after a change of driver, as a share of what the knowing HMI earns."""
+USEFUL, FULLY_USEFUL = 0.5, 0.9
+"""Share of that gap, closed after three trips, from which a representation counts as useful in
+part, and in full."""
+
+# Protocols.
+
+MORE_CRASHES = 0.05
+"""Minimum crash-rate increase over the two-stage driver reported as a difference."""

@@ -1,0 +1,190 @@
+"""Experiments of one shape: settings, run, judge, blocks.
+
+An experiment is a frozen dataclass whose fields are its settings. It learns and plays what is not
+done yet (:meth:`Experiment.run`), gives its numbers as JSON content, judges them by the criteria of
+:mod:`hmi_marl.experiments.criteria`, and describes a report in blocks. It is registered once, in
+:mod:`hmi_marl.experiments.registry`, which the command line and the reproduction read.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar
+
+from tqdm import tqdm
+
+from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.envs.config import DRIVER
+from hmi_marl.envs.streams import check_seed
+from hmi_marl.files import json_value, make_folder
+from hmi_marl.reporting.blocks import Block, Verdicts
+from hmi_marl.reporting.report import Report, Stopwatch
+from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.runs.folder import CHECKPOINT, seconds_of
+from hmi_marl.training.runs.jobs import Job, train_all
+
+T = TypeVar("T")
+R = TypeVar("R")
+"""Results of an experiment."""
+_DEPENDED_ON = (".safetensors", ".parquet")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where and how an experiment runs."""
+
+    folder: Path
+    """Folder of its own."""
+    driver_run: Path
+    """Training run of the driver policy that all experiments of a reproduction share."""
+    workers: int = 1
+    """Processes at a time. Does not change results."""
+    command_line: str = ""
+    """Command that runs it."""
+    watch: Stopwatch = field(default_factory=Stopwatch)
+    """Durations of its parts."""
+
+    def train(self, jobs: Sequence[Job]) -> None:
+        """Train what is not trained yet, ``workers`` runs at a time, and note the durations.
+
+        Jobs must not need each other's results.
+        """
+        train_all(jobs, self.workers, self.command_line)
+        self.note_training(job.folder for job in jobs)
+
+    def note_training(self, runs: Iterable[Path]) -> None:
+        """Note how long each training took in all, however often it was cut off."""
+        trained = seconds_of(runs)
+        self.watch.seconds |= {f"training {name}": spent for name, spent in trained.items()}
+
+    @contextmanager
+    def playing(self, total: int, unit: str) -> Iterator[Callable[[int], object]]:
+        """Time the playing within and show its progress; yields what counts it on.
+
+        Args:
+            total: how much there is to play.
+            unit: what is counted: "episodes", "drivers", ...
+        """
+        with (
+            self.watch.timing("playing"),
+            tqdm(total=total, unit=f" {unit}", desc="playing") as bar,
+        ):
+            yield bar.update
+
+    def each(self, items: Sequence[T], unit: str) -> Iterator[T]:
+        """Iterate over what is played one after the other; see :meth:`playing`."""
+        with self.playing(len(items), unit) as progress:
+            for item in items:
+                yield item
+                progress(1)
+
+
+@dataclass(frozen=True)
+class Agent:
+    """Something learned that ships with the package."""
+
+    name: str
+    card: Path
+    what: str
+    """Description in one line."""
+
+
+class Experiment(ABC, Generic[R]):
+    """One experiment; see the module."""
+
+    name: ClassVar[str]
+    """Name in the registry, and of its folder in a reproduction."""
+    files: ClassVar[str] = ""
+    """Name of its text and its JSON, where it is not the experiment's."""
+    title: ClassVar[str]
+    """Heading of its report."""
+    paper: ClassVar[str] = ""
+    """Text on what the paper shows of it, and how ours corresponds to it."""
+    uses_driver: ClassVar[bool] = False
+    """Whether it plays with the driver policy that the experiments of a reproduction share."""
+
+    @classmethod
+    @abstractmethod
+    def quick(cls) -> Experiment[R]:
+        """Make a coarse version that takes minutes."""
+
+    def driver_job(self, folder: Path) -> Job | None:
+        """Training of the shared driver policy, below ``folder``; None if it learns none."""
+        return None
+
+    @abstractmethod
+    def run(self, place: Place) -> R:
+        """Learn and play what is not done yet, and return the results."""
+
+    @abstractmethod
+    def numbers(self, results: R) -> Mapping[str, Any]:
+        """JSON content of the results, without durations and paths; verdicts are added to it."""
+
+    def judge(self, results: R) -> Sequence[Verdict]:
+        """Judge the results by the criteria; nothing by default."""
+        return ()
+
+    @abstractmethod
+    def blocks(self, results: R) -> Sequence[Block]:
+        """Blocks of the report; verdicts are added to them."""
+
+    def inputs(self, place: Place) -> list[Path]:
+        """Files learned or recorded that the results depend on, once it has run."""
+        return learned_in(place.folder) + (driver_weights(place) if self.uses_driver else [])
+
+    def agents(self, place: Place) -> list[Agent]:
+        """Policies and models that it has learned for others to use; none by default."""
+        return []
+
+    def settings(self) -> dict[str, Any]:
+        """JSON content of everything that the results depend on."""
+        return dict(json_value(self))
+
+
+def conduct(experiment: Experiment[Any], place: Place) -> Report:
+    """Run an experiment, judge it, and write its report into its folder."""
+    make_folder(place.folder)
+    results = experiment.run(place)
+    verdicts = experiment.judge(results)
+    judged = [Verdicts(verdicts)] if verdicts else []
+    listed = {"verdicts": [verdict.as_json() for verdict in verdicts]} if verdicts else {}
+    report = Report(
+        experiment.files or experiment.name,
+        experiment.title,
+        (*experiment.blocks(results), *judged),
+        {**experiment.numbers(results), **listed},
+        place.command_line,
+        experiment.settings(),
+        place.watch.seconds,
+    )
+    report.write(place.folder)
+    return report
+
+
+def with_seed(experiment: Experiment[Any], seed: int) -> Experiment[Any]:
+    """Return the same experiment from another seed.
+
+    Raises:
+        ValueError: the seed is out of range.
+    """
+    return replace(experiment, seed=check_seed(seed))  # type: ignore[type-var]
+
+
+def learned_in(folder: Path) -> list[Path]:
+    """Weights and demonstrations below ``folder``, in order; checkpoints are left out."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix in _DEPENDED_ON
+        and path.name != CHECKPOINT
+        and not path.name.startswith(".")  # left behind by a kill
+    )
+
+
+def driver_weights(place: Place) -> list[Path]:
+    """Weights of the driver policy that the experiments share."""
+    return [find_policy(place.driver_run, DRIVER).with_suffix(".safetensors")]

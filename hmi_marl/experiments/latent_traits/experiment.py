@@ -1,0 +1,366 @@
+"""Learn latent driver traits in the paper's three settings, and judge what was learned."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from hmi_marl.checks import check_count
+from hmi_marl.demonstrations.recording import CollectSettings
+from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.envs.streams import check_seed
+from hmi_marl.experiments.experiment import Agent, Experiment, Place, driver_weights
+from hmi_marl.experiments.policies import driver_job
+from hmi_marl.files import json_value, make_folder, sha256_of
+from hmi_marl.reporting.blocks import Block
+from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.runs.folder import FREE as MACHINE
+from hmi_marl.training.runs.folder import check_same
+from hmi_marl.training.runs.jobs import Job, need_training, own_line, side_by_side
+from hmi_marl.training.traits.settings import Supervision, TraitSettings
+
+if TYPE_CHECKING:
+    from hmi_marl.agents.learned.trait_model import TraitModel
+    from hmi_marl.experiments.latent_traits.assessment import Assessment
+    from hmi_marl.experiments.latent_traits.report import TraitResults
+
+SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
+DEMONSTRATIONS, POPULATION = "demonstrations", "population"
+MIN_UNSEEN_DRIVERS = 4
+"""Least drivers to regress traits over: two fit the regression, and two judge it."""
+_POPULATION_SEED = 1
+"""Added to the seed for the population's episodes."""
+_FREE = ("driver_policy", "num_teams")
+"""Settings that a recorded dataset may differ in: the policy's folder (its weights are compared
+instead), and memory."""
+
+
+@dataclass(frozen=True)
+class AssessSettings:
+    """Size of the evaluation of each model.
+
+    Raises:
+        ValueError: a size below its least.
+    """
+
+    windows: int = 800
+    """Most windows of each driver, learned from or held out, that are encoded."""
+    episodes: int = 200
+    """Episodes that the policy drives with each driver's z."""
+    ranked: int = 100
+    """Held-out windows of each driver by which the recovered reward is judged."""
+    seed: int = 1_000_000
+    """Seed of those episodes and of all other draws."""
+
+    def __post_init__(self) -> None:
+        for name in ("windows", "episodes", "ranked"):
+            check_count(name, getattr(self, name))
+        if self.ranked < 2:
+            raise ValueError("ranking takes two windows: ranked is at least 2, but got 1")
+
+
+class _Judged(Experiment["TraitResults"]):
+    """Report of judged trait models."""
+
+    name = "traits"
+    files = "traits-report"
+    title = "Latent traits"
+
+    def numbers(self, results: TraitResults) -> Mapping[str, Any]:
+        """See :meth:`Experiment.numbers`."""
+        from hmi_marl.experiments.latent_traits.report import numbers
+
+        return numbers(results)
+
+    def judge(self, results: TraitResults) -> Sequence[Verdict]:
+        """See :meth:`Experiment.judge`."""
+        from hmi_marl.experiments.latent_traits.report import judge
+
+        return judge(results)
+
+    def blocks(self, results: TraitResults) -> Sequence[Block]:
+        """See :meth:`Experiment.blocks`."""
+        from hmi_marl.experiments.latent_traits.report import blocks
+
+        return blocks(results)
+
+
+@dataclass(frozen=True)
+class TraitEvaluation(_Judged):
+    """Evaluation of trained models, as ``hmi-marl traits evaluate`` runs it."""
+
+    runs: tuple[Path, ...]
+    """Folders of trained runs."""
+    demonstrations: Path
+    """Demonstrations that they learned from."""
+    population: Path | None = None
+    """Demonstrations of drivers that they have not learned from."""
+    driver_policy: str | None = None
+    """Run of the driver policy of the demonstrations; by default as recorded in them."""
+    size: AssessSettings = field(default_factory=AssessSettings)
+    """Size of the evaluation."""
+
+    @classmethod
+    def quick(cls) -> TraitEvaluation:
+        """Raise ``ValueError``: there are no default runs."""
+        raise ValueError("an evaluation of trait models names the runs to evaluate")
+
+    def run(self, place: Place) -> TraitResults:
+        """Judge the runs on what they held out.
+
+        The first model of a setting is judged in every respect, others by identification alone.
+
+        Raises:
+            FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
+                other demonstrations or that pool or hold out differently.
+        """
+        from hmi_marl.agents.learned.trait_model import load_traits
+        from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations
+        from hmi_marl.experiments.latent_traits import assessment
+        from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, exact_evidence
+        from hmi_marl.experiments.latent_traits.imitation import check_fits
+        from hmi_marl.experiments.latent_traits.report import TraitResults
+
+        models = [load_traits(run) for run in self.runs]
+        data = read_demonstrations(self.demonstrations)
+        pool, digest = models[0].card.pool, sha256_of(self.demonstrations / OBSERVED)
+        share, _ = _learned_from(self.runs[0], models[0])
+        for run, model in zip(self.runs, models, strict=True):
+            held_out, learned = _learned_from(run, model)
+            if (model.card.pool, held_out) != (pool, share):
+                raise ValueError(f"{run} pools or holds out other windows than {self.runs[0]}")
+            if learned != digest:
+                raise ValueError(
+                    f"{run} learned from other demonstrations than {self.demonstrations}"
+                )
+        _check_seeds(self.runs, models)
+        split = assessment.Split.of(data, share, self.size.windows)
+        windows = assessment.pool_sizes(split, pool, max(model.card.latent for model in models))
+        unknown = None
+        if self.population is not None:
+            unknown = assessment.unseen_drivers(read_demonstrations(self.population), data)
+            assessment.population_pools(unknown, pool)
+            check_fits(models[0], unknown.observed)
+        found: dict[str, list[Assessment]] = {}
+        parts = 1 + assessment.PARTS * len(models)
+        with tqdm(total=parts, unit=" parts", desc="judging") as bar:
+            exact = None
+            try:
+                exact = exact_evidence(split.unseen, self.driver_policy)
+            except NoCeilingError as error:
+                bar.write(str(error), file=sys.stderr)
+            bar.update()
+            for model in models:
+                first = assessment.supervision_of(model) not in found
+                one = assessment.assess(
+                    model, split, exact, unknown, self.size, windows, bar.update, whole=first
+                )
+                found.setdefault(one.supervision, []).append(one)
+        return TraitResults({name: found[name] for name in SUPERVISIONS if name in found}, pool)
+
+    def settings(self) -> dict[str, Any]:
+        """See :meth:`Experiment.settings`."""
+        return dict(vars(self.size))
+
+
+@dataclass(frozen=True)
+class LatentTraits(_Judged):
+    """Learn latent traits in the paper's three settings and judge what was learned.
+
+    With --seeds 5 every setting is learned five times, and accuracies and KL get intervals.
+
+    Raises:
+        ValueError: a size below its least, or a setting that the experiment sets itself.
+    """
+
+    driver_steps: int = 4_000_000
+    """Environment steps in which the driver learns, unless one is given."""
+    demonstrated: int = 300_000
+    """Steps demonstrated by each driver."""
+    population: int = 200
+    """Unseen drivers, over whom traits are regressed."""
+    learn: TraitSettings = field(default_factory=TraitSettings)
+    """Settings of each learning; supervision and seed are set for each."""
+    seed: int = 0
+    """Seed of the driver, the demonstrations and the first learning of each setting."""
+    seeds: int = 1
+    """Times that each setting is learned."""
+    evaluation: AssessSettings = field(default_factory=AssessSettings)
+    """Size of the evaluation of each model."""
+
+    uses_driver = True
+    paper = (
+        "The paper's figure of latent embeddings (Sec. VIII-B) has three panels: unsupervised, "
+        "supervised by driver, supervised by preference, each the embeddings of the four drivers. "
+        "Its source comes without the pictures; what it prints is the KL divergence averaged over "
+        "pairs of driver types, 435, 4940 and 2872 nats. Below is the same figure of ours, and "
+        "with every accuracy what the exact Bayes classifier of the same windows reaches."
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("driver_steps", "demonstrated", "population", "seeds"):
+            check_count(name, getattr(self, name))
+        object.__setattr__(self, "seed", check_seed(self.seed))
+        if (self.learn.supervision, self.learn.seed) != ("none", 0):
+            raise ValueError(
+                "every supervision is learned, from --seed on: leave out "
+                "--learn.supervision and --learn.seed"
+            )
+        if self.population < MIN_UNSEEN_DRIVERS:
+            raise ValueError(
+                f"traits are regressed over {MIN_UNSEEN_DRIVERS} drivers or more, but got "
+                f"population = {self.population}"
+            )
+
+    @classmethod
+    def quick(cls) -> LatentTraits:
+        """See :meth:`Experiment.quick`."""
+        return cls(
+            demonstrated=100_000,
+            population=60,
+            learn=TraitSettings(steps=150_000, imitation_updates=200),
+            evaluation=AssessSettings(windows=200, episodes=60, ranked=40),
+        )
+
+    def driver_job(self, folder: Path) -> Job:
+        """See :meth:`Experiment.driver_job`."""
+        return driver_job(PAPER_DRIVERS, self.driver_steps, 512, self.seed, folder)
+
+    def datasets(self, driver_run: Path) -> dict[str, CollectSettings]:
+        """Return what to collect, by folder."""
+        common = CollectSettings(driver_policy=str(driver_run), seed=self.seed)
+        return {
+            DEMONSTRATIONS: replace(common, steps=self.demonstrated),
+            POPULATION: replace(
+                common,
+                drivers=(),
+                population=self.population,
+                windows=max(common.windows, 2 * self.learn.pool),
+                seed=self.seed + _POPULATION_SEED,
+            ),
+        }
+
+    def trainings(self, folder: Path) -> dict[Path, TraitSettings]:
+        """Return what to learn, by folder; the first seed of each setting comes first."""
+        return {
+            folder / f"traits-{supervision}{'' if seed == 0 else f'-{seed}'}": replace(
+                self.learn, supervision=supervision, seed=self.seed + seed
+            )
+            for seed in range(self.seeds)
+            for supervision in SUPERVISIONS
+        }
+
+    def run(self, place: Place) -> TraitResults:
+        """See :meth:`Experiment.run`."""
+        need_training()
+        out, watch = place.folder, place.watch
+        runs, data = self.trainings(out), out / DEMONSTRATIONS
+        with watch.timing("collecting"):
+            self.collect(place.driver_run, out)
+        with watch.timing("all training of this call, in parallel"):
+            tasks = [(job, data, folder, place.command_line) for folder, job in runs.items()]
+            side_by_side(_learn, tasks, place.workers)
+        place.note_training(runs)
+        with watch.timing("judging"):
+            return TraitEvaluation(
+                tuple(runs), data, out / POPULATION, str(place.driver_run), self.evaluation
+            ).run(place)
+
+    def collect(self, driver_run: Path, folder: Path) -> None:
+        """Record what is not recorded yet, and check that it is enough to judge by.
+
+        Raises:
+            FileNotFoundError: there is no such driver policy.
+            ValueError: a dataset that is there was recorded otherwise, or there is too little.
+        """
+        from hmi_marl.demonstrations.parquet import (  # needs the data extra
+            TRUTH,
+            read_about,
+            read_demonstrations,
+            write_demonstrations,
+        )
+        from hmi_marl.demonstrations.recording import collect
+        from hmi_marl.experiments.latent_traits.assessment import (
+            Split,
+            pool_sizes,
+            population_pools,
+        )
+
+        for name, dataset in self.datasets(driver_run).items():
+            truth = folder / name / TRUTH
+            if truth.is_file():  # which is written last
+                about = read_about(truth)
+                before = _binding(about.get("settings", {}))
+                check_same(before, _binding(json_value(dataset)), truth.parent)
+                (weights,) = driver_weights(Place(folder, driver_run))
+                if about["driver_policy"].get("sha256") != sha256_of(weights):
+                    raise ValueError(
+                        f"{truth.parent} was recorded with another driver policy than that of "
+                        f"{driver_run}; choose another --out, or remove the folder"
+                    )
+                continue
+            make_folder(folder / name)
+            with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:
+                write_demonstrations(folder / name, collect(dataset, bar.update))
+        learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
+        split = Split.of(demonstrations, learn.held_out, self.evaluation.windows)
+        pool_sizes(split, learn.pool, learn.latent)
+        population_pools(read_demonstrations(folder / POPULATION), learn.pool)
+
+    def agents(self, place: Place) -> list[Agent]:
+        """See :meth:`Experiment.agents`."""
+        labels = "no labels", "a fifth labelled by driver", "a fifth labelled by preference"
+        return [
+            Agent(
+                f"traits-{supervision}",
+                place.folder / f"traits-{supervision}" / "traits.json",
+                f"encodes driving into latent traits, learned with {given}",
+            )
+            for supervision, given in zip(SUPERVISIONS, labels, strict=True)
+        ]
+
+
+def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:
+    """Raise ``ValueError`` unless runs of one supervision differ in their seed and nothing else."""
+    from hmi_marl.experiments.latent_traits.assessment import supervision_of
+
+    first: dict[str, tuple[Path, dict[str, Any]]] = {}
+    seen: dict[tuple[str, int], Path] = {}
+    for run, model in zip(runs, models, strict=True):
+        settings = dict(model.card.training["settings"])
+        seed, supervision = settings.pop("seed", None), supervision_of(model)
+        if (supervision, seed) in seen:
+            raise ValueError(f"{run} and {seen[supervision, seed]} have the same seed")
+        seen[supervision, seed] = run
+        other, before = first.setdefault(supervision, (run, settings))
+        odd = [n for n in settings if n not in MACHINE and settings[n] != before.get(n)]
+        if odd:
+            raise ValueError(
+                f"{run} was learned with another {odd[0]} than {other}: runs of one supervision "
+                "count as seeds of one setting; judge them one at a time"
+            )
+
+
+def _learned_from(run: Path, model: TraitModel) -> tuple[float, str]:
+    """Read the share that a run held out, and the checksum of its demonstrations."""
+    training = model.card.training
+    try:
+        return float(training["settings"]["held_out"]), str(training["demonstrations"])
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"the card of {run} does not name its demonstrations") from None
+
+
+def _binding(settings: dict[str, Any]) -> dict[str, Any]:
+    return {"settings": {name: value for name, value in settings.items() if name not in _FREE}}
+
+
+def _learn(settings: TraitSettings, demonstrations: Path, folder: Path, command_line: str) -> None:
+    from hmi_marl.training.traits.run import learn_traits  # torch, with the threads just set
+
+    settings = replace(settings, threads=1)
+    learn_traits(settings, demonstrations, folder, command_line=command_line, line=own_line())

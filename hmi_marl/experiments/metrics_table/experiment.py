@@ -1,0 +1,251 @@
+"""Experiment "table": the paper's metrics table made again, with everything learned anew.
+
+One driver policy drives in all cells, conditioned on the traits of the driver at the wheel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.checks import check_count
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.drivers import DRIVERS
+from hmi_marl.experiments.criteria import EXACT_TOLERANCE
+from hmi_marl.experiments.experiment import Agent, Experiment, Place
+from hmi_marl.experiments.metrics_table.paper_table import (
+    AVERAGE,
+    METRICS,
+    NONE,
+    PRINTED,
+    VARIANTS,
+    PaperTable,
+    Variant,
+    agrees_with_exact,
+    averages,
+    numbers,
+    orders,
+    paper_verdict,
+    shortfall,
+)
+from hmi_marl.experiments.metrics_table.table import TableConfig, make_table
+from hmi_marl.experiments.policies import DRIVER_RUN, EVALUATION_SEED, driver_job, spec
+from hmi_marl.reporting.blocks import Block, Figure, Table, Text
+from hmi_marl.reporting.statistics import Estimate, number
+from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.runs.jobs import Job
+
+CAPTION = (
+    "Each entry: mean over the episodes with its 95 % interval; the exact expectation for the "
+    "alert rule that is optimal for the driver the HMI was trained for, over as many steps as the "
+    "episodes had; the range that any alert policy can reach; the paper's figure. "
+    f"MISSED: farther than {100 * EXACT_TOLERANCE:.0f} % and the interval from the exact value."
+)
+
+
+@dataclass(frozen=True)
+class MetricsTable(Experiment[list[PaperTable]]):
+    """Learn every policy of the paper's table of HMIs and drivers, and make the table.
+
+    Raises:
+        ValueError: no steps or no episodes.
+    """
+
+    driver_steps: int = 12_000_000
+    """Environment steps in which the driver learns."""
+    hmi_steps: int = 1_500_000
+    """Environment steps in which each HMI learns."""
+    episodes: int = 2000
+    """Episodes in each cell."""
+    num_teams: int = 512
+    """Teams that train side by side."""
+    seed: int = 0
+    """Seed of all training."""
+
+    name = "table"
+    title = "HMIs and drivers"
+    paper = (
+        "The paper's table of metrics (Sec. VIII-C): speed and distraction returns of four drivers "
+        "with the HMI trained for each, with one trained for the average driver, and with none. "
+        "Below, each entry holds ours, the exact value, the range that any alert policy can reach, "
+        "and the paper's figure; entries that the paper leaves as * are filled in. Twice: with η "
+        "as printed and with η = 1 for all drivers."
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("driver_steps", "hmi_steps", "episodes"):
+            check_count(name, getattr(self, name))
+
+    @classmethod
+    def quick(cls) -> MetricsTable:
+        """Make a coarse version that takes minutes."""
+        return cls(driver_steps=1_000_000, hmi_steps=300_000, episodes=400)
+
+    def driver_job(self, folder: Path) -> Job:
+        """Training of one driver policy over all drivers of both tables."""
+        drivers = {spec(driver) for variant in VARIANTS for driver in variant.drivers}
+        every = (*sorted(drivers), spec(DRIVERS["average"]))
+        return driver_job(every, self.driver_steps, self.num_teams, self.seed, folder)
+
+    def hmi_jobs(self, folder: Path) -> list[Job]:
+        """Training of an HMI for each driver of the tables, and for the average one."""
+        wanted = {
+            variant.hmi_run(driver): driver for variant in VARIANTS for driver in variant.drivers
+        }
+        wanted[PRINTED.hmi_run(DRIVERS["average"])] = DRIVERS["average"]
+        return [
+            Job(
+                TwoStage(
+                    hmi_for=spec(driver),
+                    driver_policy=str(folder / DRIVER_RUN),
+                    hmi_steps=self.hmi_steps,
+                    num_teams=self.num_teams,
+                    seed=self.seed,
+                ),
+                folder / run,
+            )
+            for run, driver in wanted.items()
+        ]
+
+    def run(self, place: Place) -> list[PaperTable]:
+        """Learn the driver and the HMIs, and play every cell of both tables."""
+        place.train([self.driver_job(place.folder)])
+        place.train(self.hmi_jobs(place.folder))
+        rows = [len(v.drivers) + len((AVERAGE, NONE)) for v in VARIANTS]
+        cells = 1 + sum(n * len(v.drivers) for n, v in zip(rows, VARIANTS, strict=True))
+        with place.playing(cells * self.episodes, "episodes") as progress:
+            return [self._play(variant, place, progress) for variant in VARIANTS]
+
+    def _play(
+        self, variant: Variant, place: Place, progress: Callable[[int], object]
+    ) -> PaperTable:
+        """Play every cell of a variant with the policies that were learned."""
+        average = PRINTED.hmi_run(DRIVERS["average"])
+        hmis = {driver.name: variant.hmi_run(driver) for driver in variant.drivers}
+        hmis[AVERAGE] = average
+        paths = {label: str(place.folder / run) for label, run in hmis.items()} | {NONE: "never"}
+        config = TableConfig(
+            drivers=tuple(spec(driver) for driver in variant.drivers),
+            hmis=tuple(paths.values()),
+            driver_policy=str(place.folder / DRIVER_RUN),
+            episodes=self.episodes,
+            seed=EVALUATION_SEED,
+            world="batched",
+        )
+        label_of = {path: label for label, path in paths.items()}
+        cells = make_table(config, place.workers, progress)
+        average_cell = None
+        if variant == PRINTED:
+            alone = replace(config, drivers=(spec(DRIVERS["average"]),), hmis=(paths[AVERAGE],))
+            average_cell = make_table(alone, place.workers, progress)[0]
+        return PaperTable(
+            variant,
+            {(label_of[cell.hmi], cell.driver.partition(":")[0]): cell for cell in cells},
+            average_cell,
+        )
+
+    def numbers(self, results: list[PaperTable]) -> dict[str, Any]:
+        """JSON content."""
+        return numbers(results)
+
+    def judge(self, results: list[PaperTable]) -> list[Verdict]:
+        """Judge the distraction returns and the own HMIs by their exact values."""
+        within = f"within {100 * EXACT_TOLERANCE:.0f} %"
+        found = []
+        for table in results:
+            exact = [agrees_with_exact(cell) for cell in table.cells.values()]
+            missing = {driver: shortfall(cell) for driver, cell in table.with_own_hmi().items()}
+            found += [
+                Verdict.of_parts(
+                    f"distraction returns are the exact ones {within}, {table.variant.title}",
+                    exact,
+                    f"{sum(exact)} of {len(exact)} cells",
+                ),
+                Verdict.of_parts(
+                    f"own HMIs reach the exact optimum {within}, {table.variant.title}",
+                    [each <= EXACT_TOLERANCE for each in missing.values()],
+                    ", ".join(f"{driver} {-100 * each:+.2f} %" for driver, each in missing.items()),
+                ),
+            ]
+        return found
+
+    def blocks(self, results: list[PaperTable]) -> Sequence[Block]:
+        """Figure, and tables of each variant."""
+        from hmi_marl.experiments.metrics_table.figures import paper_figure
+
+        shown: list[Block] = [
+            Text(CAPTION),
+            Figure("table", "bars of both tables", paper_figure(results)),
+        ]
+        for table in results:
+            shown += [_metric_table(table, *metric) for metric in METRICS]
+            shown.append(_average_table(table))
+            shown += [Text(order, metric) for metric, order in orders(table).items()]
+            shown.append(_optimum_table(table))
+        return shown
+
+    def agents(self, place: Place) -> list[Agent]:
+        """Driver policy, and the HMIs."""
+        driver = find_policy(place.folder / DRIVER_RUN, DRIVER)
+        found = [Agent("driver", driver, "drives as any driver, given their traits")]
+        for job in self.hmi_jobs(place.folder):
+            card = find_policy(job.folder, VEHICLE_AI)
+            what = f"alerts {job.settings.hmi_for}, attention seen"  # type: ignore[attr-defined]
+            found.append(Agent(job.folder.name.removeprefix("hmi-"), card, what))
+        return found
+
+
+def _metric_table(
+    table: PaperTable, metric: str, title: str, printed: Mapping[str, Mapping[str, float]]
+) -> Table:
+    def entry(hmi: str, driver: str) -> str:
+        cell, row = table.cells[hmi, driver], table.paper_row(hmi, driver)
+        got: Estimate = getattr(cell, metric)
+        lines = [got.shown(".0f")]
+        if metric == "distraction_return" and cell.exact_distraction_return_same_steps is not None:
+            missed = "" if agrees_with_exact(cell) else ", MISSED"
+            lines.append(f"exact {cell.exact_distraction_return_same_steps:.0f}{missed}")
+            reach = cell.reachable_distraction_return
+            lines.append(f"reachable {reach.least:.0f} to {reach.most:.0f}")
+        if row is None:
+            return "\n".join([*lines, "paper *"])
+        value = printed[row][driver]
+        return "\n".join([*lines, f"paper {value:.0f}: {paper_verdict(cell, metric, value)}"])
+
+    rows = [[hmi, *(entry(hmi, driver) for driver in table.columns)] for hmi in table.rows]
+    return Table(f"{title}, {table.variant.title}", ["HMI for", *table.columns], rows)
+
+
+def _average_table(table: PaperTable) -> Table:
+    titles = {metric: title for metric, title, _ in METRICS}
+    rows = [
+        [
+            f"{titles[average.metric]}, {average.hmi}",
+            average.ours.shown(".0f"),
+            number(average.exact, ".0f"),
+            f"{average.paper:.0f}",
+            average.verdict,
+        ]
+        for average in averages(table)
+    ]
+    head = ["mean over the drivers", "ours", "exact", "paper", "verdict"]
+    return Table(f"Averages over the drivers, {table.variant.title}", head, rows)
+
+
+def _optimum_table(table: PaperTable) -> Table:
+    rows = [
+        [
+            driver,
+            cell.attention_return.shown(".1f"),
+            f"{cell.optimal_attention_return_same_steps:.1f}",
+            f"{100 * shortfall(cell):+.2f} %",
+            "at the optimum" if shortfall(cell) <= EXACT_TOLERANCE else "MISSED",
+        ]
+        for driver, cell in table.with_own_hmi().items()
+    ]
+    head = ["driver", "attention return, own HMI", "exact optimum", "missing", "verdict"]
+    return Table(f"Own HMI and the exact optimum, {table.variant.title}", head, rows)

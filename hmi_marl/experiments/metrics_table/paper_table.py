@@ -1,0 +1,220 @@
+r"""The paper's metrics table with learned drivers and HMIs, and how it compares to the paper's.
+
+Six HMIs (trained for Lisa, Marge, Bart, Homer, for the average driver, and none) with each of the
+four drivers, the cells that the paper leaves as ``*`` included. Twice: with the printed η, and
+with η = 1 for all four, since the printed η = 0.01 puts the paper's own-HMI cells of Lisa and
+Bart out of reach of every alert policy, while η = 1 gives about what it prints. AvgHMI is the same
+in both, trained for the average driver with η = 0.505.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
+from hmi_marl.experiments import criteria
+from hmi_marl.experiments.metrics_table.table import Cell
+from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
+from hmi_marl.reporting.statistics import Estimate
+
+AVERAGE, NONE = "AvgHMI", "NoHMI"
+METRICS = (
+    ("distraction_return", "Distraction return", DISTRACTION_RETURNS),
+    ("speed_return", "Speed return", SPEED_RETURNS),
+)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One of the two tables."""
+
+    name: str
+    title: str
+    drivers: tuple[Driver, ...]
+    """Columns, named as in the paper."""
+
+    def hmi_run(self, driver: Driver) -> str:
+        """Name the folder of the HMI trained for one of its drivers. Equal drivers share it."""
+        return f"hmi-{driver.name}" + ("" if driver == DRIVERS[driver.name] else f"-{self.name}")
+
+
+PRINTED = Variant("printed", "η as printed", tuple(DRIVERS[name] for name in PAPER_DRIVERS))
+ETA_1 = Variant("eta-1", "η = 1", tuple(replace(driver, eta=1.0) for driver in PRINTED.drivers))
+VARIANTS = (PRINTED, ETA_1)
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """Cells of one variant, by label of the HMI and name of the driver."""
+
+    variant: Variant
+    cells: dict[tuple[str, str], Cell]
+    average: Cell | None = None
+    """AvgHMI with the average driver, for whom it was trained; not in the paper's table."""
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Labels of the HMIs."""
+        return tuple(dict.fromkeys(hmi for hmi, _ in self.cells))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the drivers."""
+        return tuple(driver.name for driver in self.variant.drivers)
+
+    def own(self, driver: str) -> Cell:
+        """Cell of a driver with the HMI that was trained for them."""
+        return self.cells[driver, driver]
+
+    def with_own_hmi(self) -> dict[str, Cell]:
+        """Cells of all drivers with their own HMI, the average driver included."""
+        own = {driver: self.own(driver) for driver in self.columns}
+        return own if self.average is None else own | {"average": self.average}
+
+    def paper_row(self, hmi: str, driver: str) -> str | None:
+        """Row of :mod:`hmi_marl.paper.printed` that a cell is in; None if it is not printed."""
+        if hmi in (AVERAGE, NONE):
+            return hmi
+        return "own" if hmi == driver else None
+
+
+def agrees_with_exact(cell: Cell) -> bool:
+    """Check that a cell's distraction return is the exact one, within 2 % or its interval."""
+    exact = cell.exact_distraction_return_same_steps
+    assert exact is not None
+    return cell.distraction_return.agrees(exact, criteria.EXACT_TOLERANCE)
+
+
+def shortfall(cell: Cell) -> float:
+    """Difference of the attention return to the exact optimum's, as a share of its size."""
+    best = cell.optimal_attention_return_same_steps
+    return (best - cell.attention_return.mean) / abs(best)
+
+
+def paper_verdict(cell: Cell, metric: str, printed: float) -> str:
+    """Compare a figure that the paper prints with ours."""
+    got: Estimate = getattr(cell, metric)
+    if metric == "distraction_return":
+        reach = cell.reachable_distraction_return
+        least, most = criteria.REACHABLE_LEAST * reach.least, criteria.REACHABLE_MOST * reach.most
+        if not least <= printed <= most:
+            return "out of reach of every alert policy"
+    if got.agrees(printed, criteria.PAPER_TOLERANCE[metric]):
+        return "agrees"
+    return f"differs by {got.mean - printed:+.0f}"
+
+
+@dataclass(frozen=True)
+class Average:
+    """Mean of one metric over the four drivers, as the paper's text compares them."""
+
+    hmi: str
+    """personalised, average or none."""
+    metric: str
+    ours: Estimate
+    """All cells play the same seeds, so their errors go together: the interval is the mean of the
+    cells' intervals, which is right if they do so wholly and too wide otherwise."""
+    exact: float | None
+    """Exact value over the same steps; None where it is not known."""
+    paper: float
+
+    @property
+    def verdict(self) -> str:
+        """Whether the paper's figure is ours, and ours the exact one."""
+        agrees = self.ours.agrees(self.paper, criteria.PAPER_TOLERANCE[self.metric])
+        difference = self.paper - self.ours.mean
+        verdict = "paper agrees" if agrees else f"paper differs by {difference:+.0f}"
+        if self.exact is None:
+            return verdict
+        exact = self.ours.agrees(self.exact, criteria.EXACT_TOLERANCE)
+        return f"{verdict}, {'exact' if exact else 'MISSED the exact value'}"
+
+
+def averages(table: PaperTable) -> list[Average]:
+    """Averages of both metrics for personalised, average and no HMIs."""
+    found = []
+    for label, row in (("personalised", "own"), ("average", AVERAGE), ("none", NONE)):
+        cells = [
+            table.own(driver) if row == "own" else table.cells[row, driver]
+            for driver in table.columns
+        ]
+        for metric, _, printed in METRICS:
+            estimates = [getattr(cell, metric) for cell in cells]
+            ends = ("mean", "low", "high")
+            ours = (float(np.mean([getattr(e, end) for e in estimates])) for end in ends)
+            exact = [cell.exact_distraction_return_same_steps for cell in cells]
+            known = metric == "distraction_return" and None not in exact
+            mean_exact = float(np.mean([e for e in exact if e is not None])) if known else None
+            paper = mean_over_drivers(printed[row])
+            found.append(Average(label, metric, Estimate(*ours), mean_exact, paper))
+    return found
+
+
+def orders(table: PaperTable) -> dict[str, str]:
+    """Order of the paper's three averages, by metric, and whether ours is the same.
+
+    Two of ours count as equal where their intervals overlap.
+    """
+    found = {}
+    for metric, title, _ in METRICS:
+        three = [average for average in averages(table) if average.metric == metric]
+        by_paper = sorted(three, key=lambda average: -average.paper)
+        order = " > ".join(average.hmi for average in by_paper)
+        pairs = list(pairwise(by_paper))
+        if all(a.ours.low > b.ours.high for a, b in pairs):
+            verdict = "ours too"
+        elif any(b.ours.low > a.ours.high for a, b in pairs):
+            verdict = "ours is another"
+        else:
+            equal = [f"{a.hmi} and {b.hmi}" for a, b in pairs if a.ours.low <= b.ours.high]
+            verdict = f"ours too, but that {', '.join(equal)} are equal"
+        found[title] = f"paper: {order}; {verdict}"
+    return found
+
+
+def numbers(tables: Sequence[PaperTable]) -> dict[str, Any]:
+    """JSON content of both tables."""
+    by_name = {table.variant.name: table for table in tables}
+    return {
+        "tables": {name: _cells(table) for name, table in by_name.items()},
+        "averages": {
+            name: [
+                vars(average) | {"ours": average.ours.as_json(), "verdict": average.verdict}
+                for average in averages(table)
+            ]
+            for name, table in by_name.items()
+        },
+        "orders": {name: orders(table) for name, table in by_name.items()},
+        "average_driver_with_own_hmi": {
+            name: table.average.as_json() | {"hmi": AVERAGE}  # instead of its path
+            for name, table in by_name.items()
+            if table.average
+        },
+        "attention_shortfall_of_own_hmis": {
+            name: {driver: shortfall(cell) for driver, cell in table.with_own_hmi().items()}
+            for name, table in by_name.items()
+        },
+    }
+
+
+def _cells(table: PaperTable) -> list[dict[str, Any]]:
+    return [
+        cell.as_json()
+        | {
+            "hmi": hmi,
+            "driver": driver,
+            "agrees_with_exact": agrees_with_exact(cell),
+            "attention_shortfall": shortfall(cell),
+            "paper": {
+                metric: printed[row][driver] if row else None
+                for metric, _, printed in METRICS
+                for row in (table.paper_row(hmi, driver),)
+            },
+        }
+        for (hmi, driver), cell in table.cells.items()
+    ]

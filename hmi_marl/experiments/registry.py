@@ -1,0 +1,76 @@
+"""Registry of the experiments, in the order in which a whole reproduction runs them.
+
+``hmi-marl reproduce NAME``, its ``--quick``, the pages, the claims and what ships with the package
+follow from these entries. The modules are imported only when an experiment is asked for; each can
+be imported without torch and without the packages of extras. The first experiment of a whole
+reproduction learns the driver policy that others share.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hmi_marl.extras import TRAINING
+from hmi_marl.registry import Registry
+
+if TYPE_CHECKING:
+    from hmi_marl.experiments.experiment import Experiment
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where an experiment is defined, and what it needs."""
+
+    path: str
+    """Module and class: "package.module:Class"."""
+    needs: tuple[str, ...] = TRAINING
+    """Modules of extras, without which it does not begin."""
+    in_suite: bool = True
+    """Whether a whole reproduction of the paper runs it."""
+
+    def load(self) -> type[Experiment[Any]]:
+        """Import the class."""
+        module, _, name = self.path.partition(":")
+        kind: type[Experiment[Any]] = getattr(importlib.import_module(module), name)
+        return kind
+
+
+_TRAITS = (*TRAINING, "pyarrow", "sklearn")
+EXPERIMENTS: Registry[Where] = Registry("experiment", "hmi-marl reproduce --help")
+EXPERIMENTS.register(
+    "table",
+    "Learn every policy of the paper's table of HMIs and drivers, and make the table.",
+    Where("hmi_marl.experiments.metrics_table.experiment:MetricsTable"),
+)
+EXPERIMENTS.register(
+    "driver",
+    "Learn to drive without distraction: speed, crashes and headway by steps.",
+    Where("hmi_marl.experiments.attentive_drivers:AttentiveDrivers"),
+)
+EXPERIMENTS.register(
+    "hidden",
+    "Compare learned HMIs that do not see attention with Bayes filters, by driver.",
+    Where("hmi_marl.experiments.hidden_attention:HiddenAttention"),
+)
+EXPERIMENTS.register(
+    "adapt",
+    "Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.",
+    Where("hmi_marl.experiments.adaptation.experiment:Adaptation"),
+)
+EXPERIMENTS.register(
+    "traits",
+    "Learn latent traits in the paper's three settings and judge what was learned.",
+    Where("hmi_marl.experiments.latent_traits.experiment:LatentTraits", _TRAITS),
+)
+EXPERIMENTS.register(
+    "graded",
+    "Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.",
+    Where("hmi_marl.experiments.graded_alerts:GradedAlerts"),
+)
+EXPERIMENTS.register(
+    "protocols",
+    "Train by every protocol with equal environment steps and several seeds, and compare them.",
+    Where("hmi_marl.experiments.protocols.experiment:ProtocolComparison", in_suite=False),
+)

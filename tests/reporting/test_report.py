@@ -1,0 +1,61 @@
+import json
+from pathlib import Path
+
+import hmi_marl
+from hmi_marl.reporting.blocks import Figure, Heading, Text, Verdicts
+from hmi_marl.reporting.report import Report, Stopwatch
+from hmi_marl.reporting.verdicts import Outcome, Verdict
+
+BLOCKS = (Heading("One & all", "one"), Text("a < b"), Figure("bars", 'a "figure"', b"\x89PNG\x00"))
+
+
+def report(seconds: dict[str, float]) -> Report:
+    settings = {"n": 3, "learn": {"rate": 0.5}}
+    return Report("made", "A & B", BLOCKS, {"rows": [1]}, "do <it>", settings, seconds)
+
+
+def test_a_page_needs_no_other_file_and_escapes_what_it_says() -> None:
+    html = report({"part <1>": 2.4}).page
+    for raw in ("a < b", "part <1>", "do <it>", '"figure"', "http:"):
+        assert raw not in html
+    for shown in ("a &lt; b", "part &lt;1&gt;", "2 s", "A &amp; B", "n = 3, learn.rate = 0.5"):
+        assert shown in html
+    assert '<a href="#one">One &amp; all</a>' in html
+    assert 'src="data:image/png;base64,iVBORwA="' in html
+    assert "Time of each part" not in report({}).page
+
+
+def test_all_files_are_written(tmp_path: Path) -> None:
+    made = report({"playing": 0.5})
+    page = made.write(tmp_path / "out")
+    assert page.read_text("utf-8") == made.page
+    assert {path.name for path in page.parent.iterdir()} == {
+        *("made.txt", "made.json", "bars.png", "index.html")
+    }
+    assert (page.parent / "made.txt").read_text("utf-8") == made.text + "\n"
+    assert json.loads((page.parent / "made.json").read_text("utf-8")) == {
+        "hmi_marl_version": hmi_marl.__version__,
+        "command": "do <it>",
+        "settings": {"n": 3, "learn": {"rate": 0.5}},
+        "rows": [1],
+        "seconds": {"playing": 0.5},
+    }
+
+
+def test_durations_have_names() -> None:
+    watch = Stopwatch()
+    with watch.timing("waiting"):
+        pass
+    assert list(watch.seconds) == ["waiting"]
+    assert 0.0 <= watch.seconds["waiting"] < 1.0
+
+
+def test_a_verdict_of_parts_is_supported_if_all_hold_and_partly_if_some_do() -> None:
+    def outcome(*held: bool) -> Outcome:
+        return Verdict.of_parts("a claim", held).outcome
+
+    assert outcome(True, True) is Outcome.SUPPORTED
+    assert outcome(True, False) is Outcome.PARTLY
+    assert outcome(False, False) is Outcome.NOT_SUPPORTED
+    assert Verdict.of_parts("a claim", [True]).holds
+    assert "1 supported" in Verdicts([Verdict.of_parts("a claim", [True])]).as_html()
