@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.episodes import play_episodes
-from hmi_marl.experiments.experiment import Agent, Experiment, Place
-from hmi_marl.experiments.policies import EVALUATION_SEED, spec
+from hmi_marl.experiments.episodes import play_named
+from hmi_marl.experiments.experiment import Agent, Experiment, Place, spec
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
@@ -46,13 +44,6 @@ class Driving:
     crash_rate: Estimate
     time_headway: float
     """Median over episodes of each episode's median while a vehicle is ahead [s]."""
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return vars(self) | {
-            "speed_return": self.speed_return.as_json(),
-            "crash_rate": self.crash_rate.as_json(),
-        }
 
 
 @dataclass(frozen=True)
@@ -116,7 +107,7 @@ class AttentiveDrivers(Experiment[list[Driving]]):
 
     def numbers(self, results: list[Driving]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [json_value(row.as_json()) for row in results]}
+        return {"rows": json_value(results)}
 
     def judge(self, results: list[Driving]) -> list[Verdict]:
         """Judge the drivers after all learning."""
@@ -168,10 +159,7 @@ class AttentiveDrivers(Experiment[list[Driving]]):
 
 def assess(policy: Path, steps: int, driver: Driver, episodes: int) -> Driving:
     """Let a driver drive with a learned policy, without alerts."""
-    team = TeamConfig(driver=driver)
-    seats = make_driver_policy(str(policy), team), make_hmi("never", team)
-    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + episodes, dtype=np.uint64)
-    played = play_episodes(team, *seats, seeds, world="batched")
+    played = play_named(TeamConfig(driver=driver), str(policy), "never", episodes)
     headways = played.median_time_headway
     return Driving(
         driver=driver.name,

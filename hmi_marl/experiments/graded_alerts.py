@@ -13,19 +13,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import get_driver
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.criteria import GRADED_OPTIMUM_SHARE
-from hmi_marl.experiments.episodes import play_episodes
+from hmi_marl.experiments.episodes import exact_settings, play_named
 from hmi_marl.experiments.experiment import Agent, Experiment, Place
-from hmi_marl.experiments.policies import EVALUATION_SEED
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table, Text
@@ -125,10 +120,7 @@ class GradedRow:
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
-        return vars(self) | {
-            "case": vars(self.case),
-            "learned": self.learned.as_json(),
-            "optimal_played": self.optimal_played.as_json(),
+        return json_value(self) | {
             "share_of_gain_over_silence": self.share,
             "shortfall": self.shortfall,
             "holds": self.holds,
@@ -204,19 +196,11 @@ class GradedAlerts(Experiment[list[GradedRow]]):
     def assess(self, case: Case, folder: Path) -> GradedRow:
         """Play the HMI that was learned for a case, and the optimum, in the same episodes."""
         team = self.team(case)
-        seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + self.episodes, dtype=np.uint64)
-        played = {}
-        for name in (str(folder / case.name), "optimal"):
-            seats = make_driver_policy("rule", team), make_hmi(name, team)
-            played[name] = play_episodes(team, *seats, seeds, world="batched")
-        learned, optimal = played.values()
-        problem: dict[str, Any] = {
-            "driver": get_driver(case.driver),
-            "window": team.alert_window,
-            "horizon": team.horizon,
-            "strengths": team.alert_strengths,
-            "fatigue": team.fatigue,
-        }
+        learned, optimal = (
+            play_named(team, "rule", hmi, self.episodes)
+            for hmi in (str(folder / case.name), "optimal")
+        )
+        problem = exact_settings(team)
         best = oracle.solve_alerts(**problem)
         rule = partial(strongest_alert, team.alerts)
         steps = learned.length
@@ -233,7 +217,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
 
     def numbers(self, results: list[GradedRow]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [json_value(row.as_json()) for row in results]}
+        return {"rows": [row.as_json() for row in results]}
 
     def judge(self, results: list[GradedRow]) -> list[Verdict]:
         """Judge each learned HMI by the exact optimum."""

@@ -23,15 +23,17 @@ from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
-from hmi_marl.experiments.episodes import play_episodes
-from hmi_marl.experiments.experiment import Agent, Experiment, Place
-from hmi_marl.experiments.policies import (
-    EVALUATION_SEED,
+from hmi_marl.experiments.episodes import evaluation_seeds, play_named
+from hmi_marl.experiments.experiment import (
     HIDDEN_EXPERIMENT,
     HIDDEN_RUN,
     MODELS,
+    Agent,
+    Experiment,
+    Place,
     driver_job,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
@@ -78,10 +80,7 @@ class HiddenRow:
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
-        return vars(self) | {
-            "attention_return": {k: e.as_json() for k, e in self.attention_return.items()},
-            "learned_minus_bayes": self.learned_minus_bayes.as_json(),
-            "own_minus_average": self.own_minus_average.as_json(),
+        return json_value(self) | {
             "as_good_as_bayes": self.as_good,
         }
 
@@ -157,9 +156,10 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
         return [self._play(model, place) for model in place.each(MODELS, "drivers")]
 
     def _play(self, model: str, place: Place) -> HiddenRow:
-        seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + self.episodes, dtype=np.uint64)
         team = TeamConfig(driver=model, ai_sees_attention=False)
-        share = revealing_share(team, place.driver_run, seeds[:500] + np.uint64(10**6))
+        share = revealing_share(
+            team, place.driver_run, evaluation_seeds(min(500, self.episodes)) + np.uint64(10**6)
+        )
         hmis = {
             LEARNED_OWN: str(place.folder / HIDDEN_RUN.format(model)),
             LEARNED_AVERAGE: str(place.folder / HIDDEN_RUN.format("average")),
@@ -167,10 +167,10 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             BAYES_AVERAGE: f"belief:average:{share}",
             NONE: "never",
         }
-        returns = {}
-        for label, hmi in hmis.items():
-            seats = make_driver_policy(str(place.driver_run), team), make_hmi(hmi, team)
-            returns[label] = play_episodes(team, *seats, seeds, world="batched").attention_return()
+        returns = {
+            label: play_named(team, str(place.driver_run), hmi, self.episodes).attention_return()
+            for label, hmi in hmis.items()
+        }
         exact = solve_belief(DRIVERS[model], team.alert_window, team.horizon, team.weights, share)
         return HiddenRow(
             driver=model,

@@ -267,6 +267,13 @@ def as_html(blocks: Iterable[Block]) -> str:
     return "\n".join(block.as_html() for block in blocks)
 
 
+def canvas(width: float, height: float) -> Drawing:
+    """Make an empty matplotlib figure of this size [inches]."""
+    from matplotlib.figure import Figure as Drawing  # takes a while; no --help waits for it
+
+    return Drawing(figsize=(width, height), layout="constrained")
+
+
 def png(drawing: Drawing, dpi: int = 110) -> bytes:
     """Draw a matplotlib figure as a PNG."""
     content = BytesIO()

@@ -14,8 +14,7 @@ from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.experiments.experiment import Agent, Experiment, Place, driver_weights
-from hmi_marl.experiments.policies import driver_job
+from hmi_marl.experiments.experiment import Agent, Experiment, Place, driver_job, driver_weights
 from hmi_marl.files import json_value, make_folder, sha256_of
 from hmi_marl.reporting.blocks import Block
 from hmi_marl.reporting.verdicts import Verdict

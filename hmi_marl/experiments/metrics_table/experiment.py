@@ -15,7 +15,15 @@ from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.experiments.criteria import EXACT_TOLERANCE
-from hmi_marl.experiments.experiment import Agent, Experiment, Place
+from hmi_marl.experiments.episodes import EVALUATION_SEED
+from hmi_marl.experiments.experiment import (
+    DRIVER_RUN,
+    Agent,
+    Experiment,
+    Place,
+    driver_job,
+    spec,
+)
 from hmi_marl.experiments.metrics_table.paper_table import (
     AVERAGE,
     METRICS,
@@ -32,7 +40,6 @@ from hmi_marl.experiments.metrics_table.paper_table import (
     shortfall,
 )
 from hmi_marl.experiments.metrics_table.table import TableConfig, make_table
-from hmi_marl.experiments.policies import DRIVER_RUN, EVALUATION_SEED, driver_job, spec
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict

@@ -22,8 +22,13 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.exact import oracle
-from hmi_marl.experiments.alert_quality import AlertJudge, ExactRules, exact_settings
-from hmi_marl.experiments.episodes import Episodes, play_episodes
+from hmi_marl.experiments.episodes import (
+    AlertJudge,
+    Episodes,
+    ExactRules,
+    exact_settings,
+    play_episodes,
+)
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate

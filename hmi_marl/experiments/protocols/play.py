@@ -11,11 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
-from hmi_marl.experiments.episodes import Episodes, play_episodes
-from hmi_marl.experiments.policies import EVALUATION_SEED
+from hmi_marl.experiments.episodes import Episodes, play_named
 from hmi_marl.experiments.protocols.experiment import ALL_DRIVERS, Pair, ProtocolComparison
 from hmi_marl.workers import results
 
@@ -106,12 +104,10 @@ def play_pair(settings: ProtocolComparison, folder: Path, pair: Pair) -> dict[st
     team = settings.team(pair.end_at_crash)
     runs = {run.name for run in settings.runs}
     driver, hmi = (str(folder / name) if name in runs else name for name in (pair.driver, pair.hmi))
-    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + settings.episodes, dtype=np.uint64)
-    seats = make_driver_policy(driver, team), make_hmi(hmi, team)
-    episodes = play_episodes(team, *seats, seeds, world="batched")
-    drawn = team.population.draw(seeds).as_array()
+    episodes = play_named(team, driver, hmi, settings.episodes)
+    drawn = team.population.draw(episodes.seeds).as_array()
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
-    sums = {ALL_DRIVERS: add(np.ones(len(seeds), np.bool_))}
+    sums = {ALL_DRIVERS: add(np.ones(settings.episodes, np.bool_))}
     for name in settings.drivers:
         known = get_driver(name)
         sums[known.name] = add((drawn == np.array(known.traits)).all(axis=1))

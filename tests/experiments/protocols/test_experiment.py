@@ -10,8 +10,7 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import read_policy
 from hmi_marl.cli import main
 from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
-from hmi_marl.experiments.episodes import Episodes, play_episodes
-from hmi_marl.experiments.policies import EVALUATION_SEED
+from hmi_marl.experiments.episodes import EVALUATION_SEED, Episodes, play_episodes
 from hmi_marl.experiments.protocols.experiment import (
     ALL_DRIVERS,
     PROTOCOLS,
