@@ -10,7 +10,8 @@ import tyro
 
 from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.experiments.latent_traits.experiment import AssessSettings, TraitEvaluation
+from hmi_marl.experiments.latent_traits.assessment import AssessSettings
+from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
 from hmi_marl.reporting.report import PAGE
 from hmi_marl.training.traits.settings import TraitSettings
 

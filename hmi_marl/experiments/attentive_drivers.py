@@ -6,7 +6,7 @@ one policy is learned for both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,18 +138,14 @@ class AttentiveDrivers(Experiment[list[Driving]]):
 
     def blocks(self, results: list[Driving]) -> Sequence[Block]:
         """Table of both drivers at every snapshot."""
-        head = ["million steps", "driver", "speed return", "crashes [%]", "median headway [s]"]
-        rows = [
-            [
-                f"{row.steps / 1e6:.2f}",
-                row.driver,
-                row.speed_return.shown(),
-                row.crash_rate.percent(),
-                f"{row.time_headway:.2f}",
-            ]
-            for row in results
-        ]
-        return [Table("As they learn", head, rows)]
+        columns: dict[str, Callable[[Driving], str]] = {
+            "million steps": lambda row: f"{row.steps / 1e6:.2f}",
+            "driver": lambda row: row.driver,
+            "speed return": lambda row: row.speed_return.shown(),
+            "crashes [%]": lambda row: row.crash_rate.percent(),
+            "median headway [s]": lambda row: f"{row.time_headway:.2f}",
+        }
+        return [Table.of("As they learn", results, columns)]
 
     def agents(self, place: Place) -> list[Agent]:
         """Policy of the drivers without distraction."""

@@ -7,7 +7,7 @@ an episode here, so that all have the same number of steps, over which the optim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -232,22 +232,17 @@ class GradedAlerts(Experiment[list[GradedRow]]):
 
     def blocks(self, results: list[GradedRow]) -> Sequence[Block]:
         """Table of every case."""
-        head = ["driver, strengths", "learned", "optimum", "strongest", "silent", "share"]
-        head += ["shortfall", f"{100 * GRADED_OPTIMUM_SHARE:.0f} %"]
-        rows = [
-            [
-                row.case.describe(),
-                row.learned.shown(),
-                f"{row.optimum:.1f}",
-                f"{row.strongest:.1f}",
-                f"{row.silent:.1f}",
-                f"{100 * row.share:.1f} %",
-                f"{100 * row.shortfall:.1f} %",
-                "holds" if row.holds else "MISSED",
-            ]
-            for row in results
-        ]
-        return [Text(CAPTION), Table("Attention returns", head, rows)]
+        columns: dict[str, Callable[[GradedRow], str]] = {
+            "driver, strengths": lambda row: row.case.describe(),
+            "learned": lambda row: row.learned.shown(),
+            "optimum": lambda row: f"{row.optimum:.1f}",
+            "strongest": lambda row: f"{row.strongest:.1f}",
+            "silent": lambda row: f"{row.silent:.1f}",
+            "share": lambda row: f"{100 * row.share:.1f} %",
+            "shortfall": lambda row: f"{100 * row.shortfall:.1f} %",
+            f"{100 * GRADED_OPTIMUM_SHARE:.0f} %": lambda row: "holds" if row.holds else "MISSED",
+        }
+        return [Text(CAPTION), Table.of("Attention returns", results, columns)]
 
     def agents(self, place: Place) -> list[Agent]:
         """HMI of every case."""

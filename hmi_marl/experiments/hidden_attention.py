@@ -6,7 +6,7 @@ driver, so that differences between them are paired.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -204,15 +204,12 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             + [estimate.shown() for estimate in row.attention_return.values()]
             for row in results
         ]
-        differences = [
-            [
-                row.driver,
-                row.learned_minus_bayes.shown("+.1f"),
-                row.own_minus_average.shown("+.1f"),
-                "as good as Bayes" if row.as_good else "MISSED",
-            ]
-            for row in results
-        ]
+        differences: dict[str, Callable[[HiddenRow], str]] = {
+            "driver": lambda row: row.driver,
+            "learned - Bayes, own": lambda row: row.learned_minus_bayes.shown("+.1f"),
+            "own - AvgHMI, learned": lambda row: row.own_minus_average.shown("+.1f"),
+            "verdict": lambda row: "as good as Bayes" if row.as_good else "MISSED",
+        }
         return [
             Table(
                 "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if "
@@ -220,11 +217,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
                 ["driver", "revealing", "exact, own", *results[0].attention_return],
                 returns,
             ),
-            Table(
-                "Paired differences per episode",
-                ["driver", "learned - Bayes, own", "own - AvgHMI, learned", "verdict"],
-                differences,
-            ),
+            Table.of("Paired differences per episode", results, differences),
         ]
 
     def agents(self, place: Place) -> list[Agent]:

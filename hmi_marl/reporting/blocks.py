@@ -9,17 +9,18 @@ from __future__ import annotations
 import base64
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
+T = TypeVar("T")
 COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
 """Colours of figures, in their order."""
 _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPORTED: "bad"}
@@ -83,6 +84,18 @@ class Table:
     note: str = ""
     """Explanation below the table."""
     kind: ClassVar = "table"
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        items: Iterable[T],
+        columns: Mapping[str, Callable[[T], str]],
+        note: str = "",
+    ) -> Table:
+        """Make a table with a row for each item; columns are what they show of it, by heading."""
+        rows = [[shown(item) for shown in columns.values()] for item in items]
+        return cls(title, list(columns), rows, note)
 
     def as_text(self) -> str:
         """Render in columns for a terminal."""

@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.experiments.experiment import Agent, Experiment, Place, driver_job, driver_weights
+from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
+from hmi_marl.experiments.latent_traits import assessment, ceiling
+from hmi_marl.experiments.latent_traits.assessment import (
+    MIN_UNSEEN_DRIVERS,
+    Assessment,
+    AssessSettings,
+)
+from hmi_marl.experiments.latent_traits.imitation import check_fits
+from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
 from hmi_marl.files import json_value, make_folder, sha256_of
-from hmi_marl.reporting.blocks import Block
-from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.runs.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
-if TYPE_CHECKING:
-    from hmi_marl.agents.learned.trait_model import TraitModel
-    from hmi_marl.experiments.latent_traits.assessment import Assessment
-    from hmi_marl.experiments.latent_traits.report import TraitResults
-
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
 DEMONSTRATIONS, POPULATION = "demonstrations", "population"
-MIN_UNSEEN_DRIVERS = 4
-"""Least drivers to regress traits over: two fit the regression, and two judge it."""
 _POPULATION_SEED = 1
 """Added to the seed for the population's episodes."""
 _FREE = ("driver_policy", "num_teams")
@@ -40,57 +40,7 @@ instead), and memory."""
 
 
 @dataclass(frozen=True)
-class AssessSettings:
-    """Size of the evaluation of each model.
-
-    Raises:
-        ValueError: a size below its least.
-    """
-
-    windows: int = 800
-    """Most windows of each driver, learned from or held out, that are encoded."""
-    episodes: int = 200
-    """Episodes that the policy drives with each driver's z."""
-    ranked: int = 100
-    """Held-out windows of each driver by which the recovered reward is judged."""
-    seed: int = 1_000_000
-    """Seed of those episodes and of all other draws."""
-
-    def __post_init__(self) -> None:
-        for name in ("windows", "episodes", "ranked"):
-            check_count(name, getattr(self, name))
-        if self.ranked < 2:
-            raise ValueError("ranking takes two windows: ranked is at least 2, but got 1")
-
-
-class _Judged(Experiment["TraitResults"]):
-    """Report of judged trait models."""
-
-    name = "traits"
-    files = "traits-report"
-    title = "Latent traits"
-
-    def numbers(self, results: TraitResults) -> Mapping[str, Any]:
-        """See :meth:`Experiment.numbers`."""
-        from hmi_marl.experiments.latent_traits.report import numbers
-
-        return numbers(results)
-
-    def judge(self, results: TraitResults) -> Sequence[Verdict]:
-        """See :meth:`Experiment.judge`."""
-        from hmi_marl.experiments.latent_traits.report import judge
-
-        return judge(results)
-
-    def blocks(self, results: TraitResults) -> Sequence[Block]:
-        """See :meth:`Experiment.blocks`."""
-        from hmi_marl.experiments.latent_traits.report import blocks
-
-        return blocks(results)
-
-
-@dataclass(frozen=True)
-class TraitEvaluation(_Judged):
+class TraitEvaluation(TraitReport):
     """Evaluation of trained models, as ``hmi-marl traits evaluate`` runs it."""
 
     runs: tuple[Path, ...]
@@ -118,12 +68,7 @@ class TraitEvaluation(_Judged):
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
                 other demonstrations or that pool or hold out differently.
         """
-        from hmi_marl.agents.learned.trait_model import load_traits
         from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations
-        from hmi_marl.experiments.latent_traits import assessment
-        from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, exact_evidence
-        from hmi_marl.experiments.latent_traits.imitation import check_fits
-        from hmi_marl.experiments.latent_traits.report import TraitResults
 
         models = [load_traits(run) for run in self.runs]
         data = read_demonstrations(self.demonstrations)
@@ -150,8 +95,8 @@ class TraitEvaluation(_Judged):
         with tqdm(total=parts, unit=" parts", desc="judging") as bar:
             exact = None
             try:
-                exact = exact_evidence(split.unseen, self.driver_policy)
-            except NoCeilingError as error:
+                exact = ceiling.exact_evidence(split.unseen, self.driver_policy)
+            except ceiling.NoCeilingError as error:
                 bar.write(str(error), file=sys.stderr)
             bar.update()
             for model in models:
@@ -168,7 +113,7 @@ class TraitEvaluation(_Judged):
 
 
 @dataclass(frozen=True)
-class LatentTraits(_Judged):
+class LatentTraits(TraitReport):
     """Learn latent traits in the paper's three settings and judge what was learned.
 
     With --seeds 5 every setting is learned five times, and accuracies and KL get intervals.
@@ -284,11 +229,6 @@ class LatentTraits(_Judged):
             write_demonstrations,
         )
         from hmi_marl.demonstrations.recording import collect
-        from hmi_marl.experiments.latent_traits.assessment import (
-            Split,
-            pool_sizes,
-            population_pools,
-        )
 
         for name, dataset in self.datasets(driver_run).items():
             truth = folder / name / TRUTH
@@ -307,9 +247,9 @@ class LatentTraits(_Judged):
             with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:
                 write_demonstrations(folder / name, collect(dataset, bar.update))
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
-        split = Split.of(demonstrations, learn.held_out, self.evaluation.windows)
-        pool_sizes(split, learn.pool, learn.latent)
-        population_pools(read_demonstrations(folder / POPULATION), learn.pool)
+        split = assessment.Split.of(demonstrations, learn.held_out, self.evaluation.windows)
+        assessment.pool_sizes(split, learn.pool, learn.latent)
+        assessment.population_pools(read_demonstrations(folder / POPULATION), learn.pool)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :meth:`Experiment.agents`."""
@@ -326,13 +266,11 @@ class LatentTraits(_Judged):
 
 def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:
     """Raise ``ValueError`` unless runs of one supervision differ in their seed and nothing else."""
-    from hmi_marl.experiments.latent_traits.assessment import supervision_of
-
     first: dict[str, tuple[Path, dict[str, Any]]] = {}
     seen: dict[tuple[str, int], Path] = {}
     for run, model in zip(runs, models, strict=True):
         settings = dict(model.card.training["settings"])
-        seed, supervision = settings.pop("seed", None), supervision_of(model)
+        seed, supervision = settings.pop("seed", None), assessment.supervision_of(model)
         if (supervision, seed) in seen:
             raise ValueError(f"{run} and {seen[supervision, seed]} have the same seed")
         seen[supervision, seed] = run

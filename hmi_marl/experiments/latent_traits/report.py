@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hmi_marl.experiments import criteria
+from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Identified
 from hmi_marl.experiments.latent_traits.figures import (
     EmbeddingPanel,
@@ -72,75 +73,82 @@ def over_seeds(values: Sequence[float]) -> Estimate:
     return Estimate(values[0], values[0], values[0])
 
 
-def judge(results: TraitResults) -> list[Verdict]:
-    """Judge the means of the settings that were learned, with pools of the models' size."""
-    size, found = results.pool, results.assessments
-    first = next(iter(results.first.values())).at_pool(size)
-    verdicts = []
+class TraitReport(Experiment[TraitResults]):
+    """Report of judged trait models."""
 
-    def add(claim: str, holds: bool, reason: str) -> None:
-        verdicts.append(Verdict.of_parts(claim, [holds], reason))
+    name = "traits"
+    files = "traits-report"
+    title = "Latent traits"
 
-    if "id" in found and first.ceilings is not None:
-        short = first.ceilings.identity.mean - results.accuracy("id", size).mean
-        margin = criteria.IDENTITY_MARGIN
-        claim = f"by driver: accuracy within {100 * margin:.0f} points of the ceiling"
-        add(claim, short <= margin, f"{100 * short:.1f} points below it")
-    if "preference" in found and first.preferences and first.ceilings:
-        reached = results.accuracy("preference", size, "preferences").mean
-        short, margin = first.ceilings.preference.mean - reached, criteria.PREFERENCE_MARGIN
-        claim = f"by preference: of preferences within {100 * margin:.0f} points of the ceiling"
-        add(claim, short <= margin, f"{100 * short:.1f} points below it")
-    if "none" in found:
-        above = results.accuracy("none", size).mean - first.types.chance
-        claim = f"unsupervised: {100 * criteria.ABOVE_CHANCE:.0f} points above chance"
-        add(claim, above >= criteria.ABOVE_CHANCE, f"{100 * above:.1f} points above it")
-        unsupervised = max(results.average_kl("none", size).mean, criteria.SMALLEST_KL)
-        for name in ("id", "preference"):
-            if name in found:
-                factor = results.average_kl(name, size).mean / unsupervised
-                claim = f"{TITLES[name]}: KL {criteria.KL_FACTOR:.0f} times the unsupervised one"
-                add(claim, factor >= criteria.KL_FACTOR, f"{factor:.1f} times")
-    return verdicts
+    def judge(self, results: TraitResults) -> list[Verdict]:
+        """Judge the means of the settings that were learned, with pools of the models' size."""
+        size, found = results.pool, results.assessments
+        first = next(iter(results.first.values())).at_pool(size)
+        verdicts = []
 
+        def add(claim: str, holds: bool, reason: str) -> None:
+            verdicts.append(Verdict.of_parts(claim, [holds], reason))
 
-def numbers(results: TraitResults) -> dict[str, Any]:
-    """JSON content."""
-    return {
-        "pool": results.pool,
-        "supervisions": {
-            name: {
-                "accuracy": results.accuracy(name, results.pool).as_json(),
-                "average_kl": results.average_kl(name, results.pool).as_json(),
-                "paper_kl": AVERAGE_KL[name],
-                "seeds": [one.as_json() for one in several],
-            }
-            for name, several in results.assessments.items()
-        },
-    }
+        if "id" in found and first.ceilings is not None:
+            short = first.ceilings.identity.mean - results.accuracy("id", size).mean
+            margin = criteria.IDENTITY_MARGIN
+            claim = f"by driver: accuracy within {100 * margin:.0f} points of the ceiling"
+            add(claim, short <= margin, f"{100 * short:.1f} points below it")
+        if "preference" in found and first.preferences and first.ceilings:
+            reached = results.accuracy("preference", size, "preferences").mean
+            short, margin = first.ceilings.preference.mean - reached, criteria.PREFERENCE_MARGIN
+            claim = f"by preference: of preferences within {100 * margin:.0f} points of the ceiling"
+            add(claim, short <= margin, f"{100 * short:.1f} points below it")
+        if "none" in found:
+            above = results.accuracy("none", size).mean - first.types.chance
+            claim = f"unsupervised: {100 * criteria.ABOVE_CHANCE:.0f} points above chance"
+            add(claim, above >= criteria.ABOVE_CHANCE, f"{100 * above:.1f} points above it")
+            unsupervised = max(results.average_kl("none", size).mean, criteria.SMALLEST_KL)
+            for name in ("id", "preference"):
+                if name in found:
+                    factor = results.average_kl(name, size).mean / unsupervised
+                    claim = (
+                        f"{TITLES[name]}: KL {criteria.KL_FACTOR:.0f} times the unsupervised one"
+                    )
+                    add(claim, factor >= criteria.KL_FACTOR, f"{factor:.1f} times")
+        return verdicts
 
+    def numbers(self, results: TraitResults) -> dict[str, Any]:
+        """JSON content."""
+        return {
+            "pool": results.pool,
+            "supervisions": {
+                name: {
+                    "accuracy": results.accuracy(name, results.pool).as_json(),
+                    "average_kl": results.average_kl(name, results.pool).as_json(),
+                    "paper_kl": AVERAGE_KL[name],
+                    "seeds": [one.as_json() for one in several],
+                }
+                for name, several in results.assessments.items()
+            },
+        }
 
-def blocks(results: TraitResults) -> list[Block]:
-    """Show the figures and all tables."""
-    seeds = max(len(several) for several in results.assessments.values())
-    note = (
-        f"On held-out windows; pools of {results.pool}; {seeds} seed(s). Bayes is the exact "
-        "classifier of the same windows, which no encoder can beat. Accuracies and KL are means "
-        "over seeds, the rest is of the first."
-    )
-    tables = (
-        identity_table(results),
-        trait_table(results),
-        likelihood_table(results),
-        driving_table(results),
-        ranking_table(results),
-    )
-    return [
-        Text(" ".join([note, *left_out(results)])),
-        embeddings_figure(results),
-        accuracy_figure(results),
-        *(table for table in tables if table.rows),
-    ]
+    def blocks(self, results: TraitResults) -> list[Block]:
+        """Show the figures and all tables."""
+        seeds = max(len(several) for several in results.assessments.values())
+        note = (
+            f"On held-out windows; pools of {results.pool}; {seeds} seed(s). Bayes is the exact "
+            "classifier of the same windows, which no encoder can beat. Accuracies and KL are "
+            "means over seeds, the rest is of the first."
+        )
+        tables = (
+            identity_table(results),
+            trait_table(results),
+            likelihood_table(results),
+            driving_table(results),
+            ranking_table(results),
+        )
+        return [
+            Text(" ".join([note, *left_out(results)])),
+            embeddings_figure(results),
+            accuracy_figure(results),
+            *(table for table in tables if table.rows),
+        ]
 
 
 def left_out(results: TraitResults) -> list[str]:

@@ -30,6 +30,7 @@ from hmi_marl.experiments.metrics_table.paper_table import (
     NONE,
     PRINTED,
     VARIANTS,
+    Average,
     PaperTable,
     Variant,
     agrees_with_exact,
@@ -229,18 +230,15 @@ def _metric_table(
 
 def _average_table(table: PaperTable) -> Table:
     titles = {metric: title for metric, title, _ in METRICS}
-    rows = [
-        [
-            f"{titles[average.metric]}, {average.hmi}",
-            average.ours.shown(".0f"),
-            number(average.exact, ".0f"),
-            f"{average.paper:.0f}",
-            average.verdict,
-        ]
-        for average in averages(table)
-    ]
-    head = ["mean over the drivers", "ours", "exact", "paper", "verdict"]
-    return Table(f"Averages over the drivers, {table.variant.title}", head, rows)
+    columns: dict[str, Callable[[Average], str]] = {
+        "mean over the drivers": lambda average: f"{titles[average.metric]}, {average.hmi}",
+        "ours": lambda average: average.ours.shown(".0f"),
+        "exact": lambda average: number(average.exact, ".0f"),
+        "paper": lambda average: f"{average.paper:.0f}",
+        "verdict": lambda average: average.verdict,
+    }
+    title = f"Averages over the drivers, {table.variant.title}"
+    return Table.of(title, averages(table), columns)
 
 
 def _optimum_table(table: PaperTable) -> Table:
