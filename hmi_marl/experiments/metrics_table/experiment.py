@@ -37,6 +37,7 @@ from hmi_marl.experiments.metrics_table.paper_table import (
     averages,
     numbers,
     orders,
+    paper_figure,
     paper_verdict,
     shortfall,
 )
@@ -183,8 +184,6 @@ class MetricsTable(Experiment[list[PaperTable]]):
 
     def blocks(self, results: list[PaperTable]) -> Sequence[Block]:
         """Figure, and tables of each variant."""
-        from hmi_marl.experiments.metrics_table.figures import paper_figure
-
         shown: list[Block] = [
             Text(CAPTION),
             Figure("table", "bars of both tables", paper_figure(results)),
