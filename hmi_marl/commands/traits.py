@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from hmi_marl.commands.fields import only
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
@@ -41,9 +40,9 @@ class TrainTraits(TraitSettings):
 
         out = self.out or Path(f"runs/traits-{self.supervision}")
         answers = None if self.preferences is None else read_preferences(self.preferences)
-        learn_traits(
-            only(TraitSettings, self), self.demonstrations, out, answers, command_line=command_line
-        )
+        given = {each.name: getattr(self, each.name) for each in fields(TraitSettings)}
+        settings = TraitSettings(**given)
+        learn_traits(settings, self.demonstrations, out, answers, command_line=command_line)
         print(f"learned: {out}; curves: tensorboard --logdir {out}")
         print(f"evaluate it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import base64
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
+from hmi_marl.files import json_value
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -27,8 +29,32 @@ _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPO
 """Style classes of the page by outcome; grey for the others."""
 
 
+class _Described(ABC):
+    """Dataclass that is a part of a report."""
+
+    kind: ClassVar[str]
+    """Name in JSON content."""
+
+    @abstractmethod
+    def as_text(self) -> str:
+        """Render for a terminal; empty if it is not shown there."""
+
+    @abstractmethod
+    def as_html(self) -> str:
+        """Render for a page."""
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content, bytes in base64."""
+        return {"kind": self.kind} | {
+            name: base64.b64encode(value).decode("ascii")
+            if isinstance(value, bytes)
+            else json_value(value)
+            for name, value in vars(self).items()
+        }
+
+
 @dataclass(frozen=True)
-class Heading:
+class Heading(_Described):
     """Title of a section."""
 
     text: str
@@ -45,13 +71,9 @@ class Heading:
         anchor = f' id="{escape(self.anchor)}"' if self.anchor else ""
         return f"<h2{anchor}>{escape(self.text)}</h2>"
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {"kind": self.kind} | vars(self)
-
 
 @dataclass(frozen=True)
-class Text:
+class Text(_Described):
     """Paragraph; commands in it stand between backticks."""
 
     text: str
@@ -69,13 +91,9 @@ class Text:
         lead = f"<b>{escape(self.lead)}</b><br>" if self.lead else ""
         return f"<p>{lead}{_with_commands(self.text)}</p>"
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {"kind": self.kind} | vars(self)
-
 
 @dataclass(frozen=True)
-class Table:
+class Table(_Described):
     """Table whose rows begin with their heading; entries may have several lines."""
 
     title: str
@@ -124,14 +142,9 @@ class Table:
         note = f'\n<p class="small">{escape(self.note)}</p>' if self.note else ""
         return f'{title}<div class="wide"><table><tr>{top}</tr>{body}</table></div>{note}'
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        rows = [list(row) for row in self.rows]
-        return {"kind": self.kind} | vars(self) | {"head": list(self.head), "rows": rows}
-
 
 @dataclass(frozen=True)
-class Figure:
+class Figure(_Described):
     """PNG of a figure."""
 
     name: str
@@ -157,16 +170,9 @@ class Figure:
         source = f'<source media="(max-width: 40rem)" srcset="{narrow}">'
         return f"<picture>{source}{shown}</picture>"
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return {"kind": self.kind, "name": self.name, "description": self.description} | {
-            name: None if png is None else base64.b64encode(png).decode("ascii")
-            for name, png in (("content", self.content), ("narrow", self.narrow))
-        }
-
 
 @dataclass(frozen=True)
-class Clip:
+class Clip(_Described):
     """Animated GIF of an episode."""
 
     name: str
@@ -186,14 +192,9 @@ class Clip:
         source = _data(self.suffix, self.content)
         return f'<img class="clip" alt="{alt}" src="{source}"><p>{escape(self.caption)}</p>'
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        content = base64.b64encode(self.content).decode("ascii")
-        return {"kind": self.kind, "name": self.name, "caption": self.caption, "content": content}
-
 
 @dataclass(frozen=True)
-class Verdicts:
+class Verdicts(_Described):
     """Statements with their outcomes and reasons."""
 
     verdicts: Sequence[Verdict]
@@ -230,11 +231,6 @@ class Verdicts:
             f"<th>verdict</th></tr>{rows}</table></div>"
         )
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        verdicts = [verdict.as_json() for verdict in self.verdicts]
-        return {"kind": self.kind, "title": self.title, "note": self.note, "verdicts": verdicts}
-
 
 Block = Heading | Text | Table | Figure | Clip | Verdicts
 
@@ -247,27 +243,21 @@ def block_from(content: dict[str, Any]) -> Block:
     """
     given = dict(content)
     kind = given.pop("kind", None)
+    known: dict[str, type[Block]] = {each.kind: each for each in get_args(Block)}
+    if kind not in known:
+        raise ValueError(f"a report has no blocks of kind {kind!r}")
     try:
-        match kind:
-            case "heading":
-                return Heading(**given)
-            case "text":
-                return Text(**given)
-            case "table":
-                return Table(**given)
-            case "figure":
-                return Figure(**given | {n: _bytes(given[n]) for n in ("content", "narrow")})
-            case "clip":
-                return Clip(**given | {"content": _bytes(given["content"])})
-            case "verdicts":
-                verdicts = [
-                    Verdict(**each | {"outcome": Outcome(each["outcome"])})
-                    for each in given["verdicts"]
-                ]
-                return Verdicts(**given | {"verdicts": verdicts})
+        if kind in (Figure.kind, Clip.kind):
+            names = {"content", "narrow"} & given.keys()
+            given |= {name: base64.b64decode(given[name]) for name in names if given[name]}
+        if kind == Verdicts.kind:
+            given["verdicts"] = [
+                Verdict(**each | {"outcome": Outcome(each["outcome"])})
+                for each in given["verdicts"]
+            ]
+        return known[kind](**given)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"a damaged block of a report: {error!r}") from None
-    raise ValueError(f"a report has no blocks of kind {kind!r}")
 
 
 def as_text(blocks: Iterable[Block]) -> str:
@@ -300,10 +290,6 @@ def _lines(note: str) -> list[str]:
 
 def _in_brackets(reason: str) -> str:
     return f" ({reason})" if reason else ""
-
-
-def _bytes(content: str | None) -> bytes | None:
-    return None if content is None else base64.b64decode(content)
 
 
 def _data(suffix: str, content: bytes) -> str:

@@ -6,9 +6,9 @@ have been learned several times, from different seeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.experiment import Experiment
@@ -18,12 +18,16 @@ from hmi_marl.experiments.latent_traits.figures import (
     draw_accuracy,
     draw_embeddings,
 )
+from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
+from hmi_marl.experiments.latent_traits.probes import TraitR2
+from hmi_marl.experiments.latent_traits.reward import RewardRanking
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text, png
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict
 
+T = TypeVar("T")
 TITLES = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
 """Titles of the settings by supervision."""
 
@@ -224,102 +228,71 @@ def identity_table(results: TraitResults) -> Table:
 def _table(
     results: TraitResults,
     title: str,
-    head: Sequence[str],
-    rows: Callable[[Assessment], Sequence[Sequence[str]]],
+    items: Callable[[Assessment], Iterable[T]],
+    columns: Mapping[str, Callable[[T], str]],
 ) -> Table:
-    """Show rows of the first seed of each setting."""
-    listed = [[TITLES[name], *row] for name, one in results.first.items() for row in rows(one)]
-    return Table(title, ["setting", *head], listed)
+    """Show items of the first seed of each setting, a row each."""
+    listed = [(TITLES[name], item) for name, one in results.first.items() for item in items(one)]
+    rows = [[setting, *(shown(item) for shown in columns.values())] for setting, item in listed]
+    return Table(title, ["setting", *columns], rows)
 
 
 def trait_table(results: TraitResults) -> Table:
     """Show R² of each trait of unseen drivers."""
-    return _table(
-        results,
-        "Traits of unseen drivers",
-        ["trait", "R², linear", "R², smooth"],
-        lambda one: [
-            [trait, found.linear.shown("z.2f"), found.smooth.shown("z.2f")]
-            for trait, found in (one.traits or {}).items()
-        ],
-    )
-
-
-LIKELIHOOD = {
-    "own": "own z",
-    "other": "another's z",
-    "own_minus_other": "own - another's",
-    "exact": "exact",
-    "exact_minus_own": "exact - own",
-}
+    columns: dict[str, Callable[[tuple[str, TraitR2]], str]] = {
+        "trait": lambda row: row[0],
+        "R², linear": lambda row: row[1].linear.shown("z.2f"),
+        "R², smooth": lambda row: row[1].smooth.shown("z.2f"),
+    }
+    title = "Traits of unseen drivers"
+    return _table(results, title, lambda one: (one.traits or {}).items(), columns)
 
 
 def likelihood_table(results: TraitResults) -> Table:
     """Show the log-likelihood of held-out actions."""
-    return _table(
-        results,
-        "Log-likelihood of held-out actions per step [nats]",
-        ["driver", *LIKELIHOOD.values()],
-        lambda one: [
-            [
-                row.driver,
-                *(
-                    "-" if estimate is None else estimate.shown("z.3f")
-                    for estimate in (getattr(row, name) for name in LIKELIHOOD)
-                ),
-            ]
-            for row in one.likelihood
-        ],
-    )
 
+    def shown(estimate: Estimate | None) -> str:
+        return "-" if estimate is None else estimate.shown("z.3f")
 
-DRIVING = {
-    "speed": "speed [m/s]",
-    "headway": "headway [s]",
-    "lane_changes": "lane changes/min",
-    "repeated": "repeated",
-    "alert_effect": "more with alerts",
-    "crash_rate": "crashed",
-}
+    columns: dict[str, Callable[[ActionLikelihood], str]] = {
+        "driver": lambda row: row.driver,
+        "own z": lambda row: shown(row.own),
+        "another's z": lambda row: shown(row.other),
+        "own - another's": lambda row: shown(row.own_minus_other),
+        "exact": lambda row: shown(row.exact),
+        "exact - own": lambda row: shown(row.exact_minus_own),
+    }
+    title = "Log-likelihood of held-out actions per step [nats]"
+    return _table(results, title, lambda one: one.likelihood, columns)
 
 
 def driving_table(results: TraitResults) -> Table:
     """Show how the policy and the drivers drive."""
-    return _table(
-        results,
-        "The learned policy / the demonstrations",
-        ["driver", *DRIVING.values()],
-        lambda one: [
-            [
-                row.driver,
-                *(
-                    " / ".join(
-                        number(getattr(each, name).mean, ".3g")
-                        for each in (row.imitated, row.demonstrated)
-                    )
-                    for name in DRIVING
-                ),
-            ]
-            for row in one.driving
-        ],
-    )
+
+    def both(row: DrivingRow, of: Callable[[Driving], Estimate]) -> str:
+        return " / ".join(number(of(each).mean, ".3g") for each in (row.imitated, row.demonstrated))
+
+    columns: dict[str, Callable[[DrivingRow], str]] = {
+        "driver": lambda row: row.driver,
+        "speed [m/s]": lambda row: both(row, lambda one: one.speed),
+        "headway [s]": lambda row: both(row, lambda one: one.headway),
+        "lane changes/min": lambda row: both(row, lambda one: one.lane_changes),
+        "repeated": lambda row: both(row, lambda one: one.repeated),
+        "more with alerts": lambda row: both(row, lambda one: one.alert_effect),
+        "crashed": lambda row: both(row, lambda one: one.crash_rate),
+    }
+    title = "The learned policy / the demonstrations"
+    return _table(results, title, lambda one: one.driving, columns)
 
 
 def ranking_table(results: TraitResults) -> Table:
     """Show rank correlations of recovered and true return."""
-    return _table(
-        results,
-        "Rank correlation of recovered and true driving return",
-        ["driver", "f, demonstrated", "g, demonstrated", "f, mixture", "g, mixture"],
-        lambda one: [
-            [
-                row.driver,
-                *(
-                    correlation.shown("z.2f")
-                    for ranks in (row.demonstrated, row.mixture)
-                    for correlation in (ranks.f, ranks.g)
-                ),
-            ]
-            for row in one.reward_ranking
-        ],
-    )
+    columns: dict[str, Callable[[RewardRanking], str]] = {
+        "driver": lambda row: row.driver,
+        "f, demonstrated": lambda row: row.demonstrated.f.shown("z.2f"),
+        "g, demonstrated": lambda row: row.demonstrated.g.shown("z.2f"),
+        "f, mixture": lambda row: row.mixture.f.shown("z.2f"),
+        "g, mixture": lambda row: row.mixture.g.shown("z.2f"),
+    }
+    title = "Rank correlation of recovered and true driving return"
+    return _table(results, title, lambda one: one.reward_ranking, columns)

@@ -19,6 +19,7 @@ import numpy as np
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.metrics_table.table import Cell
+from hmi_marl.files import json_value
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.reporting.blocks import COLOURS, canvas, png
 from hmi_marl.reporting.statistics import Estimate
@@ -185,8 +186,7 @@ def numbers(tables: Sequence[PaperTable]) -> dict[str, Any]:
         "tables": {name: _cells(table) for name, table in by_name.items()},
         "averages": {
             name: [
-                vars(average) | {"ours": average.ours.as_json(), "verdict": average.verdict}
-                for average in averages(table)
+                json_value(average) | {"verdict": average.verdict} for average in averages(table)
             ]
             for name, table in by_name.items()
         },

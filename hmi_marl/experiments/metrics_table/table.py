@@ -141,18 +141,13 @@ class Cell:
     def as_json(self) -> dict[str, Any]:
         """Plain JSON content: ``alerts`` and ``crash_rate`` as numbers with ``*_interval``."""
         content: dict[str, Any] = {}
-        for name, value in vars(self).items():
+        for name, value in json_value(self).items():
+            content[name] = value
             if name in ("alerts", "crash_rate"):
-                estimate = value.as_json()
-                content[name] = estimate["mean"]
-                content[f"{name}_interval"] = [estimate["low"], estimate["high"]]
-            elif isinstance(value, Estimate):
-                content[name] = value.as_json()
-            elif isinstance(value, oracle.Reachable):
-                content[name] = value._asdict()
-            else:
-                content[name] = value
-        return content
+                content |= {name: value["mean"], f"{name}_interval": [value["low"], value["high"]]}
+        return content | {
+            "reachable_distraction_return": self.reachable_distraction_return._asdict()
+        }
 
 
 def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:

@@ -121,7 +121,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             "workers": results.workers,
             "protocols": {
                 label: {
-                    "crash_rate_pooled": crash_rate(pooled(played, pairs)).as_json(),
+                    "crash_rate_pooled": json_value(crash_rate(pooled(played, pairs))),
                     "over_seeds": {
                         metric: over_seeds(played, pairs, metric).as_json()
                         for metric in played[pairs[0]][ALL_DRIVERS].metrics()

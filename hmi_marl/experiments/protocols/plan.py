@@ -285,12 +285,9 @@ class Sums:
         parts = list(several)
         known = [part for part in parts if math.isfinite(part.time_headway)]
         weights = [part.episodes for part in known]
+        counts = ("episodes", "crashes", "steps", "minutes", "alerts")
         return cls(
-            episodes=sum(part.episodes for part in parts),
-            crashes=sum(part.crashes for part in parts),
-            steps=sum(part.steps for part in parts),
-            minutes=sum(part.minutes for part in parts),
-            alerts=sum(part.alerts for part in parts),
+            **{name: sum(getattr(part, name) for part in parts) for name in counts},
             time_headway=(
                 float(np.average([part.time_headway for part in known], weights=weights))
                 if known
