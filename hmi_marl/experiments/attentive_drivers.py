@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.experiments import criteria
@@ -74,10 +73,7 @@ class AttentiveDrivers(Experiment[list[Driving]]):
         "confident driver (inflation 3) and a cautious one (9), neither ever distracted, as it "
         "learns."
     )
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "snapshots", "episodes"):
-            check_count(name, getattr(self, name))
+    counts = ("steps", "snapshots", "episodes")
 
     @classmethod
     def quick(cls) -> AttentiveDrivers:

@@ -15,7 +15,6 @@ from typing import Any
 
 from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.criteria import GRADED_OPTIMUM_SHARE
@@ -151,10 +150,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
         "(Sec. IV). Below an alert has one of several strengths, and alerts that pile up may lose "
         "their effect. The optimum is exact here too."
     )
-
-    def __post_init__(self) -> None:
-        for name in ("hmi_steps", "episodes", "num_teams"):
-            check_count(name, getattr(self, name))
+    counts = ("hmi_steps", "episodes", "num_teams")
 
     @classmethod
     def quick(cls) -> GradedAlerts:

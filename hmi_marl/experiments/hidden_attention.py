@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import StepResult, Teaming
@@ -115,10 +114,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
         "something. The Bayes filter, which knows the traits, is the ceiling."
     )
     uses_driver = True
-
-    def __post_init__(self) -> None:
-        for name in ("driver_steps", "hmi_steps", "rnn_hidden_dim", "episodes"):
-            check_count(name, getattr(self, name))
+    counts = ("driver_steps", "hmi_steps", "rnn_hidden_dim", "episodes")
 
     @classmethod
     def quick(cls) -> HiddenAttention:

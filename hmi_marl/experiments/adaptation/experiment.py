@@ -15,7 +15,6 @@ from hmi_marl.agents.adaptive.factory import Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import begin
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.drivers import Traits, get_driver
 from hmi_marl.experiments import criteria
@@ -190,10 +189,7 @@ class Adaptation(_Judged):
         "an encoder reads every step, and the HMI adapts. It is compared with what the exact Bayes "
         "posterior would earn, and with an HMI that knows the driver."
     )
-
-    def __post_init__(self) -> None:
-        for name in ("drives", "updates", "hmi_steps", "rnn_hidden_dim"):
-            check_count(name, getattr(self, name))
+    counts = ("drives", "updates", "hmi_steps", "rnn_hidden_dim")
 
     @classmethod
     def quick(cls) -> Adaptation:

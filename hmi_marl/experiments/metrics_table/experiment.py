@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.experiments.criteria import EXACT_TOLERANCE
@@ -84,10 +83,7 @@ class MetricsTable(Experiment[list[PaperTable]]):
         "and the paper's figure; entries that the paper leaves as * are filled in. Twice: with η "
         "as printed and with η = 1 for all drivers."
     )
-
-    def __post_init__(self) -> None:
-        for name in ("driver_steps", "hmi_steps", "episodes"):
-            check_count(name, getattr(self, name))
+    counts = ("driver_steps", "hmi_steps", "episodes")
 
     @classmethod
     def quick(cls) -> MetricsTable:
