@@ -25,7 +25,7 @@ SHIPPED_DRIVER = Path("trained:driver")
 class ReproduceAll:
     """Reproduce every table and figure of the paper, with a verdict on each claim.
 
-    Goes on by itself where it was cut off.
+    Resumes where it was cut off.
 
     Example: hmi-marl reproduce --quick
     """
@@ -149,8 +149,9 @@ def _command_of(name: str, kind: type[Experiment[Any]]) -> type[ReproduceOne]:
     settings = ("settings", unprefixed, field(default_factory=kind))
     command = make_dataclass(kind.__name__, [settings], bases=(base,), frozen=True)
     about = inspect.cleandoc(kind.__doc__ or "").partition("\n\nRaises:")[0]
-    command.__doc__ = f"{about}\n\nGoes on by itself where it was cut off.\n\n"
-    command.__doc__ += f"Example: hmi-marl reproduce {name} --quick"
+    about, _, example = about.partition("\n\nExample:")
+    example = example or f" hmi-marl reproduce {name} --quick"
+    command.__doc__ = f"{about}\n\nResumes where it was cut off.\n\nExample:{example}"
     return command
 
 

@@ -40,8 +40,7 @@ class TrainTraits(TraitSettings):
 
         out = self.out or Path(f"runs/traits-{self.supervision}")
         answers = None if self.preferences is None else read_preferences(self.preferences)
-        given = {each.name: getattr(self, each.name) for each in fields(TraitSettings)}
-        settings = TraitSettings(**given)
+        settings = TraitSettings(**{f.name: getattr(self, f.name) for f in fields(TraitSettings)})
         learn_traits(settings, self.demonstrations, out, answers, command_line=command_line)
         print(f"learned: {out}; curves: tensorboard --logdir {out}")
         print(f"evaluate it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")

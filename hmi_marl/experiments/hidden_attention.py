@@ -77,12 +77,6 @@ class HiddenRow:
         bayes = self.attention_return[BAYES_OWN].mean
         return self.learned_minus_bayes.mean >= -BAYES_MARGIN * abs(bayes)
 
-    def as_json(self) -> dict[str, Any]:
-        """JSON content."""
-        return json_value(self) | {
-            "as_good_as_bayes": self.as_good,
-        }
-
 
 @dataclass(frozen=True)
 class HiddenAttention(Experiment[list[HiddenRow]]):
@@ -179,7 +173,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
 
     def numbers(self, results: list[HiddenRow]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [row.as_json() for row in results]}
+        return {"rows": [json_value(row) | {"as_good_as_bayes": row.as_good} for row in results]}
 
     def judge(self, results: list[HiddenRow]) -> list[Verdict]:
         """Judge each learned HMI by the Bayes filter."""

@@ -6,15 +6,15 @@ which it can be read again: a report assembled later, from files, shows the same
 
 from __future__ import annotations
 
-import base64
 import re
 from abc import ABC, abstractmethod
+from base64 import b64decode, b64encode
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from hmi_marl.files import json_value
 from hmi_marl.reporting.verdicts import Outcome, Verdict
@@ -29,24 +29,24 @@ _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPO
 """Style classes of the page by outcome; grey for the others."""
 
 
-class _Described(ABC):
-    """Dataclass that is a part of a report."""
+class Block(ABC):
+    """Part of a report."""
 
     kind: ClassVar[str]
-    """Name in JSON content."""
+    """Name of its class in JSON."""
 
     @abstractmethod
     def as_text(self) -> str:
-        """Render for a terminal; empty if it is not shown there."""
+        """Render for a terminal."""
 
     @abstractmethod
     def as_html(self) -> str:
         """Render for a page."""
 
     def as_json(self) -> dict[str, Any]:
-        """JSON content, bytes in base64."""
+        """JSON content, from which :func:`block_from` reads it again."""
         return {"kind": self.kind} | {
-            name: base64.b64encode(value).decode("ascii")
+            name: b64encode(value).decode("ascii")
             if isinstance(value, bytes)
             else json_value(value)
             for name, value in vars(self).items()
@@ -54,7 +54,7 @@ class _Described(ABC):
 
 
 @dataclass(frozen=True)
-class Heading(_Described):
+class Heading(Block):
     """Title of a section."""
 
     text: str
@@ -73,7 +73,7 @@ class Heading(_Described):
 
 
 @dataclass(frozen=True)
-class Text(_Described):
+class Text(Block):
     """Paragraph; commands in it stand between backticks."""
 
     text: str
@@ -93,7 +93,7 @@ class Text(_Described):
 
 
 @dataclass(frozen=True)
-class Table(_Described):
+class Table(Block):
     """Table whose rows begin with their heading; entries may have several lines."""
 
     title: str
@@ -144,7 +144,7 @@ class Table(_Described):
 
 
 @dataclass(frozen=True)
-class Figure(_Described):
+class Figure(Block):
     """PNG of a figure."""
 
     name: str
@@ -172,7 +172,7 @@ class Figure(_Described):
 
 
 @dataclass(frozen=True)
-class Clip(_Described):
+class Clip(Block):
     """Animated GIF of an episode."""
 
     name: str
@@ -194,7 +194,7 @@ class Clip(_Described):
 
 
 @dataclass(frozen=True)
-class Verdicts(_Described):
+class Verdicts(Block):
     """Statements with their outcomes and reasons."""
 
     verdicts: Sequence[Verdict]
@@ -232,30 +232,26 @@ class Verdicts(_Described):
         )
 
 
-Block = Heading | Text | Table | Figure | Clip | Verdicts
-
-
 def block_from(content: dict[str, Any]) -> Block:
     """Read a block from its JSON content.
 
     Raises:
         ValueError: the content describes no block.
     """
-    given = dict(content)
+    given, kinds = dict(content), {block.kind: block for block in Block.__subclasses__()}
     kind = given.pop("kind", None)
-    known: dict[str, type[Block]] = {each.kind: each for each in get_args(Block)}
-    if kind not in known:
+    if kind not in kinds:
         raise ValueError(f"a report has no blocks of kind {kind!r}")
     try:
-        if kind in (Figure.kind, Clip.kind):
-            names = {"content", "narrow"} & given.keys()
-            given |= {name: base64.b64decode(given[name]) for name in names if given[name]}
-        if kind == Verdicts.kind:
+        for name in ("content", "narrow"):
+            if given.get(name) is not None:
+                given[name] = b64decode(given[name])
+        if "verdicts" in given:
             given["verdicts"] = [
                 Verdict(**each | {"outcome": Outcome(each["outcome"])})
                 for each in given["verdicts"]
             ]
-        return known[kind](**given)
+        return kinds[kind](**given)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"a damaged block of a report: {error!r}") from None
 
@@ -293,7 +289,7 @@ def _in_brackets(reason: str) -> str:
 
 
 def _data(suffix: str, content: bytes) -> str:
-    return f"data:image/{suffix};base64,{base64.b64encode(content).decode('ascii')}"
+    return f"data:image/{suffix};base64,{b64encode(content).decode('ascii')}"
 
 
 def _with_commands(text: str) -> str:

@@ -35,7 +35,7 @@ def test_share_and_shortfall_by_hand():
     assert loss.holds
     assert not row(learned=-120.0, optimum=-100.0, silent=-600.0).holds
     told = good.as_json()
-    assert tuple(told["case"]["strengths"]) == (0.5, 1.0)
+    assert told["case"]["strengths"] == [0.5, 1.0]
     assert told["learned"] == {"mean": 980.0, "low": 979.0, "high": 981.0}
     assert (told["holds"], told["shortfall"]) == (True, pytest.approx(0.02))
 
