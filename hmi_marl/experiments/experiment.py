@@ -24,8 +24,8 @@ from hmi_marl.files import json_value, make_folder
 from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.runs.folder import CHECKPOINT, seconds_of
-from hmi_marl.training.runs.jobs import Job, train_all
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
+from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import Job
 
 EVALUATION_SEED = 10**9
 """Seed of the first evaluation episode; no training comes near it."""

@@ -27,7 +27,7 @@ from hmi_marl.experiments.metrics_table.experiment import MetricsTable
 from hmi_marl.experiments.latent_traits.experiment import AssessSettings, LatentTraits
 from hmi_marl.reproduction.report import full_report
 from hmi_marl.reproduction.suite import run_suite, shared_driver
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.agents.adaptive.evidence_model import NAME
-from hmi_marl.agents.adaptive.factory import EXPECTED, Trained, make_adaptive
+from hmi_marl.agents.adaptive.hmis import EXPECTED, Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import begin
@@ -26,8 +26,8 @@ from hmi_marl.reporting.blocks import Block
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.evidence.conditioned import conditioned_hmi, learn_conditioned
 from hmi_marl.training.evidence.settings import EvidenceSettings
+from hmi_marl.training.jobs import need_training, own_line, side_by_side
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import need_training, own_line, side_by_side
 
 EVIDENCE, CONDITIONED = "evidence", "conditioned"
 """Runs in the experiment's folder."""

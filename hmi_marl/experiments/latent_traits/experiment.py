@@ -19,9 +19,9 @@ from hmi_marl.experiments.policies import driver_job
 from hmi_marl.files import json_value, make_folder, sha256_of
 from hmi_marl.reporting.blocks import Block
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
-from hmi_marl.training.runs.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 if TYPE_CHECKING:

@@ -22,10 +22,10 @@ from hmi_marl.experiments.experiment import Experiment, Place
 from hmi_marl.names import unknown
 from hmi_marl.reporting.blocks import Block
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.protocols.settings import Budget, TrainSettings
 from hmi_marl.training.runs.folder import read_curve
-from hmi_marl.training.runs.jobs import Job, train_all
 
 if TYPE_CHECKING:
     from hmi_marl.experiments.protocols.analysis import Comparison

@@ -35,22 +35,23 @@ from hmi_marl.training.protocols.settings import (
     Phase,
     TrainSettings,
 )
-from hmi_marl.training.runs.progress import Progress
+from hmi_marl.training.runs.run import Progress
 
 with needing("training"):
     import torch
 
     from hmi_marl.envs.vector import TeamVecEnv
-    from hmi_marl.training.ppo.batch import play_batch
-    from hmi_marl.training.ppo.learner import Learner, PPOLearner, TwoLearners
+    from hmi_marl.training.ppo.learner import Learner, PPOLearner, TwoLearners, play_batch
     from hmi_marl.training.ppo.models import (
+        Context,
+        IntentShown,
+        SeatView,
         make_actor,
         make_critic,
         make_joint_actor,
         weights_of,
         weights_of_both,
     )
-    from hmi_marl.training.ppo.views import Context, IntentShown, SeatView
     from hmi_marl.training.runs.processes import Processes, joined
     from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
@@ -37,6 +38,41 @@ class Joint(TrainSettings):
         team = self.team(self.drivers, self.reward)
         cards = self.card(DRIVER, team), self.card(VEHICLE_AI, team, by_intent=True)
         return (Phase("joint", TEAM, team, self.steps, cards=cards, joint=True),)
+
+    @classmethod
+    def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
+        """See :meth:`TrainSettings.for_comparison`."""
+        return cls(steps=budget.steps, **budget.rewards("reward"), **shared)
+
+
+@dataclass(frozen=True)
+class Simultaneous(TrainSettings):
+    """Simultaneous: two agents learn at once, with a common critic's view or their own.
+
+    Example: hmi-marl train simultaneous --critic own --no-sequential --out runs/at-once
+    """
+
+    variants: ClassVar[Mapping[str, Mapping[str, Any]]] = {"": {}, "-moves": {"sequential": False}}
+
+    steps: int = 14_000_000
+    """Environment steps."""
+    reward: Sharing = "team"
+    """Reward of both policies."""
+    sequential: bool = True
+    """Sequential moves: the driver moves first and the vehicle AI sees a^H_t. Otherwise both move
+    at the same time and the vehicle AI sees a^H_{t-1}."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_count("steps", self.steps)
+
+    def phases(self) -> tuple[Phase, ...]:
+        """See :meth:`TrainSettings.phases`."""
+        team = self.team(self.drivers, self.reward)
+        cards = tuple(
+            self.card(seat, team, sequential=self.sequential) for seat in (DRIVER, VEHICLE_AI)
+        )
+        return (Phase("simultaneous", TEAM, team, self.steps, cards=cards),)
 
     @classmethod
     def for_comparison(cls, budget: Budget, **shared: Any) -> Self:

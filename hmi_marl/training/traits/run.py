@@ -26,9 +26,9 @@ from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of
-from hmi_marl.training.runs.progress import Progress
-from hmi_marl.training.traits.labels import make_labels
+from hmi_marl.training.runs.run import Progress
 from hmi_marl.training.traits.settings import TraitSettings
+from hmi_marl.training.traits.windows import make_labels
 
 with needing("training"):
     import torch
@@ -38,7 +38,7 @@ with needing("training"):
     from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
-    from hmi_marl.training.traits.pools import Batch, Units, Windows
+    from hmi_marl.training.traits.windows import Batch, Units, Windows
 
 PREPARING_POOLS = 64
 """Pools from which the encoder takes its units."""

@@ -17,7 +17,7 @@ from hmi_marl.checks import (
 )
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.protocols.settings import PPOSettings
 
 Supervision = Literal["none", "id", "preference"]
 

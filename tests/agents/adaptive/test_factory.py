@@ -9,8 +9,15 @@ from standing_world import standing_teams
 from hmi_marl.agents import make_hmi
 from hmi_marl.agents.adaptive import factory
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
-from hmi_marl.agents.adaptive.factory import KINDS, TYPES, Trained, make_adaptive
-from hmi_marl.agents.adaptive.hmis import ChoosingHMI, ConditionedHMI, ExpectedValueHMI
+from hmi_marl.agents.adaptive.hmis import (
+    KINDS,
+    TYPES,
+    ChoosingHMI,
+    ConditionedHMI,
+    ExpectedValueHMI,
+    Trained,
+    make_adaptive,
+)
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE
 from hmi_marl.agents.learned.policy import read_policy, save_policy
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, Traits

@@ -23,7 +23,7 @@ from hmi_marl.training.traits.model import (
     make_value,
     weights_of_model,
 )
-from hmi_marl.training.traits.pools import Batch, Units, Windows, transitions
+from hmi_marl.training.traits.windows import Batch, Units, Windows, transitions
 
 CARD = TraitCard(
     tuple((part.name, part.size) for part in LAYOUT.parts),
