@@ -1,4 +1,16 @@
-"""One team for the single-episode interfaces: series of seeds, checked actions, pictures, info."""
+"""One team for the single-episode interfaces, and the Gymnasium environments of one seat.
+
+:class:`SingleTeam` has the series of seeds, checked actions, pictures and info.
+``gymnasium.make("hmi_marl/MergeDriver-v0", partner="never")`` is the driver's seat, with an HMI
+as part of the world; ``gymnasium.make("hmi_marl/MergeHMI-v0", partner="rule")`` is the vehicle
+AI's seat, with a driver inside. Moves are sequential, so that the HMI sees what the driver is about
+to do. Both take every keyword of :mod:`hmi_marl.envs.merge_v0`.
+
+The classes here take the partner as a :class:`hmi_marl.envs.seats.Policy`;
+:mod:`hmi_marl.agents.partners`, which ``gymnasium.make`` goes through, also takes a known
+policy's name or a plain function from one observation to an action. A policy may remember
+what it saw: give each environment its own object.
+"""
 
 from __future__ import annotations
 

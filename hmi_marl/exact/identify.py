@@ -13,6 +13,7 @@ With
 no classifier with the same data is right more often on average, if p(k) is how often each candidate
 drives: this is the ceiling of every learned classifier. It requires alerts that do not depend on
 what is hidden, such as random ones; see :mod:`hmi_marl.exact.bayes_filter`.
+:class:`TraitBelief` holds such probabilities and what follows from them.
 """
 
 from __future__ import annotations

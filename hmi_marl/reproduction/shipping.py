@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.agents.learned.cards import FORMAT, INDEX, shipped_agents
+from hmi_marl.agents.learned.cards import INDEX_FORMAT, INDEX, shipped_agents
 from hmi_marl.experiments.experiment import Agent, Place
 from hmi_marl.files import write_bytes, write_json
 from hmi_marl.reproduction.suite import Suite, is_done
@@ -54,7 +54,7 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
         folder = Path(made) / out.name
         index = {agent.name: _copy(agent, folder) for agent in agents}
-        about = {"format": FORMAT, "version": hmi_marl.__version__, "agents": index}
+        about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
         write_json(folder / INDEX, about)
         before = out.with_name(f".{out.name}-before")
         if out.exists():

@@ -9,7 +9,8 @@ Each is a policy that holds a :class:`TraitEstimator` and acts on its belief:
   weighs the gain or loss for each candidate.
 
 :meth:`~AdaptiveHMI.reset` begins an episode of an unknown driver, ``next_trip`` one of the same
-driver as before.
+driver as before. :func:`adaptive_by_name` makes them by name: ``adapt``, ``adapt:choosing``,
+``adapt:conditioned:bayes`` and so on.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 """Learned models in files: a JSON card and, next to it, safetensors weights with a checksum.
 
 The card is a dataclass that describes the model; see :class:`CardFormat`. Nothing is ever
-unpickled.
+unpickled. Agents that come with the package have names, ``trained:homer``, ``trained:driver``: each
+has a folder in ``hmi_marl/trained``, and ``INDEX.json`` there holds the checksum of every file.
+Only unaltered files that it lists are loaded.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from hmi_marl.agents.learned.network import NetworkConfig, Weights
 from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
 from hmi_marl.names import HELP, suggest, unknown
 
-FORMAT = "hmi-marl trained 1"
+INDEX_FORMAT = "hmi-marl trained 1"
 PREFIX = "trained:"
 INDEX = "INDEX.json"
 FOLDER = Path(__file__).parents[2] / "trained"
@@ -69,7 +71,7 @@ def shipped_agents(folder: Path = FOLDER) -> dict[str, Shipped]:
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is damaged ({error}); {_REMEDY}") from None
     found = content.get("format") if isinstance(content, dict) else None
-    if found != FORMAT:
+    if found != INDEX_FORMAT:
         raise ValueError(f"{path} is no index of trained agents: format {found!r}; {_REMEDY}")
     try:
         return {

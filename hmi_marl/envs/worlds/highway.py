@@ -1,7 +1,9 @@
 """The reference world: highway-env's own ``merge-generic-v1``, N of them in a loop.
 
 Physics, traffic and steering are highway-env's, untouched. Added are the vehicles' starts (so that
-a scene is a pure function of its seed, in every world) and the readings.
+a scene is a pure function of its seed, in every world) and the readings. The lidar's rays are
+traced by highway-env's own observation class, on stand-ins for the other objects at their true
+places with their perceived sizes.
 """
 
 from __future__ import annotations

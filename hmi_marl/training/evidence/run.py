@@ -1,4 +1,4 @@
-"""Learning of an evidence model in a folder, resumable.
+"""Learning of an evidence model in a folder, resumable, from drives of drivers with known traits.
 
 Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the learned
 model, ``evidence.json`` with its weights. The drives are not kept: they follow from the settings,
@@ -28,13 +28,19 @@ from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import make_world
 from hmi_marl.extras import needing
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.runs.run import Progress
 
 with needing("training"):
     import torch
 
     from hmi_marl.training.evidence.model import Evidence
-    from hmi_marl.training.runs.run import Run, Tensors, flat_moments, own_torch_state, with_moments
+    from hmi_marl.training.runs.run import (
+        Progress,
+        Run,
+        Tensors,
+        flat_moments,
+        own_torch_state,
+        with_moments,
+    )
 
 
 _AT_ONCE = 1000

@@ -1,4 +1,8 @@
-"""Learners: one PPO for a seat or for both, or one PPO for each seat."""
+"""Learners, and the batches that they learn from.
+
+One PPO learns for a seat or for both, or one for each seat. A batch is a whole episode of every
+team, played, recorded and averaged.
+"""
 
 from __future__ import annotations
 

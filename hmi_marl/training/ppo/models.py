@@ -1,4 +1,4 @@
-"""rsl_rl's models for the seats, and their weights by the names of learned policies."""
+"""Actors and critics: inputs out of observations, rsl_rl's models, and their weights by name."""
 
 from __future__ import annotations
 

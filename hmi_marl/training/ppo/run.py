@@ -35,7 +35,6 @@ from hmi_marl.training.protocols.settings import (
     Phase,
     TrainSettings,
 )
-from hmi_marl.training.runs.run import Progress
 
 with needing("training"):
     import torch
@@ -53,7 +52,7 @@ with needing("training"):
         weights_of_both,
     )
     from hmi_marl.training.runs.processes import Processes, joined
-    from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
+    from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
 
 _INITIAL_WEIGHTS = {DRIVER: 0, OTHER_SEAT[DRIVER]: 1, TEAM: 2}
 

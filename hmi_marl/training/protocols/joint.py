@@ -1,4 +1,4 @@
-"""One composite policy π_H∘π_AI of driver and vehicle AI, on the team's reward."""
+"""Both policies learn at the same time: as one composite policy π_H∘π_AI, or each by its PPO."""
 
 from __future__ import annotations
 

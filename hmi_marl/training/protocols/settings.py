@@ -1,4 +1,4 @@
-"""Settings that all protocols share, and the phases that a protocol is made of; no torch."""
+"""Settings of PPO and those that all protocols share, and a protocol's phases; no torch."""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``, ``curve.json``
 (rows of losses and measures) and, unless the run is quiet, ``tensorboard/``. A subclass learns and
-saves its models there.
+saves its models there. The environment's state is not kept: a batch is a whole episode of every
+team from its start, and all random numbers follow from the run's seed and the batch's number.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ FORMAT = "hmi-marl checkpoint 1"
 
 @dataclass
 class Checkpoint:
-    """State of a run."""
+    """State of a run: one safetensors file with JSON in its header, written atomically."""
 
     phase: int = 0
     """Index of the current phase; the number of phases if the run is finished."""

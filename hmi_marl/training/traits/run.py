@@ -26,19 +26,17 @@ from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of
-from hmi_marl.training.runs.run import Progress
 from hmi_marl.training.traits.settings import TraitSettings
-from hmi_marl.training.traits.windows import make_labels
 
 with needing("training"):
     import torch
 
     from hmi_marl.training.runs.processes import ALONE
-    from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
+    from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
     from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
-    from hmi_marl.training.traits.windows import Batch, Units, Windows
+    from hmi_marl.training.traits.windows import Batch, Units, Windows, make_labels
 
 PREPARING_POOLS = 64
 """Pools from which the encoder takes its units."""

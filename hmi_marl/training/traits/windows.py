@@ -1,4 +1,10 @@
-"""Windows of driving, and pools of windows of one driver, for learning the trait model."""
+"""Windows of driving, their labels, and pools of windows of one driver, for the trait model.
+
+Labels are the only input of a supervised setting besides the observed driving: the driver, or the
+driver's preference for help. The preference of a simulated driver is η, the influence of alerts:
+the answer to a question that people could be asked. No other trait is read, and η only for labelled
+windows.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from evidence_models import HIDDEN, any_intents, save_trained, seeds, turns
 from standing_world import standing_teams
 
 from hmi_marl.agents import make_hmi
-from hmi_marl.agents.adaptive import factory
+from hmi_marl.agents.adaptive import hmis
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
 from hmi_marl.agents.adaptive.hmis import (
     KINDS,
@@ -32,7 +32,7 @@ def trained(tmp_path):
 @pytest.fixture
 def shipped(trained, monkeypatch):
     """As if these came with the package."""
-    monkeypatch.setattr(factory, "Trained", lambda: trained)
+    monkeypatch.setattr(hmis, "Trained", lambda: trained)
 
 
 @pytest.mark.usefixtures("shipped")

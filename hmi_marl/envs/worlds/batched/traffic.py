@@ -1,4 +1,7 @@
-"""The Intelligent Driver Model: IDMVehicle.acceleration and desired_gap."""
+"""Decisions of the traffic: gaps by the Intelligent Driver Model, lane changes by MOBIL.
+
+These are IDMVehicle's acceleration, desired_gap, change_lane_policy and mobil.
+"""
 
 from __future__ import annotations
 
