@@ -83,7 +83,7 @@ _HOMES = {
     "Policy": "envs.seats",
     "RewardWeights": "envs.rewards",
     "Scene": "envs.scene",
-    "Simultaneous": "training.protocols.simultaneous",
+    "Simultaneous": "training.protocols.joint",
     "TeamConfig": "envs.config",
     "TraitDistributions": "envs.drivers",
     "TwoStage": "training.protocols.two_stage",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.agents.learned.cards import INDEX_FORMAT, INDEX, shipped_agents
+from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, shipped_agents
 from hmi_marl.experiments.experiment import Agent, Place
 from hmi_marl.files import write_bytes, write_json
 from hmi_marl.reproduction.suite import Suite, is_done

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
 from hmi_marl.agents.learned.situations import LONG_AGO
+from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits
 from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
@@ -51,7 +52,7 @@ t - 1, and the same where that step revealed an attentive driver or a distracted
 
 
 @dataclass(frozen=True)
-class EvidenceCard:
+class EvidenceCard(Checked):
     """Description of an evidence model, without its weights.
 
     Raises:
@@ -60,9 +61,9 @@ class EvidenceCard:
 
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of the vehicle AI's observation that it reads, in order."""
-    latent: int = 16
+    latent: Count = 16
     """Z, size of e_t and w(θ)."""
-    segment: int = 25
+    segment: Count = 25
     """Turns after which the encoder's recurrent state is reset."""
     encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
     """Network from turns to e_t."""
@@ -72,6 +73,7 @@ class EvidenceCard:
     """How it was trained."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
         if not self.reads or min(size for _, size in self.reads) < 1:
             raise ValueError("an evidence model reads parts of at least one column")
@@ -80,9 +82,6 @@ class EvidenceCard:
                 raise ValueError(
                     f"an evidence model may not read {name!r}: driver inference hides it"
                 )
-        for name in ("latent", "segment"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
         if self.place.rnn_hidden_dim:
             raise ValueError("only the encoder may be recurrent: set place.rnn_hidden_dim to 0")
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
 from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
+from hmi_marl.checks import Checked, Count, Share
 
 PARTS = ("reward", "potential", "policy")
 """Networks besides the encoder: g, h and π."""
@@ -32,7 +33,7 @@ _CHUNK = 512
 
 
 @dataclass(frozen=True)
-class TraitCard:
+class TraitCard(Checked):
     """Description of a trait model, without its weights.
 
     Raises:
@@ -41,13 +42,13 @@ class TraitCard:
 
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of an observed state, in their order."""
-    latent: int = 2
+    latent: Count = 2
     """Z, size of z."""
-    encoder_units: int = 128
+    encoder_units: Count = 128
     """H, units of the recurrent layer."""
-    pool: int = 8
+    pool: Count = 8
     """Windows of one driver that training averages over."""
-    gamma: float = 0.98
+    gamma: Share = 0.98
     """γ of the reward's shaping."""
     reward: NetworkConfig = field(default_factory=lambda: NetworkConfig((32, 32)))
     """Network g."""
@@ -59,14 +60,10 @@ class TraitCard:
     """How it was trained."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
         if not self.reads or min(size for _, size in self.reads) < 1:
             raise ValueError("a trait model reads parts of at least one column")
-        for name in ("latent", "encoder_units", "pool"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
-        if not 0.0 <= self.gamma <= 1.0:
-            raise ValueError(f"gamma lies in [0, 1], but got {self.gamma}")
         if any(getattr(self, part).rnn_hidden_dim for part in PARTS):
             raise ValueError("only the encoder is recurrent: set encoder_units")
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from hmi_marl.checks import check_count
+from hmi_marl.checks import Count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.protocols.settings import TEAM, Budget, Phase, TrainSettings
@@ -19,14 +19,13 @@ class Joint(TrainSettings):
     Example: hmi-marl train joint --steps 14_000_000 --out runs/joint
     """
 
-    steps: int = 14_000_000
+    steps: Count = 14_000_000
     """Environment steps."""
     reward: Sharing = "team"
     """Reward of the composite policy: the sum of both agents' rewards where they differ."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_count("steps", self.steps)
         if self.rnn_hidden_dim:
             raise ValueError(
                 f"rnn_hidden_dim = {self.rnn_hidden_dim}, but the composite policy has no "
@@ -54,17 +53,13 @@ class Simultaneous(TrainSettings):
 
     variants: ClassVar[Mapping[str, Mapping[str, Any]]] = {"": {}, "-moves": {"sequential": False}}
 
-    steps: int = 14_000_000
+    steps: Count = 14_000_000
     """Environment steps."""
     reward: Sharing = "team"
     """Reward of both policies."""
     sequential: bool = True
     """Sequential moves: the driver moves first and the vehicle AI sees a^H_t. Otherwise both move
     at the same time and the vehicle AI sees a^H_{t-1}."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_count("steps", self.steps)
 
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""
