@@ -149,24 +149,12 @@ def identify(
     for start in range(0, len(seeds), at_once):
         part = slice(start, start + at_once)
         data = seeds[part], actions[part], alerts[part], length[part]
-        evidence.append(_evidence(config, policy, candidates, *data))
+        bayes = BayesFilter(candidates, config.alert_window, len(seeds[part]))
+        for t, chances in enumerate(replay_intents(config, policy, candidates, *data)):
+            active = t < length[part]
+            bayes.update(chances, actions[part, t], alerts[part, t], active=active)
+        evidence.append(bayes.log_evidence)
     return Identification(candidates, np.concatenate(evidence))
-
-
-def _evidence(
-    config: TeamConfig,
-    policy: StochasticPolicy,
-    drivers: Sequence[Driver],
-    seeds: NDArray[np.uint64],
-    actions: NDArray[np.int64],
-    alerts: NDArray[np.int64],
-    length: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    bayes = BayesFilter(drivers, config.alert_window, len(seeds))
-    intents = replay_intents(config, policy, drivers, seeds, actions, alerts, length)
-    for t, probabilities in enumerate(intents):
-        bayes.update(probabilities, actions[:, t], alerts[:, t], active=t < length)
-    return bayes.log_evidence
 
 
 def replay_intents(

@@ -13,8 +13,7 @@ from tensordict import TensorDict
 from torch.nn.functional import one_hot
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA
-from hmi_marl.agents.learned.trait_model import PARTS, TraitCard
+from hmi_marl.agents.learned.trait_model import ACTIONS, EXTRA, PARTS, TraitCard
 from hmi_marl.training.ppo.heads import OneAction
 from hmi_marl.training.ppo.models import GROUPS, array_of, layers_of, make_critic
 from hmi_marl.training.traits.windows import Batch, Units

@@ -17,8 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.situations import situations
-from hmi_marl.agents.learned.trait_model import standardise
+from hmi_marl.agents.learned.trait_model import situations, standardise
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.training.traits.settings import Supervision

@@ -8,8 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, situations
-from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel, encoder_inputs
+from hmi_marl.agents.learned.trait_model import (
+    ACTIONS,
+    EXTRA,
+    TraitCard,
+    TraitModel,
+    encoder_inputs,
+    situations,
+)
 from hmi_marl.training.traits.model import (
     FORGETTING,
     SMALLEST_UNIT,

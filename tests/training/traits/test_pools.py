@@ -7,7 +7,7 @@ from demonstrations import LAYOUT, changed, made_up
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_marl.agents.learned.situations import EXTRA, situations
+from hmi_marl.agents.learned.trait_model import EXTRA, situations
 from hmi_marl.training.traits.windows import Batch, Units, Windows, draw_pools, transitions
 
 NAN = float("nan")
