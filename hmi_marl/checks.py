@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 
@@ -111,16 +111,10 @@ class Checked:
     """
 
     def __post_init__(self) -> None:
-        for name, function in _checks(type(self)):
-            object.__setattr__(self, name, function(name, getattr(self, name)))
-
-
-@cache
-def _checks(kind: type[Any]) -> tuple[tuple[str, Callable[[str, Any], Any]], ...]:
-    found: list[tuple[str, Callable[[str, Any], Any]]] = []
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        if get_origin(hint) is Literal:
-            found.append((name, partial(check_choice, choices=get_args(hint))))
-        metadata = getattr(hint, "__metadata__", ())
-        found += [(name, each.function) for each in metadata if isinstance(each, Check)]
-    return tuple(found)
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            metadata = getattr(hint, "__metadata__", ())
+            checks = [each.function for each in metadata if isinstance(each, Check)]
+            if get_origin(hint) is Literal:
+                checks.append(partial(check_choice, choices=get_args(hint)))
+            for check in checks:
+                object.__setattr__(self, name, check(name, getattr(self, name)))

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import CardFormat, find_card
+from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
 from hmi_marl.agents.learned.trait_model import LONG_AGO
 from hmi_marl.checks import Checked, Count
@@ -43,7 +43,6 @@ READS = ("intended_action", "previous_intended_action", "applied_action")
 actions. Lidar and speed would improve the estimate of inflation and worsen those of β, α and η."""
 HIDDEN = ("traits", "distracted", "accepted", "counter", "fatigue")
 """Observation parts hidden from driver inference."""
-PARTS = ("encoder", "place")
 _ACTIONS = len(VEHICLE_ACTIONS)
 _SINCE = LONG_AGO + 1
 DERIVED = _ACTIONS + 3 * _SINCE
@@ -74,9 +73,7 @@ class EvidenceCard(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
-        if not self.reads or min(size for _, size in self.reads) < 1:
-            raise ValueError("an evidence model reads parts of at least one column")
+        object.__setattr__(self, "reads", checked_reads(self.reads, "an evidence model"))
         for name, _ in self.reads:
             if name in HIDDEN:
                 raise ValueError(
@@ -110,16 +107,12 @@ class EvidenceCard(Checked):
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the weights."""
-        shapes: dict[str, tuple[int, ...]] = {
-            "read.centre": (self.read_size,),
-            "read.scale": (self.read_size,),
+        sizes = {
+            "encoder": (self.read_size + DERIVED, self.latent),
+            "place": (len(TRAIT_NAMES), self.latent),
         }
-        sizes = {"encoder": self.read_size + DERIVED, "place": len(TRAIT_NAMES)}
-        for part in PARTS:
-            network: NetworkConfig = getattr(self, part)
-            for name, shape in network.shapes(sizes[part], self.latent).items():
-                shapes[f"{part}.{name}"] = shape
-        return shapes
+        units = {"read.centre": (self.read_size,), "read.scale": (self.read_size,)}
+        return units | part_shapes(self, sizes)
 
 
 FORMAT = CardFormat("hmi-marl evidence 2", "evidence model", EvidenceCard)

@@ -9,7 +9,7 @@ Only unaltered files that it lists are loaded.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_type_hints
@@ -223,6 +223,30 @@ class CardFormat(Generic[C]):
             return self.card(**fields), str(content["sha256"])
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is a damaged {self.model} card: {error}") from None
+
+
+def checked_reads(reads: Iterable[tuple[str, int]], model: str) -> tuple[tuple[str, int], ...]:
+    """Return names and sizes of the parts that a model reads.
+
+    Raises:
+        ValueError: there are none, or one without columns.
+    """
+    parts = tuple((str(name), int(size)) for name, size in reads)
+    if not parts or min(size for _, size in parts) < 1:
+        raise ValueError(f"{model} reads parts of at least one column")
+    return parts
+
+
+def part_shapes(card: object, sizes: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, ...]]:
+    """Return names and shapes of the weights of a card's networks, by inputs and outputs of each.
+
+    A name is that of the network and that of :meth:`NetworkConfig.shapes`, ``part.NAME``.
+    """
+    return {
+        f"{part}.{name}": shape
+        for part, (inputs, outputs) in sizes.items()
+        for name, shape in getattr(card, part).shapes(inputs, outputs).items()
+    }
 
 
 def find_card(place: str | Path, kind: str, model: str, hint: str = "") -> Path:

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import CardFormat, find_card
+from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
 from hmi_marl.checks import Checked, Count, Share
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
@@ -129,9 +129,7 @@ class TraitCard(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
-        if not self.reads or min(size for _, size in self.reads) < 1:
-            raise ValueError("a trait model reads parts of at least one column")
+        object.__setattr__(self, "reads", checked_reads(self.reads, "a trait model"))
         if any(getattr(self, part).rnn_hidden_dim for part in PARTS):
             raise ValueError("only the encoder is recurrent: set encoder_units")
 
@@ -172,12 +170,8 @@ class TraitCard(Checked):
         for head in ("mean", "log_variance"):
             shapes[f"{head}.weight"] = self.latent, self.encoder_units
             shapes[f"{head}.bias"] = (self.latent,)
-        for part in PARTS:
-            outputs = ACTIONS if part == "policy" else 1
-            network: NetworkConfig = getattr(self, part)
-            for name, shape in network.shapes(self.inputs(part), outputs).items():
-                shapes[f"{part}.{name}"] = shape
-        return shapes
+        sizes = {part: (self.inputs(part), ACTIONS if part == "policy" else 1) for part in PARTS}
+        return shapes | part_shapes(self, sizes)
 
 
 FORMAT = CardFormat("hmi-marl traits 2", "trait model", TraitCard)

@@ -151,9 +151,7 @@ def learn_evidence(
     Args:
         settings: settings of the drives and of the learning.
         folder: folder of the run.
-        quiet: no progress bar.
-        command_line: command that started it, kept with the model.
-        line: line of the terminal for the progress bar.
+        quiet, command_line, line: see :class:`Run`.
 
     Raises:
         ValueError: the folder holds another run, or the settings name an unknown HMI or driver.

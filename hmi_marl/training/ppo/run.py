@@ -72,9 +72,7 @@ def train(
         folder: folder of the run.
         context: gives a vector z for each driver, which the vehicle AI observes instead of the
             traits. (The driver observes its own traits.)
-        quiet: no progress bar and no TensorBoard.
-        command_line: command that started it, kept with the policies.
-        line: line of the terminal for the progress bar, where several runs go side by side.
+        quiet, command_line, line: see :class:`Run`.
 
     Raises:
         ValueError: the folder holds a run with other settings, or a context is given and a driver

@@ -64,9 +64,7 @@ def learn_traits(
             labelled windows, in the preference-supervised setting without ``preferences``.
         folder: folder of the run.
         preferences: people's answers by name, for the preference-supervised setting.
-        quiet: no progress bar and no TensorBoard.
-        command_line: command that started it, kept with the model.
-        line: line of the terminal for the progress bar.
+        quiet, command_line, line: see :class:`Run`.
 
     Raises:
         FileNotFoundError: there are no demonstrations.
