@@ -226,7 +226,11 @@ class StableBaselines:
 
 def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
     """Measure in alternation; return medians over the rounds, and ratios to SB3 by round."""
-    fixed = {"vehicles": (args.vehicles, args.vehicles), "num_teams": args.teams, "device": "cpu"}
+    fixed = {
+        "vehicles": (args.vehicles, args.vehicles),
+        "num_teams": args.num_teams,
+        "device": "cpu",
+    }
     settings = TwoStage(driver_steps=args.steps // 2, hmi_steps=args.steps // 2, **fixed)
     sb3 = StableBaselines(settings, args.processes, args.sb3_batch)
     rounds: list[dict[str, dict[str, float]]] = []
@@ -276,7 +280,7 @@ def main() -> None:
         "--steps", **whole, default=1_200_000, help="our steps in a round, half in each stage"
     )
     parser.add_argument(
-        "--teams", **whole, default=TwoStage().num_teams, help="our teams side by side"
+        "--num-teams", **whole, default=TwoStage().num_teams, help="our teams in a batch"
     )
     parser.add_argument("--sb3-steps", **whole, default=2048, help="SB3's steps in a round")
     parser.add_argument(

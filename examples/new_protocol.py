@@ -81,5 +81,5 @@ if __name__ == "__main__":
     if main(command.split()) == 0:
         batches = json.loads((args.out / "curve.json").read_text("utf-8"))
         for phase in ("hmi", "driver"):
-            first, *_, last = [row["return"] for row in batches if row["phase"] == phase]
-            print(f"{phase}: return {first:.1f} in the first batch, {last:.1f} in the last")
+            returns = [row["return"] for row in batches if row["phase"] == phase]
+            print(f"{phase}: return {returns[0]:.1f} in the first batch, {returns[-1]:.1f} at last")

@@ -15,6 +15,7 @@ from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, driver_weights
+from hmi_marl.experiments.latent_traits.settings import MIN_UNSEEN_DRIVERS, AssessSettings
 from hmi_marl.experiments.policies import driver_job
 from hmi_marl.files import json_value, make_folder, sha256_of
 from hmi_marl.reporting.blocks import Block
@@ -31,37 +32,11 @@ if TYPE_CHECKING:
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
 DEMONSTRATIONS, POPULATION = "demonstrations", "population"
-MIN_UNSEEN_DRIVERS = 4
-"""Least drivers to regress traits over: two fit the regression, and two judge it."""
 _POPULATION_SEED = 1
 """Added to the seed for the population's episodes."""
 _FREE = ("driver_policy", "num_teams")
 """Settings that a recorded dataset may differ in: the policy's folder (its weights are compared
 instead), and memory."""
-
-
-@dataclass(frozen=True)
-class AssessSettings:
-    """Size of the evaluation of each model.
-
-    Raises:
-        ValueError: a size below its least.
-    """
-
-    windows: int = 800
-    """Most windows of each driver, learned from or held out, that are encoded."""
-    episodes: int = 200
-    """Episodes that the policy drives with each driver's z."""
-    ranked: int = 100
-    """Held-out windows of each driver by which the recovered reward is judged."""
-    seed: int = 1_000_000
-    """Seed of those episodes and of all other draws."""
-
-    def __post_init__(self) -> None:
-        for name in ("windows", "episodes", "ranked"):
-            check_count(name, getattr(self, name))
-        if self.ranked < 2:
-            raise ValueError("ranking takes two windows: ranked is at least 2, but got 1")
 
 
 class _Judged(Experiment["TraitResults"]):
@@ -113,7 +88,8 @@ class TraitEvaluation(_Judged):
     def run(self, place: Place) -> TraitResults:
         """Judge the runs on what they held out.
 
-        The first model of a setting is judged in every respect, others by identification alone.
+        The figure of embeddings is written first, long before the rest. The first model of a
+        setting is judged in every respect, others by identification alone.
 
         Raises:
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
@@ -124,7 +100,7 @@ class TraitEvaluation(_Judged):
         from hmi_marl.experiments.latent_traits import assessment
         from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, exact_evidence
         from hmi_marl.experiments.latent_traits.imitation import check_fits
-        from hmi_marl.experiments.latent_traits.report import TraitResults
+        from hmi_marl.experiments.latent_traits.report import TraitResults, embeddings_figure
 
         models = [load_traits(run) for run in self.runs]
         data = read_demonstrations(self.demonstrations)
@@ -146,6 +122,12 @@ class TraitEvaluation(_Judged):
             unknown = assessment.unseen_drivers(read_demonstrations(self.population), data)
             assessment.population_pools(unknown, pool)
             check_fits(models[0], unknown.observed)
+        embeddings = [assessment.embed(model, split) for model in models]
+        settings = [assessment.supervision_of(model) for model in models]
+        first = dict(reversed(list(zip(settings, embeddings, strict=True))))
+        place.write(
+            embeddings_figure({name: first[name] for name in SUPERVISIONS if name in first})
+        )
         found: dict[str, list[Assessment]] = {}
         parts = 1 + assessment.PARTS * len(models)
         with tqdm(total=parts, unit=" parts", desc="judging") as bar:
@@ -155,12 +137,12 @@ class TraitEvaluation(_Judged):
             except NoCeilingError as error:
                 bar.write(str(error), file=sys.stderr)
             bar.update()
-            for model in models:
-                first = assessment.supervision_of(model) not in found
+            for model, name, embedding in zip(models, settings, embeddings, strict=True):
+                whole = name not in found
                 one = assessment.assess(
-                    model, split, exact, unknown, self.size, windows, bar.update, whole=first
+                    model, split, exact, unknown, self.size, windows, bar.update, whole, embedding
                 )
-                found.setdefault(one.supervision, []).append(one)
+                found.setdefault(name, []).append(one)
         return TraitResults({name: found[name] for name in SUPERVISIONS if name in found}, pool)
 
     def settings(self) -> dict[str, Any]:

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Identified
+from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.figures import (
     EmbeddingPanel,
     draw_accuracy,
     draw_embeddings,
 )
+from hmi_marl.experiments.latent_traits.probes import average_kl
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text, png
@@ -137,7 +138,7 @@ def blocks(results: TraitResults) -> list[Block]:
     )
     return [
         Text(" ".join([note, *left_out(results)])),
-        embeddings_figure(results),
+        embeddings_figure({name: one.embedding for name, one in results.first.items()}),
         accuracy_figure(results),
         *(table for table in tables if table.rows),
     ]
@@ -159,17 +160,13 @@ def left_out(results: TraitResults) -> list[str]:
     ]
 
 
-def embeddings_figure(results: TraitResults) -> Figure:
-    """Draw the paper's figure, of the first seed of each setting."""
+def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
+    """Draw the paper's figure: a panel for each setting, with the average KL of its vectors."""
     panels = [
         EmbeddingPanel(
-            TITLES[name],
-            one.embedding.means,
-            one.embedding.types,
-            one.embedding.names,
-            one.at_pool(results.pool).types.average_kl,
+            TITLES[name], one.means, one.types, one.names, average_kl(one.means, one.types)
         )
-        for name, one in results.first.items()
+        for name, one in embeddings.items()
     ]
     return Figure("embeddings", "embeddings by driver", png(draw_embeddings(panels)))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 from hmi_marl.agents.catalogue import learned_file
 from hmi_marl.agents.learned.cards import is_shipped
 from hmi_marl.envs.config import DRIVER
-from hmi_marl.files import json_value
+from hmi_marl.files import json_value, sha256_of
 
 SETTINGS = "run.json"
 """Settings of the run."""
@@ -46,8 +45,7 @@ def run_settings(settings: object) -> dict[str, Any]:
     weights = learned_file(name, DRIVER) if isinstance(name, str) else None
     if isinstance(name, str) and weights is not None:
         short = name.lower() if is_shipped(name) else Path(name).name
-        digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-        content[POLICY] = {"name": short, "sha256": digest}
+        content[POLICY] = {"name": short, "sha256": sha256_of(weights)}
     return content
 
 

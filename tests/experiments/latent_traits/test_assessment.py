@@ -23,8 +23,8 @@ from hmi_marl.experiments.latent_traits.assessment import (
     regress_traits,
 )
 from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence, exact_evidence
-from hmi_marl.experiments.latent_traits.experiment import AssessSettings
 from hmi_marl.experiments.latent_traits.imitation import by_driver, driving, replay
+from hmi_marl.experiments.latent_traits.settings import AssessSettings
 from hmi_marl.files import json_value
 
 CAST = ("lisa", "homer")

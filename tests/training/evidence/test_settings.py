@@ -40,7 +40,7 @@ def test_at_least_two_drives_are_held_out(drives, held_out, learned):
         ({"batch": 1}, r"batch lies in 2 to \d+, .* but got 1"),
         ({"drives": 40, "batch": 39}, r"batch lies in 2 to 38, .* but got 39"),
         ({"encoder": NetworkConfig((8,))}, r"encoder\.rnn_hidden_dim is at least 1, but got 0"),
-        ({"place": NetworkConfig((8,), rnn_hidden_dim=2)}, "only the encoder may be recurrent"),
+        ({"place": NetworkConfig((8,), rnn_hidden_dim=2)}, "set place.rnn_hidden_dim to 0"),
         ({"reads": ("speed", "distracted")}, "no part 'distracted' to read"),
         ({"seed": -1}, "a seed lies in"),
     ],
