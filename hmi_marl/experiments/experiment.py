@@ -26,9 +26,9 @@ from hmi_marl.files import json_value, make_folder, write_bytes
 from hmi_marl.reporting.blocks import Block, Figure, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import CHECKPOINT, seconds_of
-from hmi_marl.training.runs.jobs import Job, train_all
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -26,9 +26,9 @@ from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import check_fits
 from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
 from hmi_marl.files import json_value, make_folder, sha256_of
+from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
-from hmi_marl.training.runs.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
