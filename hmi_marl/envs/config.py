@@ -131,9 +131,7 @@ class TeamSettings:
     """Least and most other vehicles."""
 
     def team(
-        self,
-        driver: str | Driver | Sequence[str | Driver] | Population,
-        reward: Sharing = "team",
+        self, driver: str | Driver | Sequence[str | Driver] | Population, reward: Sharing = "team"
     ) -> TeamConfig:
         """Return the checked settings of teams with this driver."""
         return TeamConfig(

@@ -93,11 +93,7 @@ def driving_terms(
 
 
 def attention_terms(
-    weights: RewardWeights,
-    *,
-    alert: ArrayLike,
-    distracted_before: ArrayLike,
-    distracted: ArrayLike,
+    weights: RewardWeights, *, alert: ArrayLike, distracted_before: ArrayLike, distracted: ArrayLike
 ) -> dict[str, NDArray[np.float64]]:
     """The three terms about the driver's attention.
 

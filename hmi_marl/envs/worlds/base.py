@@ -84,10 +84,7 @@ class World(Protocol):
     """N."""
 
     def reset(
-        self,
-        seeds: NDArray[np.uint64],
-        inflation: NDArray[np.float64],
-        which: NDArray[np.bool_],
+        self, seeds: NDArray[np.uint64], inflation: NDArray[np.float64], which: NDArray[np.bool_]
     ) -> None:
         """Start new episodes in the worlds marked in ``which``; all arguments have shape (N,)."""
 

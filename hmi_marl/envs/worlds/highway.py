@@ -186,10 +186,7 @@ class HighwayWorld:
         self._lidar: list[dict[float, NDArray[np.float32]]] = [{} for _ in self.merges]
 
     def reset(
-        self,
-        seeds: NDArray[np.uint64],
-        inflation: NDArray[np.float64],
-        which: NDArray[np.bool_],
+        self, seeds: NDArray[np.uint64], inflation: NDArray[np.float64], which: NDArray[np.bool_]
     ) -> None:
         """See :meth:`World.reset`."""
         for k in np.flatnonzero(which):

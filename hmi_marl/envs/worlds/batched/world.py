@@ -88,10 +88,7 @@ class BatchedWorld:
         return sum(block.nbytes for block in blocks) // self.num_worlds
 
     def reset(
-        self,
-        seeds: NDArray[np.uint64],
-        inflation: NDArray[np.float64],
-        which: NDArray[np.bool_],
+        self, seeds: NDArray[np.uint64], inflation: NDArray[np.float64], which: NDArray[np.bool_]
     ) -> None:
         """See :meth:`World.reset`."""
         which = np.require(which, np.bool_, _CARRAY)
