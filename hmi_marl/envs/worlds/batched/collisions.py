@@ -13,35 +13,20 @@ import math
 
 import numpy as np
 
+from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
-from hmi_marl.envs.worlds.batched.memory import (
-    CAR_LENGTH,
-    CAR_WIDTH,
-    COS,
-    CRASHED,
-    HIT,
-    IMPACT_X,
-    IMPACT_Y,
-    OBSTACLE_SIZE,
-    ORDER,
-    SIN,
-    SPEED,
-    VEHICLES,
-    X,
-    Y,
-)
 from hmi_marl.envs.worlds.batched.motion import MAX_SPEED
 
-_CAR_DIAGONAL = math.sqrt(CAR_LENGTH**2 + CAR_WIDTH**2)
-_OBSTACLE_DIAGONAL = math.sqrt(2 * OBSTACLE_SIZE**2)
+_CAR_DIAGONAL = math.sqrt(m.CAR_LENGTH**2 + m.CAR_WIDTH**2)
+_OBSTACLE_DIAGONAL = math.sqrt(2 * m.OBSTACLE_SIZE**2)
 _SURELY = 1e-6
 
 
 @inlined
 def _half_sizes(world, thing):
-    if thing == world[VEHICLES]:
-        return OBSTACLE_SIZE / 2, OBSTACLE_SIZE / 2, _OBSTACLE_DIAGONAL
-    return CAR_LENGTH / 2, CAR_WIDTH / 2, _CAR_DIAGONAL
+    if thing == world[m.VEHICLES]:
+        return m.OBSTACLE_SIZE / 2, m.OBSTACLE_SIZE / 2, _OBSTACLE_DIAGONAL
+    return m.CAR_LENGTH / 2, m.CAR_WIDTH / 2, _CAR_DIAGONAL
 
 
 @compiled
@@ -49,12 +34,12 @@ def _surely_apart(f, world, a, b, dt):
     """Whether one of the axes of object a separates it from b, now and within the next step."""
     half_length, half_width, _ = _half_sizes(world, a)
     other_length, other_width, _ = _half_sizes(world, b)
-    cosine, sine = f[COS, a], f[SIN, a]
-    dx, dy = f[X, b] - f[X, a], f[Y, b] - f[Y, a]
-    vx = (f[SPEED, a] * cosine - f[SPEED, b] * f[COS, b]) * dt
-    vy = (f[SPEED, a] * sine - f[SPEED, b] * f[SIN, b]) * dt
-    turn_cos = abs(cosine * f[COS, b] + sine * f[SIN, b])
-    turn_sin = abs(cosine * f[SIN, b] - sine * f[COS, b])
+    cosine, sine = f[m.COS, a], f[m.SIN, a]
+    dx, dy = f[m.X, b] - f[m.X, a], f[m.Y, b] - f[m.Y, a]
+    vx = (f[m.SPEED, a] * cosine - f[m.SPEED, b] * f[m.COS, b]) * dt
+    vy = (f[m.SPEED, a] * sine - f[m.SPEED, b] * f[m.SIN, b]) * dt
+    turn_cos = abs(cosine * f[m.COS, b] + sine * f[m.SIN, b])
+    turn_sin = abs(cosine * f[m.SIN, b] - sine * f[m.COS, b])
     across = abs(cosine * dy - sine * dx) - abs(cosine * vy - sine * vx)
     if across > half_width + other_length * turn_sin + other_width * turn_cos + _SURELY:
         return True
@@ -66,8 +51,8 @@ def _surely_apart(f, world, a, b, dt):
 def _project(f, world, thing, nx, ny):
     """Interval that the object covers along an axis."""
     half_length, half_width, _ = _half_sizes(world, thing)
-    cosine, sine = f[COS, thing], f[SIN, thing]
-    middle = f[X, thing] * nx + f[Y, thing] * ny
+    cosine, sine = f[m.COS, thing], f[m.SIN, thing]
+    middle = f[m.X, thing] * nx + f[m.Y, thing] * ny
     reach = half_length * abs(cosine * nx + sine * ny) + half_width * abs(cosine * ny - sine * nx)
     return middle - reach, middle + reach
 
@@ -82,12 +67,12 @@ def _intersection(f, world, a, b, dt):
     """(intersecting, will intersect, translation x, y) of are_polygons_intersecting."""
     intersecting, will_intersect = True, True
     least, axis_x, axis_y = np.inf, 0.0, 0.0
-    vx = f[SPEED, a] * f[COS, a] * dt - f[SPEED, b] * f[COS, b] * dt
-    vy = f[SPEED, a] * f[SIN, a] * dt - f[SPEED, b] * f[SIN, b] * dt
+    vx = f[m.SPEED, a] * f[m.COS, a] * dt - f[m.SPEED, b] * f[m.COS, b] * dt
+    vy = f[m.SPEED, a] * f[m.SIN, a] * dt - f[m.SPEED, b] * f[m.SIN, b] * dt
     for turn in range(2):
         polygon = a if turn == 0 else b
         for k in range(4):
-            nx, ny = -f[COS, polygon], -f[SIN, polygon]  # of the rear, then counter-clockwise
+            nx, ny = -f[m.COS, polygon], -f[m.SIN, polygon]  # of the rear, then counter-clockwise
             for _ in range(k):
                 nx, ny = ny, -nx
             min_a, max_a = _project(f, world, a, nx, ny)
@@ -106,7 +91,7 @@ def _intersection(f, world, a, b, dt):
                 break
             if abs(distance) < least:
                 least = abs(distance)
-                towards = (f[X, a] - f[X, b]) * nx + (f[Y, a] - f[Y, b]) * ny
+                towards = (f[m.X, a] - f[m.X, b]) * nx + (f[m.Y, a] - f[m.Y, b]) * ny
                 axis_x, axis_y = (nx, ny) if towards > 0 else (-nx, -ny)
     if will_intersect:
         return intersecting, True, least * axis_x, least * axis_y
@@ -116,42 +101,42 @@ def _intersection(f, world, a, b, dt):
 @compiled
 def _handle(f, i, world, a, b, dt):
     """handle_collisions of object a with the later object b."""
-    dx, dy = f[X, b] - f[X, a], f[Y, b] - f[Y, a]
-    reach = (_half_sizes(world, a)[2] + _half_sizes(world, b)[2]) / 2 + f[SPEED, a] * dt
+    dx, dy = f[m.X, b] - f[m.X, a], f[m.Y, b] - f[m.Y, a]
+    reach = (_half_sizes(world, a)[2] + _half_sizes(world, b)[2]) / 2 + f[m.SPEED, a] * dt
     if math.sqrt(dx * dx + dy * dy) > reach or _surely_apart(f, world, a, b, dt):
         return
     intersecting, will_intersect, tx, ty = _intersection(f, world, a, b, dt)
     if will_intersect:
-        i[HIT, a] = 1
-        if b == world[VEHICLES]:
-            f[IMPACT_X, a], f[IMPACT_Y, a] = tx, ty
+        i[m.HIT, a] = 1
+        if b == world[m.VEHICLES]:
+            f[m.IMPACT_X, a], f[m.IMPACT_Y, a] = tx, ty
         else:
-            i[HIT, b] = 1
-            f[IMPACT_X, a], f[IMPACT_Y, a] = tx / 2, ty / 2
-            f[IMPACT_X, b], f[IMPACT_Y, b] = -tx / 2, -ty / 2
+            i[m.HIT, b] = 1
+            f[m.IMPACT_X, a], f[m.IMPACT_Y, a] = tx / 2, ty / 2
+            f[m.IMPACT_X, b], f[m.IMPACT_Y, b] = -tx / 2, -ty / 2
     if intersecting:
-        i[CRASHED, a] = 1
-        i[CRASHED, b] = 1
+        i[m.CRASHED, a] = 1
+        i[m.CRASHED, b] = 1
 
 
 @compiled
 def _collide_all(f, i, world, dt):
-    for a in range(world[VEHICLES]):
-        for b in range(a + 1, world[VEHICLES] + 1):
+    for a in range(world[m.VEHICLES]):
+        for b in range(a + 1, world[m.VEHICLES] + 1):
             _handle(f, i, world, a, b, dt)
 
 
 @compiled
 def collide(f, i, world, dt):
     """Handle all collisions after all vehicles have moved; ORDER must be up to date."""
-    objects = world[VEHICLES] + 1
+    objects = world[m.VEHICLES] + 1
     reach = _CAR_DIAGONAL + (MAX_SPEED + 1) * dt
     for place in range(objects - 1):
-        a = i[ORDER, place]
+        a = i[m.ORDER, place]
         for later in range(place + 1, objects):
-            b = i[ORDER, later]
-            if f[X, b] - f[X, a] > reach:
+            b = i[m.ORDER, later]
+            if f[m.X, b] - f[m.X, a] > reach:
                 break
-            if abs(f[Y, b] - f[Y, a]) < reach and not _surely_apart(f, world, a, b, dt):
+            if abs(f[m.Y, b] - f[m.Y, a]) < reach and not _surely_apart(f, world, a, b, dt):
                 _collide_all(f, i, world, dt)
                 return

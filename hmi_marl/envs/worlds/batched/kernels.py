@@ -9,26 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.collisions import collide
 from hmi_marl.envs.worlds.batched.compiler import compiled, kernel
 from hmi_marl.envs.worlds.batched.control import act_driven, act_traffic, command
 from hmi_marl.envs.worlds.batched.elementary import sin_cos
 from hmi_marl.envs.worlds.batched.lanes import lateral
 from hmi_marl.envs.worlds.batched.lidar import trace
-from hmi_marl.envs.worlds.batched.memory import (
-    CAR_LENGTH,
-    CRASHED,
-    HEADING,
-    LANE,
-    OBSTACLE_SIZE,
-    ROW,
-    SPEED,
-    TARGET_SPEED,
-    VEHICLES,
-    X0,
-    X,
-    Y,
-)
 from hmi_marl.envs.worlds.batched.motion import move
 from hmi_marl.envs.worlds.batched.neighbours import NO_OBJECT, front_of, sort_by_x
 from hmi_marl.envs.worlds.batched.spawn import begin
@@ -39,7 +26,7 @@ from hmi_marl.envs.worlds.batched.threads import take
 def advance(f, i, world, lanes, table, rows, speeds, action, substeps, dt):
     """One policy step of one world: Env._simulate."""
     command(f, i, lanes, table, speeds, action)
-    vehicles = world[VEHICLES]
+    vehicles = world[m.VEHICLES]
     for _ in range(substeps):
         act_driven(f, i, lanes, table)
         for v in range(1, vehicles):
@@ -57,22 +44,22 @@ EGO_SPEED = 3
 @compiled
 def read_ego(f, i, world, lanes, table, rows, ego, flags):
     """Fill ``ego`` (8,) and ``flags`` (2,) with the fields of :class:`worlds.base.Ego`."""
-    lane = i[LANE, 0]
-    ego[0], ego[1], ego[2] = f[X, 0], f[Y, 0], f[HEADING, 0]
-    ego[EGO_SPEED], ego[4] = f[SPEED, 0], f[TARGET_SPEED, 0]
-    ego[5] = lateral(lanes, lane, f[X, 0] - lanes[lane, X0], f[Y, 0])
+    lane = i[m.LANE, 0]
+    ego[0], ego[1], ego[2] = f[m.X, 0], f[m.Y, 0], f[m.HEADING, 0]
+    ego[EGO_SPEED], ego[4] = f[m.SPEED, 0], f[m.TARGET_SPEED, 0]
+    ego[5] = lateral(lanes, lane, f[m.X, 0] - lanes[lane, m.X0], f[m.Y, 0])
     front = front_of(f, i, world, lanes, table, 0, lane)
     ego[6] = np.inf
     if front != NO_OBJECT:
-        length = OBSTACLE_SIZE if front == world[VEHICLES] else CAR_LENGTH
-        ego[6] = f[X, front] - f[X, 0] - (CAR_LENGTH + length) / 2
+        length = m.OBSTACLE_SIZE if front == world[m.VEHICLES] else m.CAR_LENGTH
+        ego[6] = f[m.X, front] - f[m.X, 0] - (m.CAR_LENGTH + length) / 2
     slowness = 0.0
-    for v in range(world[VEHICLES]):
-        if i[LANE, v] == 2 * rows:
-            slowness += (f[TARGET_SPEED, v] - f[SPEED, v]) / f[TARGET_SPEED, v]
+    for v in range(world[m.VEHICLES]):
+        if i[m.LANE, v] == 2 * rows:
+            slowness += (f[m.TARGET_SPEED, v] - f[m.SPEED, v]) / f[m.TARGET_SPEED, v]
     ego[7] = slowness
-    flags[0] = rows if table[lane, ROW] < 0 else table[lane, ROW]
-    flags[1] = i[CRASHED, 0]
+    flags[0] = rows if table[lane, m.ROW] < 0 else table[lane, m.ROW]
+    flags[1] = i[m.CRASHED, 0]
 
 
 @kernel

@@ -10,19 +10,9 @@ import math
 
 import numpy as np
 
+from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
 from hmi_marl.envs.worlds.batched.elementary import arctan2
-from hmi_marl.envs.worlds.batched.memory import (
-    CAR_LENGTH,
-    CAR_WIDTH,
-    COS,
-    OBSTACLE_SIZE,
-    SIN,
-    SPEED,
-    VEHICLES,
-    X,
-    Y,
-)
 
 _ROUGHNESS = 1e-4
 """Safely above the error of _rough_angle."""
@@ -118,27 +108,27 @@ def trace(f, world, inflation, directions, maximum_range, grid):
     """Fill ``grid`` (cells, 2) with the driven car's lidar; ``directions`` has shape (cells, 2)."""
     cells = grid.shape[0]
     sector = 2 * math.pi / cells
-    ox, oy = f[X, 0], f[Y, 0]
-    ovx, ovy = f[SPEED, 0] * f[COS, 0], f[SPEED, 0] * f[SIN, 0]
+    ox, oy = f[m.X, 0], f[m.Y, 0]
+    ovx, ovy = f[m.SPEED, 0] * f[m.COS, 0], f[m.SPEED, 0] * f[m.SIN, 0]
     for cell in range(cells):
         grid[cell, 0] = maximum_range
         grid[cell, 1] = maximum_range
-    reach = max(maximum_range, CAR_LENGTH * inflation) + 1.0
+    reach = max(maximum_range, m.CAR_LENGTH * inflation) + 1.0
     inside = False
-    for thing in range(1, world[VEHICLES] + 1):
-        dx, dy = f[X, thing] - ox, f[Y, thing] - oy
+    for thing in range(1, world[m.VEHICLES] + 1):
+        dx, dy = f[m.X, thing] - ox, f[m.Y, thing] - oy
         if abs(dx) > reach:
             continue
-        obstacle = thing == world[VEHICLES]
-        half_length = (OBSTACLE_SIZE if obstacle else CAR_LENGTH) / 2 * inflation
-        half_width = (OBSTACLE_SIZE if obstacle else CAR_WIDTH) / 2 * inflation
-        cosine, sine = f[COS, thing], f[SIN, thing]
+        obstacle = thing == world[m.VEHICLES]
+        half_length = (m.OBSTACLE_SIZE if obstacle else m.CAR_LENGTH) / 2 * inflation
+        half_width = (m.OBSTACLE_SIZE if obstacle else m.CAR_WIDTH) / 2 * inflation
+        cosine, sine = f[m.COS, thing], f[m.SIN, thing]
         along, across = -(cosine * dx + sine * dy), -(cosine * dy - sine * dx)
         inside = inside or (abs(along) <= half_length and abs(across) <= half_width)
         center_distance = math.sqrt(dx * dx + dy * dy)
         if center_distance > maximum_range:
             continue
-        vx, vy = f[SPEED, thing] * cosine - ovx, f[SPEED, thing] * sine - ovy
+        vx, vy = f[m.SPEED, thing] * cosine - ovx, f[m.SPEED, thing] * sine - ovy
         middle, least, most = _angles(dx, dy, cosine, sine, half_length, half_width, sector)
         cell = math.floor(middle / sector) % cells
         distance = center_distance - half_width

@@ -4,27 +4,10 @@ from __future__ import annotations
 
 import math
 
+from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
 from hmi_marl.envs.worlds.batched.elementary import arctan, sin_cos, tan
 from hmi_marl.envs.worlds.batched.lanes import closest_lane
-from hmi_marl.envs.worlds.batched.memory import (
-    ACCELERATION,
-    CAR_LENGTH,
-    COS,
-    CRASHED,
-    HEADING,
-    HIT,
-    IMPACT_X,
-    IMPACT_Y,
-    LANE,
-    SIN,
-    SLIP,
-    SPEED,
-    STEERING,
-    TIMER,
-    X,
-    Y,
-)
 
 MAX_SPEED = 40.0
 
@@ -32,24 +15,24 @@ MAX_SPEED = 40.0
 @compiled
 def _turn_to_the_bit(f, v, steering, dt):
     """Move along a curve in highway-env's own steps."""
-    speed, heading = f[SPEED, v], f[HEADING, v]
+    speed, heading = f[m.SPEED, v], f[m.HEADING, v]
     beta = arctan(0.5 * tan(steering))
     sine, cosine = sin_cos(heading + beta)
-    f[X, v] += speed * cosine * dt
-    f[Y, v] += speed * sine * dt
+    f[m.X, v] += speed * cosine * dt
+    f[m.Y, v] += speed * sine * dt
     sine, _ = sin_cos(beta)
-    heading += speed * sine / (CAR_LENGTH / 2) * dt
-    f[HEADING, v] = heading
-    f[SIN, v], f[COS, v] = sin_cos(heading)
+    heading += speed * sine / (m.CAR_LENGTH / 2) * dt
+    f[m.HEADING, v] = heading
+    f[m.SIN, v], f[m.COS, v] = sin_cos(heading)
 
 
 @inlined
 def move(f, i, lanes, table, rows, v, dt):
     """Move vehicle v by one simulator step, crashed or not, and find its lane."""
-    f[TIMER, v] += dt
-    speed, acceleration = f[SPEED, v], f[ACCELERATION, v]
-    slip, steering = f[SLIP, v], f[STEERING, v]
-    if i[CRASHED, v]:
+    f[m.TIMER, v] += dt
+    speed, acceleration = f[m.SPEED, v], f[m.ACCELERATION, v]
+    slip, steering = f[m.SLIP, v], f[m.STEERING, v]
+    if i[m.CRASHED, v]:
         slip, steering, acceleration = 0.0, 0.0, -speed
     if speed > MAX_SPEED:
         acceleration = min(acceleration, MAX_SPEED - speed)
@@ -58,18 +41,20 @@ def move(f, i, lanes, table, rows, v, dt):
     if steering != 0.0:
         _turn_to_the_bit(f, v, steering, dt)
     elif slip != 0.0:
-        along, cosine, sine = math.sqrt(1.0 - slip * slip), f[COS, v], f[SIN, v]
-        f[X, v] += speed * (cosine * along - sine * slip) * dt
-        f[Y, v] += speed * (sine * along + cosine * slip) * dt
-        f[HEADING, v] += speed * slip / (CAR_LENGTH / 2) * dt
-        f[SIN, v], f[COS, v] = sin_cos(f[HEADING, v])
+        along, cosine, sine = math.sqrt(1.0 - slip * slip), f[m.COS, v], f[m.SIN, v]
+        f[m.X, v] += speed * (cosine * along - sine * slip) * dt
+        f[m.Y, v] += speed * (sine * along + cosine * slip) * dt
+        f[m.HEADING, v] += speed * slip / (m.CAR_LENGTH / 2) * dt
+        f[m.SIN, v], f[m.COS, v] = sin_cos(f[m.HEADING, v])
     else:
-        f[X, v] += speed * f[COS, v] * dt
-        f[Y, v] += speed * f[SIN, v] * dt
-    if i[HIT, v]:
-        f[X, v] += f[IMPACT_X, v]
-        f[Y, v] += f[IMPACT_Y, v]
-        i[CRASHED, v] = 1
-        i[HIT, v] = 0
-    f[SPEED, v] = speed + acceleration * dt
-    i[LANE, v] = closest_lane(lanes, table, rows, i[LANE, v], f[X, v], f[Y, v], f[HEADING, v])
+        f[m.X, v] += speed * f[m.COS, v] * dt
+        f[m.Y, v] += speed * f[m.SIN, v] * dt
+    if i[m.HIT, v]:
+        f[m.X, v] += f[m.IMPACT_X, v]
+        f[m.Y, v] += f[m.IMPACT_Y, v]
+        i[m.CRASHED, v] = 1
+        i[m.HIT, v] = 0
+    f[m.SPEED, v] = speed + acceleration * dt
+    i[m.LANE, v] = closest_lane(
+        lanes, table, rows, i[m.LANE, v], f[m.X, v], f[m.Y, v], f[m.HEADING, v]
+    )

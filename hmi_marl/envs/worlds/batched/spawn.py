@@ -15,26 +15,10 @@ from hmi_marl.envs.scene import (
     MERGING_START_SPEED,
     MERGING_TARGET_SPEED,
 )
+from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.compiler import compiled
 from hmi_marl.envs.worlds.batched.control import nearest_speed
 from hmi_marl.envs.worlds.batched.lanes import closest_lane
-from hmi_marl.envs.worlds.batched.memory import (
-    COS,
-    FLOATS,
-    INTEGERS,
-    LANE,
-    LENGTH,
-    ORDER,
-    SPEED,
-    TARGET_LANE,
-    TARGET_SPEED,
-    TIMER,
-    VEHICLES,
-    X0,
-    Y0,
-    X,
-    Y,
-)
 from hmi_marl.envs.worlds.batched.neighbours import sort_by_x
 from hmi_marl.envs.worlds.batched.traffic import LANE_CHANGE_DELAY
 
@@ -52,16 +36,16 @@ def _draw(seed, counter):
 
 @compiled
 def _put(f, i, lanes, table, rows, v, x, y, speed):
-    for field in range(FLOATS):
+    for field in range(m.FLOATS):
         f[field, v] = 0.0
-    for field in range(INTEGERS):
+    for field in range(m.INTEGERS):
         i[field, v] = 0
-    f[X, v], f[Y, v], f[SPEED, v], f[TARGET_SPEED, v] = x, y, speed, speed
-    f[COS, v] = 1.0
-    f[TIMER, v] = ((x + y) * np.pi) % LANE_CHANGE_DELAY
-    i[LANE, v] = closest_lane(lanes, table, rows, 3 * rows + 1, x, y, 0.0)
-    i[TARGET_LANE, v] = i[LANE, v]
-    i[ORDER, v] = v
+    f[m.X, v], f[m.Y, v], f[m.SPEED, v], f[m.TARGET_SPEED, v] = x, y, speed, speed
+    f[m.COS, v] = 1.0
+    f[m.TIMER, v] = ((x + y) * np.pi) % LANE_CHANGE_DELAY
+    i[m.LANE, v] = closest_lane(lanes, table, rows, 3 * rows + 1, x, y, 0.0)
+    i[m.TARGET_LANE, v] = i[m.LANE, v]
+    i[m.ORDER, v] = v
 
 
 @compiled
@@ -79,16 +63,16 @@ def begin(f, i, world, lanes, table, rows, speeds, seed, low, high, draws, start
     """
     for counter in range(len(draws)):
         draws[counter] = _draw(seed, counter)
-    merge_end = lanes[2 * rows, X0] + lanes[2 * rows, LENGTH]
+    merge_end = lanes[2 * rows, m.X0] + lanes[2 * rows, m.LENGTH]
     count = _place(draws, low, high, rows, merge_end, start_lane, start[0], start[1])
-    _put(f, i, lanes, table, rows, 0, EGO_START, lanes[rows - 1, Y0], EGO_START_SPEED)
-    f[TARGET_SPEED, 0] = speeds[nearest_speed(speeds, EGO_START_SPEED)]
+    _put(f, i, lanes, table, rows, 0, EGO_START, lanes[rows - 1, m.Y0], EGO_START_SPEED)
+    f[m.TARGET_SPEED, 0] = speeds[nearest_speed(speeds, EGO_START_SPEED)]
     for k in range(count):
-        y = lanes[start_lane[k], Y0]
+        y = lanes[start_lane[k], m.Y0]
         _put(f, i, lanes, table, rows, k + 1, start[0, k], y, start[1, k])
-    ramp_y = lanes[3 * rows + 1, Y0]
+    ramp_y = lanes[3 * rows + 1, m.Y0]
     _put(f, i, lanes, table, rows, count + 1, MERGING_START, ramp_y, MERGING_START_SPEED)
-    f[TARGET_SPEED, count + 1] = MERGING_TARGET_SPEED
-    _put(f, i, lanes, table, rows, count + 2, merge_end, lanes[2 * rows, Y0], 0.0)
-    world[VEHICLES] = count + 2
+    f[m.TARGET_SPEED, count + 1] = MERGING_TARGET_SPEED
+    _put(f, i, lanes, table, rows, count + 2, merge_end, lanes[2 * rows, m.Y0], 0.0)
+    world[m.VEHICLES] = count + 2
     sort_by_x(f, i, world, lanes, rows)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs.scene import Scene, number_of_draws
 from hmi_marl.envs.worlds.base import Ego, Snapshot
+from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.compiler import prepare
 from hmi_marl.envs.worlds.batched.kernels import (
     EGO_SPEED,
@@ -19,17 +20,6 @@ from hmi_marl.envs.worlds.batched.kernels import (
     step_worlds,
 )
 from hmi_marl.envs.worlds.batched.lanes import lane_table
-from hmi_marl.envs.worlds.batched.memory import (
-    CRASHED,
-    FLOATS,
-    HEADING,
-    INTEGERS,
-    SPEED,
-    VEHICLES,
-    WORLD_INTEGERS,
-    X,
-    Y,
-)
 from hmi_marl.envs.worlds.batched.threads import Pace, available, share
 
 _CARRAY: tuple[Literal["C", "W"], ...] = ("C", "W")
@@ -57,9 +47,9 @@ class BatchedWorld:
         self._speeds = np.array(scene.target_speeds)
         high = scene.vehicle_range[1]
         objects = high + 3  # the driven car, the one on the ramp and the obstacle
-        self._floats = np.zeros((num_worlds, FLOATS, objects))
-        self._integers = np.zeros((num_worlds, INTEGERS, objects), np.int32)
-        self._worlds = np.zeros((num_worlds, WORLD_INTEGERS), np.int32)
+        self._floats = np.zeros((num_worlds, m.FLOATS, objects))
+        self._integers = np.zeros((num_worlds, m.INTEGERS, objects), np.int32)
+        self._worlds = np.zeros((num_worlds, m.WORLD_INTEGERS), np.int32)
         self._blocks = self._floats, self._integers, self._worlds
         self._room = (
             np.zeros((num_worlds, number_of_draws(high))),
@@ -110,7 +100,7 @@ class BatchedWorld:
 
     def halt(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`World.halt`."""
-        self._floats[which, SPEED, 0] = 0.0
+        self._floats[which, m.SPEED, 0] = 0.0
         self._readings[0][which, EGO_SPEED] = 0.0
         self._moved(which)
 
@@ -151,14 +141,14 @@ class BatchedWorld:
 
     def snapshot(self, world: int) -> Snapshot:
         """See :meth:`World.snapshot`."""
-        f, vehicles = self._floats[world], int(self._worlds[world, VEHICLES])
+        f, vehicles = self._floats[world], int(self._worlds[world, m.VEHICLES])
         return Snapshot(
             time=float(self._steps[world] / self.scene.policy_frequency),
-            position=f[[X, Y], :vehicles].T.copy(),
-            heading=f[HEADING, :vehicles].copy(),
-            speed=f[SPEED, :vehicles].copy(),
-            crashed=self._integers[world, CRASHED, :vehicles] == 1,
-            obstacles=f[[X, Y], vehicles : vehicles + 1].T.copy(),
+            position=f[[m.X, m.Y], :vehicles].T.copy(),
+            heading=f[m.HEADING, :vehicles].copy(),
+            speed=f[m.SPEED, :vehicles].copy(),
+            crashed=self._integers[world, m.CRASHED, :vehicles] == 1,
+            obstacles=f[[m.X, m.Y], vehicles : vehicles + 1].T.copy(),
         )
 
     def _share(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
