@@ -14,7 +14,7 @@ from typing import Annotated, Any, NoReturn, Union
 
 import hmi_marl
 from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
-from hmi_marl.names import unknown
+from hmi_marl.registry import unknown
 from hmi_marl.workers import environment
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141

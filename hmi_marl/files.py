@@ -28,7 +28,7 @@ def make_folder(folder: Path) -> None:
         raise OSError(f"cannot write to {folder}: {error.strerror}") from error
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` make a temporary file in the folder of ``path``, then move it there.
 
     The temporary name keeps the suffix, by which image libraries choose their format.
@@ -47,11 +47,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write ``content``, atomically."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(content)
-
-    write_atomically(path, write)
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,19 +1,24 @@
-"""Registries of HMIs, driver policies, protocols and experiments by name.
+"""Known names: registries of HMIs, driver policies, protocols and experiments, and errors.
 
 An entry holds a name, a line of help and a value. ``--help``, error messages, the documentation and
 every place that offers a choice read the same registry, so that a new HMI or experiment is one new
-module and one entry.
+module and one entry. An error for an unknown name gives the nearest known ones and says where the
+list is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Generic, TypeVar
 
-from hmi_marl.names import unknown
-
 T = TypeVar("T")
+
+HELP = "hmi-marl --help"
+"""Lists drivers, HMIs, driver policies and subcommands."""
+_LISTED = 80
+"""Longest list of known names in a message, in characters."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Registry(Mapping[str, Entry[T]]):
         see: the command that lists them.
     """
 
-    def __init__(self, kind: str, see: str = "hmi-marl --help") -> None:
+    def __init__(self, kind: str, see: str = HELP) -> None:
         self.kind, self.see = kind, see
         self._entries: dict[str, Entry[T]] = {}
         self._by_alias: dict[str, str] = {}
@@ -116,3 +121,30 @@ class Registry(Mapping[str, Entry[T]]):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+
+def unknown(kind: str, name: str, known: Iterable[str], where: str = HELP) -> str:
+    """Return a one-line message for an unknown name.
+
+    Args:
+        kind: the kind of name, such as "driver".
+        name: the unknown name.
+        known: all names, in the order to list them.
+        where: the command or page that lists them.
+
+    >>> unknown("driver", "homr", ["lisa", "marge", "bart", "homer"])
+    "unknown driver 'homr'; did you mean homer? hmi-marl --help lists all"
+    """
+    return f"unknown {kind} {name!r}; {suggest(name, known, where)}"
+
+
+def suggest(name: str, known: Iterable[str], where: str = HELP) -> str:
+    """Return the message's end: the nearest known names, up to three, or a short list of all."""
+    spelt = {each.lower(): each for each in known}
+    near = get_close_matches(name.lower(), spelt, n=3, cutoff=0.6)
+    if near:
+        return f"did you mean {' or '.join(spelt[each] for each in near)}? {where} lists all"
+    listed = ", ".join(spelt.values())
+    if len(listed) <= _LISTED:
+        return f"known: {listed} (see {where})"
+    return f"{where} lists all"

@@ -29,10 +29,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.checks import check_count, check_number, check_share, check_whole
 
 FULL = (1.0,)
 """The strengths of the paper's one bit."""
@@ -57,16 +58,10 @@ class Fatigue:
 
     def __post_init__(self) -> None:
         for name in ("levels", "per_alert"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-                raise TypeError(f"fatigue: {name} is a whole number, not {value!r}")
-            if value < 1:
-                raise ValueError(f"fatigue: {name} is at least 1, but got {value}")
-            object.__setattr__(self, name, int(value))
-        effect = _number("fatigue: effect", self.effect)
-        if not 0.0 <= effect <= 1.0:  # also refuses NaN
-            raise ValueError(f"fatigue: effect lies in [0, 1], but got {effect}")
-        object.__setattr__(self, "effect", effect)
+            value = check_whole(f"fatigue: {name}", getattr(self, name))
+            object.__setattr__(self, name, check_count(f"fatigue: {name}", value))
+        effect = check_number("fatigue: effect", self.effect)
+        object.__setattr__(self, "effect", check_share("fatigue: effect", effect))
 
     def __str__(self) -> str:
         return f"{self.per_alert} of {self.levels} levels per alert, which take {self.effect:g} η"
@@ -157,7 +152,7 @@ def check_strengths(strengths: Sequence[float] | NDArray[np.float64]) -> tuple[f
     """Return the strengths of alerts, or raise if they do not rise within (0, 1]."""
     if not isinstance(strengths, (list, tuple, np.ndarray)) or np.ndim(strengths) != 1:
         raise TypeError(f"alert_strengths is a tuple of numbers, not {strengths!r}")
-    checked = tuple(_number("an alert's strength", strength) for strength in strengths)
+    checked = tuple(check_number("an alert's strength", strength) for strength in strengths)
     rising = all(low < high for low, high in zip((0.0, *checked), checked, strict=False))
     if not checked or not rising or checked[-1] > 1.0:
         raise ValueError(f"alert_strengths rise within (0, 1], such as (0.5, 1.0), not {checked}")
@@ -173,12 +168,6 @@ def need_plain(alerts: Alerts, method: str) -> None:
             f"{method} is for alerts of one strength, 1, without fatigue, but alert_strengths = "
             f"{alerts.strengths} and fatigue = {alerts.fatigue}"
         )
-
-
-def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise TypeError(f"{name} is a number, not {value!r}")
-    return float(value)
 
 
 PLAIN = Alerts()

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.checks import check_whole
 from hmi_marl.envs.alerts import PLAIN, Alerts
 from hmi_marl.envs.drivers import Driver, Traits
 
@@ -46,21 +47,20 @@ class Attention:
 
     def where(self, mask: NDArray[np.bool_], other: Attention) -> Attention:
         """Return this where ``mask`` (shape (N,)) holds, ``other`` elsewhere."""
-        return Attention(
-            np.where(mask, self.distracted, other.distracted),
-            np.where(mask, self.accepted, other.accepted),
-            np.where(mask, self.counter, other.counter),
-            np.where(mask, self.fatigue, other.fatigue),
-        )
+        mine_and_others = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Attention(*(np.where(mask, mine, others) for mine, others in mine_and_others))
+
+
+def check_steps(name: str, steps: int) -> int:
+    """Return a number of steps as an int, or raise if it is not a positive integer."""
+    if check_whole(name, steps, " of steps") < 1:
+        raise ValueError(f"{name} is at least 1 step, but got {steps}")
+    return int(steps)
 
 
 def check_window(window: int) -> int:
     """Return N, the intervention window in steps, or raise if it is not a positive integer."""
-    if isinstance(window, bool) or not isinstance(window, (int, np.integer)):
-        raise TypeError(f"alert_window is a whole number of steps, not {window!r}")
-    if window < 1:
-        raise ValueError(f"alert_window is at least 1 step, but got {window}")
-    return int(window)
+    return check_steps("alert_window", window)
 
 
 def next_acceptance(

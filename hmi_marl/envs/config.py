@@ -11,12 +11,13 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
+from hmi_marl.checks import check_choice, check_number
 from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
 from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.drivers import Driver, DriverList, Population, as_population
-from hmi_marl.envs.rewards import RewardWeights, Sharing, check_sharing
+from hmi_marl.envs.rewards import SHARES, RewardWeights, Sharing
 from hmi_marl.envs.scene import Scene
-from hmi_marl.names import suggest
+from hmi_marl.registry import suggest
 
 AGENTS = ("driver", "vehicle_ai")
 DRIVER, VEHICLE_AI = AGENTS
@@ -58,7 +59,7 @@ class TeamConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "driver", as_population(self.driver))
-        check_sharing(self.reward)
+        check_choice("reward=", self.reward, SHARES)
         object.__setattr__(self, "alert_window", check_window(self.alert_window))
         object.__setattr__(self, "alert_strengths", self.alerts.strengths)
         for name in ("observe_traits", "ai_sees_attention", "end_at_crash"):
@@ -70,10 +71,8 @@ class TeamConfig:
             raise TypeError(f"scene= takes a Scene, not {self.scene!r}")
         if not isinstance(self.weights, RewardWeights):
             raise TypeError(f"weights= takes RewardWeights, not {self.weights!r}")
-        seconds = (int, float, np.floating, np.integer)
-        if isinstance(self.duration, bool) or not isinstance(self.duration, seconds):
-            raise TypeError(f"duration is a number of seconds, not {self.duration!r}")
-        object.__setattr__(self, "duration", float(self.duration))
+        duration = check_number("duration", self.duration, " of seconds")
+        object.__setattr__(self, "duration", duration)
         if not (math.isfinite(self.duration) and self.duration > 0):
             raise ValueError(f"duration is a positive number of seconds, but got {self.duration}")
         steps = self.duration * self.scene.policy_frequency

@@ -16,6 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.checks import check_number
 from hmi_marl.envs.streams import Stream, uniform
 
 TRAIT_NAMES = ("beta", "alpha", "eta", "inflation")
@@ -25,16 +26,9 @@ TRAIT_RANGES = MappingProxyType(
 )
 
 
-def _check_number(name: str, value: float, owner: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise TypeError(f"{owner}: {name} is a number, not {value!r}")
-    return float(value)
-
-
 def _check_trait(trait: str, value: float, owner: str) -> float:
     low, high = TRAIT_RANGES[trait]
-    _check_number(trait, value, owner)
-    if not (math.isfinite(value) and low <= value <= high):
+    if not low <= check_number(f"{owner}: {trait}", value) <= high:  # also refuses NaN
         raise ValueError(f"{owner}: {trait} lies in [{low:g}, {high:g}], but got {value}")
     return float(value)
 
@@ -111,7 +105,7 @@ def get_driver(driver: str | Driver) -> Driver:
     if colon:
         return _driver_from_text(name, traits)
     if driver.lower() not in DRIVERS:
-        from hmi_marl.names import unknown  # needed for this error alone
+        from hmi_marl.registry import unknown  # needed for this error alone
 
         own = "a custom one is name:beta,alpha,eta,inflation"
         raise ValueError(f"{unknown('driver', driver, DRIVERS)}; {own}")
@@ -221,7 +215,7 @@ class Uniform:
 
     def __post_init__(self) -> None:
         for end in ("low", "high"):
-            object.__setattr__(self, end, _check_number(end, getattr(self, end), "Uniform"))
+            object.__setattr__(self, end, check_number(f"Uniform: {end}", getattr(self, end)))
         if not -math.inf < self.low <= self.high < math.inf:  # also refuses NaN
             raise ValueError(
                 f"Uniform needs finite low <= high, but got low={self.low}, high={self.high}"
@@ -248,7 +242,7 @@ class Choice:
             raise TypeError(f"Choice takes a tuple of numbers, not {self.values!r}")
         if not self.values:
             raise ValueError("Choice needs at least one value")
-        values = tuple(_check_number("each value", value, "Choice") for value in self.values)
+        values = tuple(check_number("Choice: each value", value) for value in self.values)
         if not all(math.isfinite(value) for value in values):
             raise ValueError(f"Choice needs finite values, but got {self.values}")
         object.__setattr__(self, "values", values)

@@ -142,6 +142,11 @@ def env(
 class _TwoSeats:
     """Spaces, layouts, state and pictures of both PettingZoo interfaces."""
 
+    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
+        "name": "merge_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 5,
+    }
     possible_agents: list[str]
 
     def __init__(
@@ -150,7 +155,9 @@ class _TwoSeats:
         self.config = TeamConfig(**settings)
         self.team = SingleTeam(self.config, world, render_mode)
         self.render_mode = render_mode
+        self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
         self.possible_agents = list(AGENTS)
+        self.agents: list[str] = []
         self.observation_spaces = {
             agent: layout.space() for agent, layout in self.team.teaming.layouts.items()
         }
@@ -220,12 +227,7 @@ class _TwoSeats:
 class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
     """Sequential moves, without PettingZoo's wrapper. Keywords as for :func:`env`."""
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
-        "name": "merge_v0",
-        "render_modes": list(RENDER_MODES),
-        "render_fps": 5,
-        "is_parallelizable": False,
-    }
+    metadata = _TwoSeats.metadata | {"is_parallelizable": False}
 
     @takes_team_settings
     def __init__(
@@ -233,8 +235,6 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
     ) -> None:
         AECEnv.__init__(self)
         _TwoSeats.__init__(self, world, render_mode, settings)
-        self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
-        self.agents: list[str] = []
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin the episode of this seed, or the next one; ``options`` are not used."""
@@ -283,19 +283,11 @@ class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore
 class parallel_env(_TwoSeats, ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)
     """Simultaneous moves: the AI sees a^H of the last step. Keywords as for :func:`env`."""
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
-        "name": "merge_v0",
-        "render_modes": list(RENDER_MODES),
-        "render_fps": 5,
-    }
-
     @takes_team_settings
     def __init__(
         self, *, world: str | World = "highway", render_mode: str | None = None, **settings: Any
     ) -> None:
         _TwoSeats.__init__(self, world, render_mode, settings)
-        self.metadata = self.metadata | {"render_fps": self.config.scene.policy_frequency}
-        self.agents: list[str] = []
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

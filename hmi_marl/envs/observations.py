@@ -92,27 +92,25 @@ class Layout:
         joined = np.empty((len(parts[self.parts[0].name]), self.size), np.float32)
         for part in self.parts:
             joined[:, self[part.name]] = parts[part.name]
-        return np.clip(joined, self._low, self._high, out=joined)
+        return np.clip(joined, *self._bounds, out=joined)
 
     @cached_property
-    def _low(self) -> NDArray[np.float32]:
-        return np.repeat([p.low for p in self.parts], [p.size for p in self.parts]).astype("f4")
-
-    @cached_property
-    def _high(self) -> NDArray[np.float32]:
-        return np.repeat([p.high for p in self.parts], [p.size for p in self.parts]).astype("f4")
+    def _bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Least and largest value of each column."""
+        bounds = np.array([(part.low, part.high) for part in self.parts], np.float32).T
+        low, high = np.repeat(bounds, [part.size for part in self.parts], axis=1)
+        return low, high
 
     def space(self) -> spaces.Box:
         """The box of all observations."""
-        return spaces.Box(self._low, self._high, dtype=np.float32)
+        return spaces.Box(*self._bounds, dtype=np.float32)
 
     def table(self) -> str:
         """The layout as text, a line for each part."""
-        rows = []
-        for part in self.parts:
-            where = self.slices[part.name]
-            rows.append(f"{where.start:>4}:{where.stop:<4} {part.name:<26} {part.meaning}")
-        return "\n".join(rows)
+        return "\n".join(
+            f"{where.start:>4}:{where.stop:<4} {part.name:<26} {part.meaning}"
+            for part, where in zip(self.parts, self.slices.values(), strict=True)
+        )
 
 
 def _lidar(name: str, scene: Scene, sizes: str) -> Part:
@@ -143,6 +141,7 @@ _INTENDED = Part(
 _PREVIOUS = Part("previous_intended_action", _ACTIONS, 0.0, 1.0, "one-hot a^H of the last step")
 _APPLIED = Part("applied_action", _ACTIONS, 0.0, 1.0, "one-hot v of the last step")
 _ALERTED = Part("alerted", 1, 0.0, 1.0, "strength of the alert in the last step, 0 if none")
+_ACTION_PARTS = (_INTENDED, _PREVIOUS, _APPLIED, _ALERTED)
 _TIME = Part("time", 1, 0.0, 1.0, "share of the episode's steps that are over")
 _ATTENTION = (
     Part("distracted", 1, 0.0, 1.0, "d of the last step"),
@@ -169,17 +168,17 @@ def vehicle_ai_layout(config: TeamConfig) -> Layout:
     lidar = _lidar("lidar", config.scene, "true sizes")
     attention = _attention(config) if config.ai_sees_attention else ()
     traits = (_TRAITS,) if config.observe_traits else ()
-    actions = (_INTENDED, _PREVIOUS, _APPLIED, _ALERTED)
-    return Layout((lidar, *_motion(config.scene), *actions, _TIME, *attention, *traits))
+    return Layout((lidar, *_motion(config.scene), *_ACTION_PARTS, _TIME, *attention, *traits))
 
 
 def state_layout(config: TeamConfig) -> Layout:
     """The whole team's state: both lidars and everything that either seat could see."""
     true_lidar = _lidar("lidar", config.scene, "true sizes")
     perceived = _lidar("perceived_lidar", config.scene, "others inflated")
-    actions = (_INTENDED, _PREVIOUS, _APPLIED, _ALERTED)
     own = _motion(config.scene)
-    return Layout((true_lidar, perceived, *own, *actions, _TIME, *_attention(config), _TRAITS))
+    return Layout(
+        (true_lidar, perceived, *own, *_ACTION_PARTS, _TIME, *_attention(config), _TRAITS)
+    )
 
 
 def motion_parts(ego: Ego, scene: Scene) -> dict[str, NDArray[np.float64]]:

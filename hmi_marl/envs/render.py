@@ -35,6 +35,8 @@ BELIEF_ROWS = 4
 GREEN, RED, AMBER, BLUE = (50, 170, 60), (205, 60, 60), (240, 170, 30), (90, 170, 230)
 DARK, GREY, LIGHT, PANEL = (40, 44, 52), (150, 155, 165), (232, 234, 238), (250, 250, 252)
 GHOST = (200, 60, 160, 45)
+_Place = tuple[int, int]
+_Colour = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -273,20 +275,12 @@ class Viewer:
             colour = BLUE if (name, probability) == likeliest else GREY
             pygame.draw.rect(self._canvas, colour, (770, y + 1, round(96 * probability), 11))
 
-    def _text(
-        self,
-        text: str,
-        position: tuple[int, int],
-        colour: tuple[int, int, int] = DARK,
-        small: bool = False,
-    ) -> None:
+    def _text(self, text: str, at: _Place, colour: _Colour = DARK, small: bool = False) -> None:
         font = self._small if small else self._font
-        self._canvas.blit(font.render(text, True, colour), position)
+        self._canvas.blit(font.render(text, True, colour), at)
 
-    def _badge(
-        self, text: str, colour: tuple[int, int, int] | None, position: tuple[int, int]
-    ) -> None:
-        box = pygame.Rect(*position, 126, 26)
+    def _badge(self, text: str, colour: _Colour | None, at: _Place) -> None:
+        box = pygame.Rect(*at, 126, 26)
         pygame.draw.rect(self._canvas, colour or LIGHT, box, border_radius=6)
         words = self._font.render(text, True, GREY if colour is None else (255, 255, 255))
         self._canvas.blit(words, words.get_rect(center=box.center))

@@ -6,10 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import reduce
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.checks import check_number
 
 DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
 DRIVER_TERMS = (*DRIVING_TERMS, "distraction")
@@ -49,14 +51,11 @@ class RewardWeights:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(
-                value, (int, float, np.floating, np.integer)
-            ):
-                raise TypeError(f"reward weight {field.name} is a number, not {value!r}")
+            name = f"reward weight {field.name}"
+            value = check_number(name, getattr(self, field.name))
             if not math.isfinite(value):
-                raise ValueError(f"reward weight {field.name} is a finite number, not {value}")
-            object.__setattr__(self, field.name, float(value))
+                raise ValueError(f"{name} is a finite number, not {value}")
+            object.__setattr__(self, field.name, value)
         if self.max_speed <= 0:
             raise ValueError(f"max_speed is positive, but got {self.max_speed}")
 
@@ -115,15 +114,6 @@ def attention_terms(
             (alert > 0) & (before == 1) & (now == 0), weights.accept_alert, 0.0
         ),
     }
-
-
-def check_sharing(sharing: str) -> Sharing:
-    """Return ``sharing`` if it is one of the known ways to share rewards, else raise."""
-    for known in get_args(Sharing):
-        if sharing == known:
-            return known
-    known_ways = ", ".join(repr(known) for known in get_args(Sharing))
-    raise ValueError(f"reward= is one of {known_ways}, not {sharing!r}")
 
 
 SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {

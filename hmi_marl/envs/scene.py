@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.checks import check_number, check_whole
 from hmi_marl.envs.streams import Stream, uniform
 
 LANE_WIDTH = 4.0
@@ -137,26 +138,19 @@ class Scene:
 
 
 def _check_whole(name: str, value: int, low: int, high: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"scene.{name} is a whole number, not {value!r}")
-    if not low <= value <= high:
+    if not low <= check_whole(f"scene.{name}", value) <= high:
         raise ValueError(f"scene.{name} lies in {low} to {high}, but got {value}")
 
 
 def _check_length(name: str, value: float, low: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise TypeError(f"scene.{name} is a number of metres, not {value!r}")
-    if not (math.isfinite(value) and value >= low):
+    if not low <= check_number(f"scene.{name}", value, " of metres") < math.inf:
         raise ValueError(f"scene.{name} is at least {low:g} m, but got {value}")
 
 
 def _check_speeds(speeds: tuple[float, ...]) -> tuple[float, ...]:
     if not isinstance(speeds, (tuple, list, np.ndarray)):
         raise TypeError(f"scene.target_speeds are a tuple of speeds, not {speeds!r}")
-    for speed in speeds:
-        if isinstance(speed, bool) or not isinstance(speed, (int, float, np.floating, np.integer)):
-            raise TypeError(f"scene.target_speeds are numbers, but got {speed!r}")
-    checked = tuple(float(speed) for speed in speeds)
+    checked = tuple(check_number("each of scene.target_speeds", speed) for speed in speeds)
     steps = np.diff(checked)
     if (
         len(checked) < 2

@@ -294,15 +294,7 @@ class Teaming:
         }
 
     def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        if which is None:
-            return np.ones(self.num_teams, np.bool_)
-        mask = np.asarray(which)
-        if mask.shape != (self.num_teams,) or mask.dtype != np.bool_:
-            raise ValueError(
-                f"which= marks teams by bools of shape ({self.num_teams},), but got {mask.dtype} "
-                f"of shape {mask.shape}"
-            )
-        return mask
+        return check_mask(which, self.num_teams)
 
     def _checked_seeds(self, seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:
         given = np.asarray(seeds)
@@ -330,6 +322,17 @@ class Teaming:
                 f"{agent} action {given[wrong][0]} is out of range: it is one of 0 to {count - 1}"
             )
         return np.where(acts, given, 0).astype(np.int64)
+
+
+def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:
+    """Return the marks of teams, bool, shape (count,): all by default; or raise ValueError."""
+    mask = np.ones(count, np.bool_) if which is None else np.asarray(which)
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise ValueError(
+            f"which= marks teams by bools of shape ({count},), but got {mask.dtype} of shape "
+            f"{mask.shape}"
+        )
+    return mask
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

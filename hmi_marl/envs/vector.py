@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from rsl_rl.env import VecEnv  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
+from hmi_marl.checks import check_choice
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
@@ -329,9 +330,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
 
 def _check_seat(seat: str, partner: Policy | None) -> None:
-    if seat not in get_args(Seat):
-        known = ", ".join(repr(name) for name in get_args(Seat))
-        raise ValueError(f"seat= is one of {known}, not {seat!r}")
+    check_choice("seat=", seat, get_args(Seat))
     if seat == TEAM:
         if partner is not None:
             raise ValueError('seat="team" acts for both seats and has no partner')
@@ -347,11 +346,6 @@ def _columns_in_state(teaming: Teaming, agent: str) -> NDArray[np.int64]:
     The state holds everything that either seat sees, in the same units, the driver's lidar by the
     name of ``perceived_lidar``; so one state gives all groups at once.
     """
-    columns = np.arange(teaming.state_layout.size)
-    name_in_state = {"lidar": "perceived_lidar"} if agent == DRIVER else {}
-    return np.concatenate(
-        [
-            columns[teaming.state_layout[name_in_state.get(part.name, part.name)]]
-            for part in teaming.layouts[agent].parts
-        ]
-    )
+    in_state = {"lidar": "perceived_lidar"} if agent == DRIVER else {}
+    names = (in_state.get(part.name, part.name) for part in teaming.layouts[agent].parts)
+    return teaming.state_layout.columns(names)

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, Traits, get_driver
-from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.envs.teaming import NO_ACTION, check_mask
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 _ROUNDING = 1e-6
@@ -153,14 +153,7 @@ class BayesFilter:
         return distracted, attentive
 
     def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        count = len(self._applied)
-        mask = np.ones(count, np.bool_) if which is None else np.asarray(which)
-        if mask.shape != (count,) or mask.dtype != np.bool_:
-            raise ValueError(
-                f"teams are marked by bools of shape ({count},), but got {mask.dtype} of shape "
-                f"{mask.shape}"
-            )
-        return mask
+        return check_mask(which, len(self._applied))
 
 
 def posterior(

@@ -54,7 +54,7 @@ class BeliefSolution:
         accepted: NDArray[np.int64],
         counter: NDArray[np.int64],
     ) -> NDArray[np.int64]:
-        """The rule for N teams, 1 to alert; every argument has shape (N,)."""
+        """The rule for N teams, 1 to alert; every argument has shape (N,), or another one."""
         t, m = np.minimum(step, self.horizon - 1), reveals.astype(np.int64)
         return (look_up(self.advantage, (t, m), belief, (accepted, counter)) > 0).astype(np.int64)
 
@@ -121,7 +121,10 @@ def solve_belief(
     advantage = np.empty((horizon, 2, *belief.shape), np.float32)
     value = np.zeros_like(belief)
     choices = [
-        _Choice.of(alert, belief, accepted, counter, driver, window, weights) for alert in (0, 1)
+        _Consequence.of(
+            np.full(belief.shape, a), belief, accepted, counter, driver, window, weights
+        )
+        for a in (0, 1)
     ]
     for t in reversed(range(horizon)):
         share = revealing if t > 0 else 0.0
@@ -137,27 +140,37 @@ def solve_belief(
 
 
 @dataclass(frozen=True)
-class _Choice:
-    """Consequences of one choice at every grid point; arrays of shape (GRID, 2, window)."""
+class _Consequence:
+    """Consequences of a^A_t where p(d_{t-1} = 1) is given; arrays of one shape."""
 
     reward: NDArray[np.float64]
+    """Expected."""
     distracted: NDArray[np.float64]
+    """p(d_t = 1)."""
     accepted: NDArray[np.int64]
+    """i_t."""
     counter: NDArray[np.int64]
+    """c_t."""
 
     @classmethod
     def of(
         cls,
-        alert: int,
-        belief: NDArray[np.float64],
+        alert: NDArray[np.int64],
+        distracted: NDArray[np.float64],
         accepted: NDArray[np.int64],
         counter: NDArray[np.int64],
         driver: Driver,
         window: int,
         weights: RewardWeights,
-    ) -> _Choice:
-        given = np.full(belief.shape, alert)
-        return cls(*_consequence(given, belief, accepted, counter, driver, window, weights))
+    ) -> _Consequence:
+        next_i, next_c = next_acceptance(accepted, counter, alert, window)
+        after = predict(distracted, next_i, driver)
+        stays = distraction_probability(1, next_i, driver.beta, driver.alpha, driver.eta)
+        recovers = distracted * (1.0 - stays)
+        for_alert = np.where(
+            alert == 1, weights.accept_alert * recovers, weights.alert * (1.0 - distracted)
+        )
+        return cls(weights.distraction * after + for_alert, after, next_i, next_c)
 
     def value_if_silent(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         low, fraction = locate(self.distracted)
@@ -193,48 +206,21 @@ def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeigh
         Expected attention return of an episode.
     """
     driver, window, horizon = get_driver(driver), rule.window, rule.horizon
-    d, i, c = (axis.ravel() for axis in np.indices((2, 2, window)))
-    # W[t, d, i, c], flat in the last three; the successors of a path's step are looked up in it
-    later = np.zeros((horizon + 1, 4 * window))
+    d, i, c = np.indices((2, 2, window))
+    later = np.zeros((horizon + 1, 2, 2, window))  # W[t, d, i, c]
     for t in reversed(range(horizon)):
         assumed = true = d.astype(np.float64)
-        accepted, counter, reach = i, c, np.ones(len(d))
+        accepted, counter, reach = i, c, np.ones(d.shape)
         for u in range(t, horizon):
             share = rule.revealing if u > 0 else 0.0
             for reveals, chance in ((1, share), (0, 1.0 - share)):
-                shown = np.full(len(d), reveals == 1)
-                alert = rule.alert(np.full(len(d), u), shown, assumed, accepted, counter)
-                reward, after, next_i, next_c = _consequence(
-                    alert, true, accepted, counter, driver, window, weights
-                )
-                if reveals:
-                    place = next_i * window + next_c
-                    seen = later[u + 1]
-                    reward = reward + (1 - after) * seen[place] + after * seen[2 * window + place]
-                later[t] += reach * chance * reward
-            assumed = predict(assumed, next_i, rule.driver)
-            true, accepted, counter, reach = after, next_i, next_c, reach * (1.0 - share)
+                shown = np.full(d.shape, reveals == 1)
+                alert = rule.alert(np.full(d.shape, u), shown, assumed, accepted, counter)
+                after = _Consequence.of(alert, true, accepted, counter, driver, window, weights)
+                value = after.value_if_revealed(later[u + 1]) if reveals else after.reward
+                later[t] += reach * chance * value
+            accepted, counter, true = after.accepted, after.counter, after.distracted
+            assumed, reach = predict(assumed, accepted, rule.driver), reach * (1.0 - share)
             if not reach.any():
                 break
-    return float(later[0, 0])
-
-
-def _consequence(
-    alert: NDArray[np.int64],
-    distracted: NDArray[np.float64],
-    accepted: NDArray[np.int64],
-    counter: NDArray[np.int64],
-    driver: Driver,
-    window: int,
-    weights: RewardWeights,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Expected reward, p(d_t = 1), i_t and c_t after a^A_t where p(d_{t-1} = 1) is given."""
-    next_i, next_c = next_acceptance(accepted, counter, alert, window)
-    after = predict(distracted, next_i, driver)
-    recovers = distracted * (
-        1.0 - distraction_probability(1, next_i, driver.beta, driver.alpha, driver.eta)
-    )
-    for_alert = np.where(
-        alert == 1, weights.accept_alert * recovers, weights.alert * (1.0 - distracted)
-    )
-    return weights.distraction * after + for_alert, after, next_i, next_c
+    return float(later[0, 0, 0, 0])

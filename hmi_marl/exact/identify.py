@@ -281,13 +281,12 @@ class TraitBelief:
     @property
     def mean(self) -> NDArray[np.float64]:
         """Expected traits, shape (N, 4), columns as in ``TRAIT_NAMES``."""
-        return self.probabilities @ _table(self.drivers)
+        return self.probabilities @ Traits.of(self.drivers).as_array()
 
     @property
     def spread(self) -> NDArray[np.float64]:
         """Standard deviation of each trait, shape (N, 4)."""
-        table = _table(self.drivers)
-        apart = table - self.mean[:, None]  # (N, K, 4)
+        apart = Traits.of(self.drivers).as_array() - self.mean[:, None]  # (N, K, 4)
         return np.sqrt(np.einsum("nk,nkt->nt", self.probabilities, apart**2))
 
     @property
@@ -302,7 +301,3 @@ class TraitBelief:
     def expected(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
         """Expectation of a quantity of each candidate: shape (K, ...) to (N, ...)."""
         return np.tensordot(self.probabilities, values, axes=1)
-
-
-def _table(drivers: Sequence[Driver]) -> NDArray[np.float64]:
-    return Traits.of(drivers).as_array()

@@ -22,13 +22,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
-from hmi_marl.envs.attention import check_window, successors
+from hmi_marl.envs.attention import check_steps, check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
 from hmi_marl.exact.identify import identify as identify  # part of the oracle's interface
@@ -116,17 +116,19 @@ class Reachable(NamedTuple):
 
 def check_horizon(horizon: int) -> int:
     """Return the number of steps, or raise if it is not a positive integer."""
-    if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)):
-        raise TypeError(f"horizon is a whole number of steps, not {horizon!r}")
-    if horizon < 1:
-        raise ValueError(f"horizon is at least 1 step, but got {horizon}")
-    return int(horizon)
+    return check_steps("horizon", horizon)
 
 
 @dataclass(frozen=True)
 class _Chain:
     """One driver's alert problem: effects of a^A in every state, arrays of shape (k + 1, *S)."""
 
+    driver: Driver
+    window: int
+    horizon: int
+    alerts: Alerts
+    states: tuple[int, ...]
+    """S."""
     p_distracted: NDArray[np.float64]
     """p(d_t = 1)."""
     place: NDArray[np.int64]
@@ -135,19 +137,34 @@ class _Chain:
     """Expected reward of each attention term."""
 
     @classmethod
-    def of(cls, driver: Driver, window: int, alerts: Alerts, weights: RewardWeights) -> _Chain:
+    def of(
+        cls,
+        driver: str | Driver,
+        window: int,
+        horizon: int,
+        weights: RewardWeights | None,
+        strengths: Sequence[float],
+        fatigue: Fatigue | None,
+    ) -> _Chain:
+        """Check the arguments of :func:`solve_alerts` and make its problem."""
+        driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
+        alerts = Alerts(tuple(strengths), fatigue)
         after = successors(driver, window, alerts)
         known = (after.accepted, after.counter, after.fatigue)
         sizes = (alerts.choices, window, alerts.levels + 1)
         action, before, now = np.indices((alerts.choices, 2, 2))
         terms = attention_terms(
-            weights, alert=alerts.strength(action), distracted_before=before, distracted=now
+            weights or RewardWeights(),
+            alert=alerts.strength(action),
+            distracted_before=before,
+            distracted=now,
         )
         p_now = np.stack([1.0 - after.distracted, after.distracted], axis=-1)
         rewards = {
             name: np.einsum("ad...e,ade->ad...", p_now, terms[name]) for name in ATTENTION_TERMS
         }
-        return cls(after.distracted, np.ravel_multi_index(known, sizes), rewards)
+        problem = driver, window, horizon, alerts, alerts.shape(window)
+        return cls(*problem, after.distracted, np.ravel_multi_index(known, sizes), rewards)
 
     def expected(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """Expectation of ``value``, shape S, in the next step: shape (k + 1, *S)."""
@@ -168,6 +185,23 @@ class _Chain:
             for p in (1.0 - self.p_distracted, self.p_distracted)
         ]
         return np.asarray(after, np.float64).reshape(states)
+
+    def returns(self, probability: NDArray[np.float64]) -> AlertReturns:
+        """Returns of a policy that gives each alert with this probability, (k, horizon, *S)."""
+        by_step = {name: np.zeros(self.horizon) for name in self.rewards}
+        rate_by_strength = np.zeros((self.alerts.strongest, self.horizon))
+        occupancy = np.zeros(self.states)
+        occupancy.flat[0] = 1.0
+        for t in range(self.horizon):
+            alerting = probability[:, t]
+            silence = np.maximum(0.0, 1.0 - alerting.sum(axis=0))
+            joint = np.concatenate([silence[None], alerting]) * occupancy
+            rate_by_strength[:, t] = joint[1:].reshape(len(alerting), -1).sum(axis=1)
+            for name, reward in self.rewards.items():
+                by_step[name][t] = (joint * reward).sum()
+            occupancy = self.flow(joint)
+        rate = rate_by_strength.sum(axis=0)
+        return AlertReturns(self.driver, self.window, self.horizon, by_step, rate, rate_by_strength)
 
 
 def _each(policy: NDArray[np.int8], strengths: int) -> NDArray[np.float64]:
@@ -199,20 +233,15 @@ def solve_alerts(
     Raises:
         ValueError: unknown driver, window < 1, horizon < 1, or strengths that do not rise.
     """
-    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    alerts = Alerts(tuple(strengths), fatigue)
-    weights = weights or RewardWeights()
-    chain, states = _Chain.of(driver, window, alerts, weights), alerts.shape(window)
-    policy = np.zeros((horizon, *states), np.int8)
-    values = np.zeros((horizon + 1, *states))
-    for t in reversed(range(horizon)):
+    chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
+    policy = np.zeros((chain.horizon, *chain.states), np.int8)
+    values = np.zeros((chain.horizon + 1, *chain.states))
+    for t in reversed(range(chain.horizon)):
         action_values = chain.action_values(values[t + 1])
         good = action_values >= action_values.max(axis=0) - _TIE
         policy[t] = good.argmax(axis=0)  # the first that is good
         values[t] = np.take_along_axis(action_values, policy[None, t].astype(np.int64), 0)[0]
-    given: dict[str, Any] = {"strengths": strengths, "fatigue": fatigue}
-    rule = _each(policy, alerts.strongest)
-    returns = evaluate(rule, driver, window, horizon, weights, **given)
+    returns = chain.returns(_each(policy, chain.alerts.strongest))
     return AlertSolution(**vars(returns), policy=policy, values=values)
 
 
@@ -237,12 +266,10 @@ def alert_losses(
         losses[t, a, d, i, c], or [..., f] with fatigue: V_t(s) - Q_t(s, a), at least 0, shape
         (horizon, k + 1, *S).
     """
-    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    alerts = Alerts(tuple(strengths), fatigue)
-    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
-    states = alerts.shape(window)
-    losses, value = np.zeros((horizon, alerts.choices, *states)), np.zeros(states)
-    for t in reversed(range(horizon)):
+    chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
+    losses = np.zeros((chain.horizon, chain.alerts.choices, *chain.states))
+    value = np.zeros(chain.states)
+    for t in reversed(range(chain.horizon)):
         action_values = chain.action_values(value)
         value = action_values.max(axis=0)
         losses[t] = value - action_values
@@ -272,25 +299,9 @@ def evaluate(
         ValueError: a probability outside [0, 1] or NaN, several with a sum above 1, or a shape
             that does not fit.
     """
-    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    alerts = Alerts(tuple(strengths), fatigue)
-    states = alerts.shape(window)
-    probability = _checked_probability(alert_probability, alerts, (horizon, *states))
-    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
-    by_step = {name: np.zeros(horizon) for name in chain.rewards}
-    rate_by_strength = np.zeros((alerts.choices - 1, horizon))
-    occupancy = np.zeros(states)
-    occupancy.flat[0] = 1.0
-    for t in range(horizon):
-        alerting = probability[:, t]
-        silence = np.maximum(0.0, 1.0 - alerting.sum(axis=0))
-        joint = np.concatenate([silence[None], alerting]) * occupancy
-        rate_by_strength[:, t] = joint[1:].reshape(len(alerting), -1).sum(axis=1)
-        for name, reward in chain.rewards.items():
-            by_step[name][t] = (joint * reward).sum()
-        occupancy = chain.flow(joint)
-    rate = rate_by_strength.sum(axis=0)
-    return AlertReturns(driver, window, horizon, by_step, rate, rate_by_strength)
+    chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
+    shape = chain.horizon, *chain.states
+    return chain.returns(_checked_probability(alert_probability, chain.alerts, shape))
 
 
 def _checked_probability(
@@ -330,13 +341,11 @@ def reachable(
     Arguments as in :func:`solve_alerts`. History-dependent and random policies are covered too,
     since in a Markov decision process a Markov policy attains both ends.
     """
-    driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    alerts = Alerts(tuple(strengths), fatigue)
-    chain = _Chain.of(driver, window, alerts, weights or RewardWeights())
+    chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
     ends = []
     for choose in (np.min, np.max):
-        value = np.zeros(alerts.shape(window))
-        for _ in range(horizon):
+        value = np.zeros(chain.states)
+        for _ in range(chain.horizon):
             value = choose(chain.rewards["distraction"] + chain.expected(value), axis=0)
         ends.append(float(value.flat[0]))
     return Reachable(*ends)

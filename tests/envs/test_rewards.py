@@ -3,13 +3,13 @@ import math
 import numpy as np
 import pytest
 
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import (
     ATTENTION_TERMS,
     DRIVING_TERMS,
     TERMS,
     RewardWeights,
     attention_terms,
-    check_sharing,
     driving_terms,
     share,
 )
@@ -75,14 +75,14 @@ def test_sharing_by_hand():
         "attention": (11100000.0, 11100000.0),
     }
     for sharing, (driver, vehicle_ai) in expected.items():
-        both = share(terms, check_sharing(sharing))
+        both = share(terms, sharing)
         assert (both[0].item(), both[1].item()) == (driver, vehicle_ai)
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: check_sharing("selfish"), "'team', 'individual', 'driving', 'attention'"),
+        (lambda: TeamConfig(reward="selfish"), "one of team, individual, driving, attention, not"),
         (lambda: RewardWeights(collision=math.nan), "collision is a finite number"),
         (lambda: RewardWeights(max_speed=0.0), "max_speed is positive"),
     ],

@@ -32,7 +32,7 @@ from hmi_marl.envs.seats import Policy, moves_sequentially
 from hmi_marl.exact.evidence import ChainEvidence, Evidence, chains
 from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, look_up, solve_belief
 from hmi_marl.exact.identify import TraitBelief
-from hmi_marl.names import unknown
+from hmi_marl.registry import unknown
 
 CAUTION = 0.5
 """κ of :class:`ExpectedValueHMI`: at maximum entropy it follows AvgHMI unless the expected gain

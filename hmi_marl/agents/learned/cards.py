@@ -22,7 +22,7 @@ from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.learned.network import NetworkConfig, Weights
 from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
-from hmi_marl.names import HELP, suggest, unknown
+from hmi_marl.registry import HELP, suggest, unknown
 
 INDEX_FORMAT = "hmi-marl trained 1"
 PREFIX = "trained:"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego, Snapshot, World
-from hmi_marl.names import unknown
+from hmi_marl.registry import unknown
 
 WORLDS = ("highway", "batched")
 

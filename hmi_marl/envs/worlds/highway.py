@@ -47,13 +47,8 @@ class PerceivedObject:
     @classmethod
     def of(cls, other: RoadObject, inflation: float) -> PerceivedObject:
         """``other`` with its length and width times ``inflation``."""
-        return cls(
-            other.position,
-            other.heading,
-            other.velocity,
-            other.LENGTH * inflation,
-            other.WIDTH * inflation,
-        )
+        length, width = other.LENGTH * inflation, other.WIDTH * inflation
+        return cls(other.position, other.heading, other.velocity, length, width)
 
     def contains(self, point: NDArray[np.float64]) -> bool:
         """Whether a point (shape (2,), m) is inside the perceived rectangle."""
@@ -155,24 +150,18 @@ class MergeScene(ConnectedLaneMergeGenericEnv):  # type: ignore[misc]
         is one of them; the lane meant is the one to the right of them all.
         """
         merging_lane = ("b", "c", self.scene.lanes)
-        return float(
-            sum(
-                (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
-                for vehicle in self.road.vehicles
-                if vehicle.lane_index == merging_lane and isinstance(vehicle, ControlledVehicle)
-            )
+        slowness = (
+            (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
+            for vehicle in self.road.vehicles
+            if vehicle.lane_index == merging_lane and isinstance(vehicle, ControlledVehicle)
         )
+        return float(sum(slowness))
 
     def lidar(self, inflation: float) -> NDArray[np.float32]:
         """See :func:`hmi_marl.envs.worlds.highway.trace`."""
         others = [other for other in self.road.vehicles if other is not self.vehicle]
-        return trace(
-            self.vehicle,
-            others + self.road.objects,
-            inflation,
-            self.scene.lidar_cells,
-            self.scene.lidar_range,
-        )
+        cells, reach = self.scene.lidar_cells, self.scene.lidar_range
+        return trace(self.vehicle, others + self.road.objects, inflation, cells, reach)
 
 
 class HighwayWorld:

@@ -25,7 +25,7 @@ from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.experiments.episodes import Episodes, play_named
-from hmi_marl.names import unknown
+from hmi_marl.registry import unknown
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.protocols.settings import Budget, TrainSettings

@@ -87,14 +87,10 @@ def _angles(dx, dy, cosine, sine, half_length, half_width, sector):
     lx, ly = cosine * half_length, sine * half_length
     wx, wy = -sine * half_width, cosine * half_width
     middle = _rough_angle(dy, dx) + half
-    first, second = (
-        _rough_angle(dy - ly - wy, dx - lx - wx),
-        _rough_angle(dy - ly + wy, dx - lx + wx),
-    )
-    third, fourth = (
-        _rough_angle(dy + ly + wy, dx + lx + wx),
-        _rough_angle(dy + ly - wy, dx + lx - wx),
-    )
+    first = _rough_angle(dy - ly - wy, dx - lx - wx)
+    second = _rough_angle(dy - ly + wy, dx - lx + wx)
+    third = _rough_angle(dy + ly + wy, dx + lx + wx)
+    fourth = _rough_angle(dy + ly - wy, dx + lx - wx)
     least = min(min(first, second), min(third, fourth)) + half
     most = max(max(first, second), max(third, fourth)) + half
     if _is_unsure(middle, sector) or _is_unsure(least, sector) or _is_unsure(most, sector):

@@ -111,20 +111,10 @@ class BatchedWorld:
 
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
-        numbers, flags = self._readings[0].copy(), self._readings[1].copy()
-        x, y, heading, speed, target_speed, lateral, gap, slowness = numbers.T
-        return Ego(
-            x=x,
-            y=y,
-            heading=heading,
-            speed=speed,
-            target_speed=target_speed,
-            lane=flags[:, 0],
-            lateral=lateral,
-            crashed=flags[:, 1] == 1,
-            gap=gap,
-            merging_slowness=slowness,
-        )
+        numbers, flags = self._readings
+        x, y, heading, speed, target_speed, lateral, gap, slowness = numbers.copy().T
+        lane, crashed = flags.copy().T
+        return Ego(x, y, heading, speed, target_speed, lane, lateral, crashed == 1, gap, slowness)
 
     def lidar(self, inflated: bool) -> NDArray[np.float32]:
         """See :meth:`World.lidar`; traced when asked for, where something has moved since."""
