@@ -30,12 +30,7 @@ from hmi_marl.experiments.latent_traits.imitation import (
     imitate,
     replay,
 )
-from hmi_marl.experiments.latent_traits.probes import (
-    Separability,
-    TraitR2,
-    separability,
-    trait_r2,
-)
+from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, separability, trait_r2
 from hmi_marl.experiments.latent_traits.reward import RewardRanking, reward_ranking
 from hmi_marl.files import json_value
 
