@@ -6,8 +6,8 @@ recorded from people, so that nothing is simulated, and one trait model.
 
 The walk goes along the calls and reads each function of the package once, where it is called for
 the first time. Calls of a function that was read already are passed over, with all that they call;
-so are imports, and the constructors ``__init__`` and ``__post_init__``, which set a value up and check
-it: following the data takes no look into them (``--constructors`` counts them as well). Then
+so are imports, and the constructors ``__init__`` and ``__post_init__``, which set a value up and
+check it: following the data takes no look into them (``--constructors`` counts them as well). Then
 
 - a stop is the file in which the walk begins, and each first call of a function in another file
   than its caller's, which is where an editor's "go to definition" opens another file;
