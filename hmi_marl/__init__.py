@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from hmi_marl.exact import oracle
     from hmi_marl.training.ppo.run import train
     from hmi_marl.training.protocols.alternating import Alternating
-    from hmi_marl.training.protocols.joint import Joint
-    from hmi_marl.training.protocols.simultaneous import Simultaneous
+    from hmi_marl.training.protocols.joint import Joint, Simultaneous
     from hmi_marl.training.protocols.two_stage import TwoStage
 
 __version__ = "0.2.0"
@@ -84,7 +83,7 @@ _HOMES = {
     "Policy": "envs.seats",
     "RewardWeights": "envs.rewards",
     "Scene": "envs.scene",
-    "Simultaneous": "training.protocols.simultaneous",
+    "Simultaneous": "training.protocols.joint",
     "TeamConfig": "envs.config",
     "TraitDistributions": "envs.drivers",
     "TwoStage": "training.protocols.two_stage",

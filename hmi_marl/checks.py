@@ -1,9 +1,16 @@
-"""Checks of settings: every error gives the field, its range and the value."""
+"""Checks of settings, declared at the fields.
+
+Every error gives the field, its range and the value. A dataclass derived from :class:`Checked` runs
+the checks in its annotations, such as :data:`Count` or :data:`Share`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 
 def check_count(name: str, value: int, least: int = 1) -> int:
@@ -80,3 +87,34 @@ def check_mini_batches(num_mini_batches: int, num_teams: int, least: int = 1) ->
             f"cannot split {num_teams} teams into {num_mini_batches} mini-batches{each}; "
             "lower --ppo.num-mini-batches or raise --num-teams"
         )
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check in a field's annotation: ``Annotated[int, Check(check_count)]``."""
+
+    function: Callable[[str, Any], Any]
+    """Returns the value to keep for a name and a value, or raises."""
+
+
+Count = Annotated[int, Check(check_count)]
+CountOrZero = Annotated[int, Check(partial(check_count, least=0))]
+Positive = Annotated[float, Check(check_positive)]
+PositiveOrZero = Annotated[float, Check(partial(check_positive, zero=True))]
+Share = Annotated[float, Check(check_share)]
+
+
+class Checked:
+    """Base class of dataclasses with the checks of their fields in the annotations.
+
+    A field of a :class:`~typing.Literal` type takes one of its words.
+    """
+
+    def __post_init__(self) -> None:
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            metadata = getattr(hint, "__metadata__", ())
+            checks = [each.function for each in metadata if isinstance(each, Check)]
+            if get_origin(hint) is Literal:
+                checks.append(partial(check_choice, choices=get_args(hint)))
+            for check in checks:
+                object.__setattr__(self, name, check(name, getattr(self, name)))

@@ -7,14 +7,15 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import make_dataclass
 from typing import Annotated, Any, NoReturn, Union
 
 import hmi_marl
 from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
 from hmi_marl.names import unknown
+from hmi_marl.workers import environment
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 """Exit statuses; the last two are those of a shell after SIGINT and SIGPIPE."""
@@ -167,7 +168,12 @@ def _reason(
 def _output(parsed: Callable[[list[str]], object], arguments: list[str]) -> str:
     """Return what tyro prints, with no line broken."""
     text = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # tyro looks for an encoding
-    with _columns(_WIDE), redirect_stdout(text), redirect_stderr(text), suppress(SystemExit):
+    with (
+        environment({"COLUMNS": _WIDE}),
+        redirect_stdout(text),
+        redirect_stderr(text),
+        suppress(SystemExit),
+    ):
         parsed(arguments)
     text.seek(0)
     return text.read()
@@ -199,19 +205,6 @@ def _one_line(text: str) -> str:
 def _refuse(reason: str) -> NoReturn:
     print(f"hmi-marl: {reason}", file=sys.stderr)
     raise SystemExit(BAD_INPUT)
-
-
-@contextmanager
-def _columns(count: str) -> Iterator[None]:
-    before = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = count
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["COLUMNS"]
-        else:
-            os.environ["COLUMNS"] = before
 
 
 if __name__ == "__main__":

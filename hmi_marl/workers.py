@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
@@ -41,19 +41,28 @@ def pool(
         workers: number of processes at most.
         begin: called first in each process, with the ``arguments``.
     """
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)  # a worker reads them when it starts
-    executor = ProcessPoolExecutor(
-        workers, get_context("spawn"), initializer=_begin, initargs=(begin, arguments)
-    )
+    with environment(_ONE_THREAD):  # a worker reads them when it starts
+        executor = ProcessPoolExecutor(
+            workers, get_context("spawn"), initializer=_begin, initargs=(begin, arguments)
+        )
+        try:
+            yield executor
+        except KeyboardInterrupt:
+            for process in active_children():
+                process.terminate()  # their tasks may take hours
+            raise
+        finally:
+            executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Run a block with these environment variables."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
-        yield executor
-    except KeyboardInterrupt:
-        for process in active_children():
-            process.terminate()  # their tasks may take hours
-        raise
+        yield
     finally:
-        executor.shutdown(cancel_futures=True)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, EvidenceModel, save_evidence
-from hmi_marl.agents.adaptive.factory import Trained
+from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import PolicyCard, make_card, save_policy
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig

@@ -123,7 +123,7 @@ from pathlib import Path
 import torch.utils.tensorboard, tqdm
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.ppo.run import train
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 before = marks()

@@ -1,12 +1,12 @@
 """HMIs and driver policies: rules, exact optima and learned ones."""
 
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
-from hmi_marl.agents.adaptive.factory import make_adaptive
 from hmi_marl.agents.adaptive.hmis import (
     AdaptiveHMI,
     ChoosingHMI,
     ConditionedHMI,
     ExpectedValueHMI,
+    make_adaptive,
 )
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
 from hmi_marl.agents.catalogue import (
@@ -21,7 +21,7 @@ from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, load_polic
 from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.envs.seats import Policy
 from hmi_marl.exact.evidence import ChainEvidence
-from hmi_marl.exact.trait_posterior import TraitBelief
+from hmi_marl.exact.identify import TraitBelief
 
 __all__ = [
     "DRIVER_POLICIES",

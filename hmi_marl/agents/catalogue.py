@@ -16,11 +16,11 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from hmi_marl.agents.adaptive.factory import adaptive_by_name
+from hmi_marl.agents.adaptive.hmis import adaptive_by_name
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
+from hmi_marl.agents.learned.cards import PREFIX, is_shipped, shipped_names
 from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
-from hmi_marl.agents.learned.shipped import PREFIX, is_shipped, shipped_names
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.seats import Policy

@@ -15,9 +15,8 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.single import as_scalar
+from hmi_marl.envs.single import MergeDriver, MergeHMI, as_scalar
 from hmi_marl.envs.teaming import Teaming
-from hmi_marl.envs.views import MergeDriver, MergeHMI
 from hmi_marl.envs.worlds import World, make_world
 from hmi_marl.extras import needing
 

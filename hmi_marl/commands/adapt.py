@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from hmi_marl.agents.adaptive.factory import Trained
+from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.adaptation.evaluation import QUICK, AdaptSettings
 from hmi_marl.reporting.report import PAGE

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from hmi_marl.agents.learned.cards import is_shipped
 from hmi_marl.agents.learned.policy import find_policy, read_policy
-from hmi_marl.agents.learned.shipped import is_shipped
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ class TrainTraits(TraitSettings):
     def run(self, command_line: str) -> None:
         """Learn, and print the commands that use the result."""
         use_quiet_threads()
-        from hmi_marl.training.traits.labels import read_preferences
         from hmi_marl.training.traits.run import learn_traits
+        from hmi_marl.training.traits.windows import read_preferences
 
         out = self.out or Path(f"runs/traits-{self.supervision}")
         answers = None if self.preferences is None else read_preferences(self.preferences)

@@ -33,7 +33,7 @@ from hmi_marl.envs.drivers import (
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
-from hmi_marl.envs.views import MergeDriver
+from hmi_marl.envs.single import MergeDriver
 
 
 def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:

@@ -17,8 +17,6 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +26,7 @@ from hmi_marl.demonstrations.dataset import Observed
 from hmi_marl.demonstrations.env import env_spec
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.extras import needing
+from hmi_marl.workers import environment
 
 with needing("exporting to Minari"):
     import h5py  # noqa: F401
@@ -70,7 +69,8 @@ def export_minari(observed: Observed, folder: Path) -> Path:
         raise ValueError("a window of a single step holds no transition for Minari")
     buffers = [_buffer(observed, k) for k in range(len(observed))]
     layout = [f"{part.name}: {part.size}" for part in observed.layout.parts]
-    with _datasets_at(place.parent), warnings.catch_warnings():
+    absolute = str(place.parent.resolve())  # Minari loses its way on relative ones
+    with environment({_PLACE: absolute}), warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*env", UserWarning)  # recordings may have none
         minari.create_dataset_from_buffers(
             place.name,
@@ -105,16 +105,3 @@ def _buffer(observed: Observed, k: int) -> EpisodeBuffer:
         truncations=ends & (not crashed),
         infos={"alert": observed.alerts[k, states]},
     )
-
-
-@contextmanager
-def _datasets_at(place: Path) -> Iterator[None]:
-    before = os.environ.get(_PLACE)
-    os.environ[_PLACE] = str(place.resolve())  # Minari loses its way on relative ones
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_PLACE]
-        else:
-            os.environ[_PLACE] = before

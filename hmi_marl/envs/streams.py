@@ -10,10 +10,12 @@ shape, and can be compiled.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.checks import Check
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -83,3 +85,7 @@ def check_seed(seed: Any) -> int:
     if not 0 <= int(seed) < 2**64:
         raise ValueError(f"a seed lies in [0, 2^64), but got {seed}")
     return int(seed)
+
+
+Seed = Annotated[int, Check(lambda name, seed: check_seed(seed))]
+"""Seed as a checked setting; see :class:`hmi_marl.checks.Checked`."""

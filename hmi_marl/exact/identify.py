@@ -13,6 +13,7 @@ With
 no classifier with the same data is right more often on average, if p(k) is how often each candidate
 drives: this is the ceiling of every learned classifier. It requires alerts that do not depend on
 what is hidden, such as random ones; see :mod:`hmi_marl.exact.bayes_filter`.
+:class:`TraitBelief` holds such probabilities and what follows from them.
 """
 
 from __future__ import annotations
@@ -148,24 +149,12 @@ def identify(
     for start in range(0, len(seeds), at_once):
         part = slice(start, start + at_once)
         data = seeds[part], actions[part], alerts[part], length[part]
-        evidence.append(_evidence(config, policy, candidates, *data))
+        bayes = BayesFilter(candidates, config.alert_window, len(seeds[part]))
+        for t, chances in enumerate(replay_intents(config, policy, candidates, *data)):
+            active = t < length[part]
+            bayes.update(chances, actions[part, t], alerts[part, t], active=active)
+        evidence.append(bayes.log_evidence)
     return Identification(candidates, np.concatenate(evidence))
-
-
-def _evidence(
-    config: TeamConfig,
-    policy: StochasticPolicy,
-    drivers: Sequence[Driver],
-    seeds: NDArray[np.uint64],
-    actions: NDArray[np.int64],
-    alerts: NDArray[np.int64],
-    length: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    bayes = BayesFilter(drivers, config.alert_window, len(seeds))
-    intents = replay_intents(config, policy, drivers, seeds, actions, alerts, length)
-    for t, probabilities in enumerate(intents):
-        bayes.update(probabilities, actions[:, t], alerts[:, t], active=t < length)
-    return bayes.log_evidence
 
 
 def replay_intents(
@@ -278,3 +267,42 @@ def _checked(
     if wrong.any():
         raise ValueError(f"length lies in 0 to {shape[1]}, but got {steps[wrong][0]}")
     return np.asarray(seeds), np.asarray(actions), np.asarray(alerts), steps
+
+
+@dataclass(frozen=True, eq=False)
+class TraitBelief:
+    """Probabilities of K candidates in each of N teams."""
+
+    drivers: tuple[Driver, ...]
+    """The K candidates: the known types, or a sample of a population."""
+    probabilities: NDArray[np.float64]
+    """Probability of each candidate, shape (N, K); the rows sum to 1."""
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Expected traits, shape (N, 4), columns as in ``TRAIT_NAMES``."""
+        return self.probabilities @ _table(self.drivers)
+
+    @property
+    def spread(self) -> NDArray[np.float64]:
+        """Standard deviation of each trait, shape (N, 4)."""
+        table = _table(self.drivers)
+        apart = table - self.mean[:, None]  # (N, K, 4)
+        return np.sqrt(np.einsum("nk,nkt->nt", self.probabilities, apart**2))
+
+    @property
+    def most_likely(self) -> NDArray[np.int64]:
+        """Place of the likeliest candidate, shape (N,); the first of equals."""
+        return self.probabilities.argmax(axis=1)
+
+    def named(self) -> dict[str, NDArray[np.float64]]:
+        """Probability of each name among the candidates, shape (N,)."""
+        return marginal(self.probabilities, [driver.name for driver in self.drivers])
+
+    def expected(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Expectation of a quantity of each candidate: shape (K, ...) to (N, ...)."""
+        return np.tensordot(self.probabilities, values, axes=1)
+
+
+def _table(drivers: Sequence[Driver]) -> NDArray[np.float64]:
+    return Traits.of(drivers).as_array()

@@ -24,8 +24,8 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import Job
 
 CONFIDENT = Driver("confident", beta=0.0, alpha=1.0, eta=0.0, inflation=3.0)
 CAUTIOUS = Driver("cautious", beta=0.0, alpha=1.0, eta=0.0, inflation=9.0)

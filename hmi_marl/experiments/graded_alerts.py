@@ -25,9 +25,9 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.jobs import Job
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import Job
 
 READS = ("time", "distracted", "accepted", "counter", "fatigue")
 """Observation parts that the optimum depends on; an HMI would have to ignore lidar and lanes."""

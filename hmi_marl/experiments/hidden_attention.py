@@ -38,8 +38,8 @@ from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
+from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import Job
 
 LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
     "learned, own",

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.agents.learned.shipped import FORMAT, INDEX, shipped_agents
+from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, shipped_agents
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, conduct, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.files import make_folder, sha256_of, write_bytes, write_json
@@ -212,7 +212,7 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
         folder = Path(made) / out.name
         index = {agent.name: _copy(agent, folder) for agent in agents}
-        about = {"format": FORMAT, "version": hmi_marl.__version__, "agents": index}
+        about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
         write_json(folder / INDEX, about)
         before = out.with_name(f".{out.name}-before")
         if out.exists():

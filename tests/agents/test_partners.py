@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from hmi_marl import Scene, make_vec, merge_v0
 from hmi_marl.agents import RandomAlert, RuleBasedDriver
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.views import MergeDriver, MergeHMI
+from hmi_marl.envs.single import MergeDriver, MergeHMI
 
 FEW = {"scene": Scene(vehicles=4), "duration": 3.0}
 SMALL = {"scene": Scene(vehicles=3), "duration": 3.0}

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from evidence_models import save_trained, small_evaluation
 
-from hmi_marl.agents.adaptive.factory import Trained
+from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.cli import main, parse
 from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
 

@@ -8,8 +8,7 @@ import pytest
 from hmi_marl.cli import main, parse
 from hmi_marl.commands import train as train_command
 from hmi_marl.training.protocols.alternating import Alternating
-from hmi_marl.training.protocols.joint import Joint
-from hmi_marl.training.protocols.simultaneous import Simultaneous
+from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 TINY = ["--num-teams", "16", "--duration", "1"]

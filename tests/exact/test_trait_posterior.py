@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hmi_marl.envs.drivers import DRIVERS, Driver
-from hmi_marl.exact.trait_posterior import TraitBelief
+from hmi_marl.exact.identify import TraitBelief
 
 LISA, MARGE, BART = (DRIVERS[name] for name in ("lisa", "marge", "bart"))
 BELIEF = TraitBelief((LISA, MARGE, BART), np.array([[0.5, 0.25, 0.25], [0.0, 0.0, 1.0]]))

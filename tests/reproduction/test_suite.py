@@ -28,7 +28,7 @@ from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.experiment import LatentTraits
 from hmi_marl.reproduction.report import full_report
 from hmi_marl.reproduction.suite import run_suite, shared_driver
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 if __name__ == "__main__":

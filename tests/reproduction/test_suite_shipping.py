@@ -5,8 +5,8 @@ import pytest
 from stages import Counting
 from trait_models import save_driver
 
+from hmi_marl.agents.learned.cards import INDEX, find_shipped, shipped_agents
 from hmi_marl.agents.learned.policy import load_policy
-from hmi_marl.agents.learned.shipped import INDEX, find_shipped, shipped_agents
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Agent
 from hmi_marl.files import write_json

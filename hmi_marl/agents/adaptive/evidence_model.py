@@ -26,9 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import CardFormat, find_card
+from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
-from hmi_marl.agents.learned.situations import LONG_AGO
+from hmi_marl.agents.learned.trait_model import LONG_AGO
+from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits
 from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
@@ -42,7 +43,6 @@ READS = ("intended_action", "previous_intended_action", "applied_action")
 actions. Lidar and speed would improve the estimate of inflation and worsen those of β, α and η."""
 HIDDEN = ("traits", "distracted", "accepted", "counter", "fatigue")
 """Observation parts hidden from driver inference."""
-PARTS = ("encoder", "place")
 _ACTIONS = len(VEHICLE_ACTIONS)
 _SINCE = LONG_AGO + 1
 DERIVED = _ACTIONS + 3 * _SINCE
@@ -51,7 +51,7 @@ t - 1, and the same where that step revealed an attentive driver or a distracted
 
 
 @dataclass(frozen=True)
-class EvidenceCard:
+class EvidenceCard(Checked):
     """Description of an evidence model, without its weights.
 
     Raises:
@@ -60,9 +60,9 @@ class EvidenceCard:
 
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of the vehicle AI's observation that it reads, in order."""
-    latent: int = 16
+    latent: Count = 16
     """Z, size of e_t and w(θ)."""
-    segment: int = 25
+    segment: Count = 25
     """Turns after which the encoder's recurrent state is reset."""
     encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
     """Network from turns to e_t."""
@@ -72,17 +72,13 @@ class EvidenceCard:
     """How it was trained."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
-        if not self.reads or min(size for _, size in self.reads) < 1:
-            raise ValueError("an evidence model reads parts of at least one column")
+        super().__post_init__()
+        object.__setattr__(self, "reads", checked_reads(self.reads, "an evidence model"))
         for name, _ in self.reads:
             if name in HIDDEN:
                 raise ValueError(
                     f"an evidence model may not read {name!r}: driver inference hides it"
                 )
-        for name in ("latent", "segment"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
         if self.place.rnn_hidden_dim:
             raise ValueError("only the encoder may be recurrent: set place.rnn_hidden_dim to 0")
 
@@ -111,16 +107,12 @@ class EvidenceCard:
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the weights."""
-        shapes: dict[str, tuple[int, ...]] = {
-            "read.centre": (self.read_size,),
-            "read.scale": (self.read_size,),
+        sizes = {
+            "encoder": (self.read_size + DERIVED, self.latent),
+            "place": (len(TRAIT_NAMES), self.latent),
         }
-        sizes = {"encoder": self.read_size + DERIVED, "place": len(TRAIT_NAMES)}
-        for part in PARTS:
-            network: NetworkConfig = getattr(self, part)
-            for name, shape in network.shapes(sizes[part], self.latent).items():
-                shapes[f"{part}.{name}"] = shape
-        return shapes
+        units = {"read.centre": (self.read_size,), "read.scale": (self.read_size,)}
+        return units | part_shapes(self, sizes)
 
 
 FORMAT = CardFormat("hmi-marl evidence 2", "evidence model", EvidenceCard)

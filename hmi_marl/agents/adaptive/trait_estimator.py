@@ -20,7 +20,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.exact.bayes_filter import posterior
 from hmi_marl.exact.evidence import Evidence
-from hmi_marl.exact.trait_posterior import TraitBelief
+from hmi_marl.exact.identify import TraitBelief
 
 CHANGE_RATE = 1 / 2000
 """Default rate of driver changes per step: one in 2000 steps, 400 s at 5 Hz."""

@@ -10,17 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hmi_marl.checks import Checked
 
 Activation = Literal["relu", "elu", "tanh"]
 Weights = Mapping[str, NDArray[np.floating]]
 
 
 @dataclass(frozen=True)
-class NetworkConfig:
+class NetworkConfig(Checked):
     """Sizes of one network.
 
     Raises:
@@ -44,10 +46,7 @@ class NetworkConfig:
                 "a network has hidden layers of at least one unit and no or some recurrent units, "
                 f"but got hidden_dims = {self.hidden_dims}, rnn_hidden_dim = {self.rnn_hidden_dim}"
             )
-        if self.activation not in get_args(Activation):
-            raise ValueError(
-                f"activation is one of {', '.join(get_args(Activation))}, not {self.activation!r}"
-            )
+        super().__post_init__()
 
     def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
         """Return names and shapes of the weights for these numbers of inputs and outputs.

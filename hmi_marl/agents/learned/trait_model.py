@@ -8,8 +8,11 @@ A :class:`TraitModel` holds the three parts of the paper's latent model, in doub
 - the reward :math:`f(s, a, s', z) = g(s, a, z) + γ h(s', z) - h(s, z)`;
 - the policy :math:`π(a | s, z)`.
 
-Here s is a situation (:mod:`hmi_marl.agents.learned.situations`) whose state is standardised by the
-demonstrations, and a the applied action v_t.
+Here s is a situation x_t, an input before the car acts, and a the applied action v_t. v_t depends
+on more than the road: a distracted driver repeats v_{t-1}, and an alert has effects in its own step
+and in later ones. So a situation holds the observed state s_t, standardised by the demonstrations,
+v_{t-1} and the steps since the last alert, the latter two one-hot. All of it can be observed; it
+holds neither d, i, c, a^H, traits nor the inflated lidar.
 """
 
 from __future__ import annotations
@@ -21,9 +24,75 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import CardFormat, find_card
+from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
+from hmi_marl.checks import Checked, Count, Share
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+
+ACTIONS = len(VEHICLE_ACTIONS)
+LONG_AGO = 10
+"""Steps after which an alert counts as long ago: 2 s at 5 Hz."""
+EXTRA = ACTIONS + LONG_AGO + 1
+"""Columns of a situation after the observed state: v_{t-1} and the steps since the last alert."""
+
+
+@dataclass
+class Recent:
+    """Memory of N drives for situations: v_{t-1} and the steps since the last alert."""
+
+    count: int
+    """N."""
+    applied: NDArray[np.int64] = field(init=False)
+    """v_{t-1}, shape (N,); -1 before the first step."""
+    since_alert: NDArray[np.int64] = field(init=False)
+    """Steps since the last alert, shape (N,): 0 if it is given now, ``LONG_AGO`` if none was."""
+
+    def __post_init__(self) -> None:
+        self.applied = np.full(self.count, -1)
+        self.since_alert = np.full(self.count, LONG_AGO)
+
+    def forget(self, which: NDArray[np.bool_]) -> None:
+        """Begin new drives where ``which``, shape (N,), is set."""
+        self.applied = np.where(which, -1, self.applied)
+        self.since_alert = np.where(which, LONG_AGO, self.since_alert)
+
+    def situation(
+        self, states: NDArray[np.float32], alerts: NDArray[np.int64]
+    ) -> NDArray[np.float32]:
+        """Return x_t, shape (N, D + EXTRA), from s_t, shape (N, D), and a^A_t, shape (N,).
+
+        The alert is remembered; pass the following v_t to :meth:`acted`.
+        """
+        self.since_alert = np.where(alerts == 1, 0, np.minimum(self.since_alert + 1, LONG_AGO))
+        width = states.shape[1]
+        x = np.empty((len(states), width + EXTRA), np.float32)
+        x[:, :width] = states
+        x[:, width : width + ACTIONS] = self.applied[:, None] == np.arange(ACTIONS)
+        x[:, width + ACTIONS :] = self.since_alert[:, None] == np.arange(LONG_AGO + 1)
+        return x
+
+    def acted(self, applied: NDArray[np.int64]) -> None:
+        """Remember the applied actions v_t, shape (N,)."""
+        self.applied = applied
+
+
+def situations(
+    states: NDArray[np.float32], actions: NDArray[np.int64], alerts: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Return x_0 to x_{T-1} of E drives, shape (E, T, D + EXTRA).
+
+    Args:
+        states: s_t before step t, shape (E, T, D).
+        actions: v_t, shape (E, T); -1 after a drive's end.
+        alerts: a^A_t, 0 or 1, shape (E, T).
+    """
+    recent = Recent(len(states))
+    x = np.empty((*states.shape[:2], states.shape[2] + EXTRA), np.float32)
+    for t in range(states.shape[1]):
+        x[:, t] = recent.situation(states[:, t], alerts[:, t])
+        recent.acted(actions[:, t])
+    return x
+
 
 PARTS = ("reward", "potential", "policy")
 """Networks besides the encoder: g, h and π."""
@@ -32,7 +101,7 @@ _CHUNK = 512
 
 
 @dataclass(frozen=True)
-class TraitCard:
+class TraitCard(Checked):
     """Description of a trait model, without its weights.
 
     Raises:
@@ -41,13 +110,13 @@ class TraitCard:
 
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of an observed state, in their order."""
-    latent: int = 2
+    latent: Count = 2
     """Z, size of z."""
-    encoder_units: int = 128
+    encoder_units: Count = 128
     """H, units of the recurrent layer."""
-    pool: int = 8
+    pool: Count = 8
     """Windows of one driver that training averages over."""
-    gamma: float = 0.98
+    gamma: Share = 0.98
     """γ of the reward's shaping."""
     reward: NetworkConfig = field(default_factory=lambda: NetworkConfig((32, 32)))
     """Network g."""
@@ -59,14 +128,8 @@ class TraitCard:
     """How it was trained."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
-        if not self.reads or min(size for _, size in self.reads) < 1:
-            raise ValueError("a trait model reads parts of at least one column")
-        for name in ("latent", "encoder_units", "pool"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is at least 1, but got {getattr(self, name)}")
-        if not 0.0 <= self.gamma <= 1.0:
-            raise ValueError(f"gamma lies in [0, 1], but got {self.gamma}")
+        super().__post_init__()
+        object.__setattr__(self, "reads", checked_reads(self.reads, "a trait model"))
         if any(getattr(self, part).rnn_hidden_dim for part in PARTS):
             raise ValueError("only the encoder is recurrent: set encoder_units")
 
@@ -107,12 +170,8 @@ class TraitCard:
         for head in ("mean", "log_variance"):
             shapes[f"{head}.weight"] = self.latent, self.encoder_units
             shapes[f"{head}.bias"] = (self.latent,)
-        for part in PARTS:
-            outputs = ACTIONS if part == "policy" else 1
-            network: NetworkConfig = getattr(self, part)
-            for name, shape in network.shapes(self.inputs(part), outputs).items():
-                shapes[f"{part}.{name}"] = shape
-        return shapes
+        sizes = {part: (self.inputs(part), ACTIONS if part == "policy" else 1) for part in PARTS}
+        return shapes | part_shapes(self, sizes)
 
 
 FORMAT = CardFormat("hmi-marl traits 2", "trait model", TraitCard)
@@ -202,26 +261,16 @@ class TraitModel:
                 f"this trait model reads states of {self.card.state_size} columns, but got "
                 f"{states.shape[2]}; use the scene that it was trained on"
             )
-        chunks = [
-            self._encode(states[part], actions[part], alerts[part], length[part])
-            for part in (slice(k, k + _CHUNK) for k in range(0, len(states), _CHUNK))
-        ]
+        chunks = []
+        for part in (slice(k, k + _CHUNK) for k in range(0, len(states), _CHUNK)):
+            x = situations(states[part], actions[part], alerts[part])
+            now = self.begin(len(x))
+            last = now.hidden
+            for t in range(x.shape[1]):
+                now = self.read(now, x[:, t], actions[part, t])
+                last = np.where((t < length[part])[:, None], now.hidden, last)
+            chunks.append(last)
         return np.concatenate(chunks)
-
-    def _encode(
-        self,
-        states: NDArray[np.float32],
-        actions: NDArray[np.int64],
-        alerts: NDArray[np.int64],
-        length: NDArray[np.int64],
-    ) -> NDArray[np.float64]:
-        x = situations(states, actions, alerts)
-        now = self.begin(len(x))
-        last = now.hidden
-        for t in range(x.shape[1]):
-            now = self.read(now, x[:, t], actions[:, t])
-            last = np.where((t < length)[:, None], now.hidden, last)
-        return last
 
     def latent(self, pooled: NDArray[np.float64]) -> Latent:
         """Return q(z | τ) for hidden states averaged over a driver's windows, shape (P, H)."""

@@ -15,8 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.factory import TYPES, Trained
-from hmi_marl.agents.adaptive.hmis import CAUTION
+from hmi_marl.agents.adaptive.hmis import CAUTION, TYPES, Trained
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.checks import check_count
 from hmi_marl.envs.config import TeamConfig

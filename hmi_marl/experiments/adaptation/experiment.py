@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hmi_marl.agents.adaptive.evidence_model import NAME
-from hmi_marl.agents.adaptive.factory import Trained, make_adaptive
+from hmi_marl.agents.adaptive.hmis import Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import begin
@@ -55,8 +55,8 @@ from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.evidence.conditioned import conditioned_hmi, learn_conditioned
 from hmi_marl.training.evidence.settings import EvidenceSettings
+from hmi_marl.training.jobs import need_training, own_line, side_by_side
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import need_training, own_line, side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

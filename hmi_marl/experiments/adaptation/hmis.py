@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.factory import Trained, make_adaptive
-from hmi_marl.agents.adaptive.hmis import ExpectedValueHMI
+from hmi_marl.agents.adaptive.hmis import ExpectedValueHMI, Trained, make_adaptive
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
 from hmi_marl.agents.catalogue import make_hmi
 from hmi_marl.envs.config import TeamConfig

@@ -91,6 +91,8 @@ class Embedding:
     types: NDArray[np.int64]
     """Indices of ``names``, shape (P,)."""
     names: tuple[str, ...]
+    states: NDArray[np.float64] | None = None
+    """Hidden states of the held-out windows, shape (E, H), to be used again."""
 
 
 @dataclass(frozen=True)
@@ -226,11 +228,20 @@ def likes_help(demonstrations: Demonstrations) -> NDArray[np.int64] | None:
     return (demonstrations.truth.traits[:, TRAIT_NAMES.index("eta")] >= LIKES_HELP).astype(np.int64)
 
 
+def embed(model: TraitModel, split: Split) -> Embedding:
+    """Embed held-out pools of the model's own size."""
+    unseen = split.unseen.observed
+    states, pools = encode(model, unseen), disjoint_pools(unseen.driver, model.card.pool)
+    means = mean_latents(model, states, pools)
+    return Embedding(means, unseen.driver[pools[:, 0]], unseen.names, states)
+
+
 def identify_drivers(
     model: TraitModel,
     split: Split,
     identification: Identification | None = None,
     windows: Sequence[int] = WINDOWS,
+    embedding: Embedding | None = None,
 ) -> tuple[list[Identified], Embedding]:
     """Measure accuracy by windows seen, and embed held-out pools of the model's own size.
 
@@ -240,12 +251,15 @@ def identify_drivers(
         identification: the exact classifier's evidence of ``split.unseen``, candidates in the
             order of its names.
         windows: numbers of windows; see :func:`pool_sizes`.
+        embedding: that of :func:`embed`, if it is there already.
 
     Raises:
         ValueError: too few pools of some driver.
     """
     sides = split.learned, split.unseen
-    states = [encode(model, side.observed) for side in sides]
+    embedding = embedding or embed(model, split)
+    assert embedding.states is not None
+    states = [encode(model, split.learned.observed), embedding.states]
     drivers = [side.observed.driver for side in sides]
     help_learned, help_unseen = (likes_help(side) for side in sides)
 
@@ -263,9 +277,7 @@ def identify_drivers(
         exact = None if identification is None else ceilings(identification, judged, types)
         separated = separability(z_fitted, drivers[0][fitted[:, 0]], z, types)
         rows.append(Identified(size, len(judged), separated, preferences, exact))
-    judged = disjoint_pools(drivers[1], model.card.pool)
-    means = mean_latents(model, states[1], judged)
-    return rows, Embedding(means, drivers[1][judged[:, 0]], split.unseen.observed.names)
+    return rows, embedding
 
 
 def unseen_drivers(population: Demonstrations, demonstrations: Demonstrations) -> Demonstrations:
@@ -341,6 +353,7 @@ def assess(
     windows: Sequence[int],
     progress: Callable[[], Any] = tuple,
     whole: bool = True,
+    embedding: Embedding | None = None,
 ) -> Assessment:
     """Judge one model.
 
@@ -353,13 +366,14 @@ def assess(
         windows: numbers of windows to identify drivers from; see :func:`pool_sizes`.
         progress: called ``PARTS`` times.
         whole: if not, only identification, which is averaged over seeds.
+        embedding: that of :func:`embed`, if it is there already.
 
     Raises:
         ValueError: demonstrations of another layout, too few of them, or of another version of the
             environment.
     """
     unseen = split.unseen.observed
-    identified, embedding = identify_drivers(model, split, identification, windows)
+    identified, embedding = identify_drivers(model, split, identification, windows, embedding)
     progress()
     supervision = supervision_of(model)
     if not whole:

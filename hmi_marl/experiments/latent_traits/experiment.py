@@ -22,12 +22,13 @@ from hmi_marl.experiments.latent_traits.assessment import (
     Assessment,
     AssessSettings,
 )
+from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import check_fits
 from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
 from hmi_marl.files import json_value, make_folder, sha256_of
+from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
-from hmi_marl.training.runs.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
@@ -62,7 +63,8 @@ class TraitEvaluation(TraitReport):
     def run(self, place: Place) -> TraitResults:
         """Judge the runs on what they held out.
 
-        The first model of a setting is judged in every respect, others by identification alone.
+        The figure of embeddings is written first, long before the rest. The first model of a
+        setting is judged in every respect, others by identification alone.
 
         Raises:
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
@@ -90,6 +92,12 @@ class TraitEvaluation(TraitReport):
             unknown = assessment.unseen_drivers(read_demonstrations(self.population), data)
             assessment.population_pools(unknown, pool)
             check_fits(models[0], unknown.observed)
+        embeddings = [assessment.embed(model, split) for model in models]
+        settings = [assessment.supervision_of(model) for model in models]
+        first = dict(reversed(list(zip(settings, embeddings, strict=True))))
+        place.write(
+            embeddings_figure({name: first[name] for name in SUPERVISIONS if name in first})
+        )
         found: dict[str, list[Assessment]] = {}
         parts = 1 + assessment.PARTS * len(models)
         with tqdm(total=parts, unit=" parts", desc="judging") as bar:
@@ -99,12 +107,12 @@ class TraitEvaluation(TraitReport):
             except ceiling.NoCeilingError as error:
                 bar.write(str(error), file=sys.stderr)
             bar.update()
-            for model in models:
-                first = assessment.supervision_of(model) not in found
+            for model, name, embedding in zip(models, settings, embeddings, strict=True):
+                whole = name not in found
                 one = assessment.assess(
-                    model, split, exact, unknown, self.size, windows, bar.update, whole=first
+                    model, split, exact, unknown, self.size, windows, bar.update, whole, embedding
                 )
-                found.setdefault(one.supervision, []).append(one)
+                found.setdefault(name, []).append(one)
         return TraitResults({name: found[name] for name in SUPERVISIONS if name in found}, pool)
 
     def settings(self) -> dict[str, Any]:

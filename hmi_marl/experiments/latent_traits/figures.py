@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.drivers import PAPER_DRIVERS
-from hmi_marl.experiments.latent_traits.probes import checked_vectors
-from hmi_marl.reporting.blocks import COLOURS, canvas
+from hmi_marl.experiments.latent_traits.assessment import Embedding
+from hmi_marl.experiments.latent_traits.probes import average_kl, checked_vectors
+from hmi_marl.reporting.blocks import COLOURS, Figure, canvas, png
 from hmi_marl.reporting.statistics import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawing
     from matplotlib.lines import Line2D
     from matplotlib.patches import Ellipse
 
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 DRIVER_COLOURS = (*COLOURS[1:5], *COLOURS[5:], COLOURS[0])
 SETTING_COLOURS = (COLOURS[0], *COLOURS[5:], *COLOURS[1:5])
 """Different colours first, so that a setting is not mistaken for a driver."""
+TITLES = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
+"""Titles of the settings by supervision."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SIGMAS = 2.0
 """Standard deviations from an ellipse's centre to its edge."""
@@ -56,7 +59,7 @@ class EmbeddingPanel:
             )
 
 
-def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Figure:
+def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Drawing:
     """Draw a panel for each setting: vectors coloured by driver, 2σ ellipses, the average KL.
 
     Raises:
@@ -78,12 +81,23 @@ def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Figure:
     return figure
 
 
+def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
+    """Draw the paper's figure: a panel for each setting, with the average KL of its vectors."""
+    panels = [
+        EmbeddingPanel(
+            TITLES[name], one.means, one.types, one.names, average_kl(one.means, one.types)
+        )
+        for name, one in embeddings.items()
+    ]
+    return Figure("embeddings", "embeddings by driver", png(draw_embeddings(panels)))
+
+
 def draw_accuracy(
     windows: Sequence[int],
     curves: Mapping[str, Sequence[Estimate]],
     ceiling: ArrayLike | None,
     chance: float,
-) -> Figure:
+) -> Drawing:
     """Draw the accuracy of naming the driver by the number of windows seen, with 95 % intervals.
 
     Args:

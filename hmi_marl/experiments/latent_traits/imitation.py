@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.agents.learned.situations import EXTRA, LONG_AGO, situations
-from hmi_marl.agents.learned.trait_model import Latent, TraitModel
+from hmi_marl.agents.learned.trait_model import EXTRA, LONG_AGO, Latent, TraitModel, situations
 from hmi_marl.agents.memory import Draws
 from hmi_marl.demonstrations.dataset import MISSING, Observed, alert_rate
 from hmi_marl.demonstrations.env import team_of

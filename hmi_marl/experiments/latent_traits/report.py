@@ -13,11 +13,7 @@ from typing import Any, TypeVar
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Identified
-from hmi_marl.experiments.latent_traits.figures import (
-    EmbeddingPanel,
-    draw_accuracy,
-    draw_embeddings,
-)
+from hmi_marl.experiments.latent_traits.figures import TITLES, draw_accuracy, embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
 from hmi_marl.experiments.latent_traits.probes import TraitR2
 from hmi_marl.experiments.latent_traits.reward import RewardRanking
@@ -28,8 +24,6 @@ from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict
 
 T = TypeVar("T")
-TITLES = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
-"""Titles of the settings by supervision."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +143,7 @@ class TraitReport(Experiment[TraitResults]):
         )
         return [
             Text(" ".join([note, *left_out(results)])),
-            embeddings_figure(results),
+            embeddings_figure({name: one.embedding for name, one in results.first.items()}),
             accuracy_figure(results),
             *(table for table in tables if table.rows),
         ]
@@ -169,21 +163,6 @@ def left_out(results: TraitResults) -> list[str]:
         )
         if holds
     ]
-
-
-def embeddings_figure(results: TraitResults) -> Figure:
-    """Draw the paper's figure, of the first seed of each setting."""
-    panels = [
-        EmbeddingPanel(
-            TITLES[name],
-            one.embedding.means,
-            one.embedding.types,
-            one.embedding.names,
-            one.at_pool(results.pool).types.average_kl,
-        )
-        for name, one in results.first.items()
-    ]
-    return Figure("embeddings", "embeddings by driver", png(draw_embeddings(panels)))
 
 
 def accuracy_figure(results: TraitResults) -> Figure:

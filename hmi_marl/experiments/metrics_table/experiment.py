@@ -37,8 +37,8 @@ from hmi_marl.experiments.metrics_table.table import TableConfig, make_table
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import Job
 
 CAPTION = (
     "Each entry: mean over the episodes with its 95 % interval; the exact expectation for the "

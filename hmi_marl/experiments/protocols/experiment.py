@@ -40,8 +40,8 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text, canvas, png
 from hmi_marl.reporting.statistics import number
 from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.training.jobs import train_all
 from hmi_marl.training.runs.folder import read_curve
-from hmi_marl.training.runs.jobs import train_all
 
 COLOURS = dict(
     zip(PROTOCOLS, cycle(("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c")), strict=False)

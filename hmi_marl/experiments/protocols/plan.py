@@ -26,9 +26,9 @@ from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.experiments.episodes import Episodes, play_named
 from hmi_marl.names import unknown
+from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.protocols.settings import Budget, TrainSettings
-from hmi_marl.training.runs.jobs import Job
 from hmi_marl.workers import results
 
 Protocol = str

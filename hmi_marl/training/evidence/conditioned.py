@@ -10,7 +10,7 @@ import numpy as np
 from hmi_marl.agents.adaptive.evidence_model import EvidenceModel, load_evidence
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TraitDistributions, Traits
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 if TYPE_CHECKING:

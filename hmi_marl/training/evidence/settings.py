@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated
 
 from hmi_marl.agents.adaptive.evidence_model import READS, EvidenceCard
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.checks import check_count, check_positive, check_share
+from hmi_marl.checks import Check, Checked, Count, Positive, PositiveOrZero, Share, check_share
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.streams import Seed
 
 HMIS = (
     "never",
@@ -24,7 +26,7 @@ HMIS = (
 
 
 @dataclass(frozen=True)
-class EvidenceSettings:
+class EvidenceSettings(Checked):
     """Settings of learning an evidence model.
 
     Raises:
@@ -35,24 +37,24 @@ class EvidenceSettings:
     """Driver policy: a trained run, or rule or random."""
     hmis: tuple[str, ...] = HMIS
     """HMIs, each in an equal share of the drives."""
-    drives: int = 24_000
+    drives: Count = 24_000
     """Episodes to learn from."""
-    known: float = 0.4
+    known: Share = 0.4
     """Share of the episodes with one of the named drivers; the other drivers' traits are drawn
     uniformly."""
-    held_out: float = 0.05
+    held_out: Annotated[float, Check(partial(check_share, zero=False, one=False))] = 0.05
     """Share of the episodes that is kept out of the learning, to measure the loss on."""
-    updates: int = 2000
+    updates: Count = 2000
     """Gradient steps."""
-    batch: int = 256
+    batch: Count = 256
     """Episodes in each gradient step."""
-    learning_rate: float = 3e-3
+    learning_rate: Positive = 3e-3
     """Learning rate at the start; it falls to a twentieth along half a cosine."""
-    weight_decay: float = 1e-2
+    weight_decay: PositiveOrZero = 1e-2
     """Weight decay of AdamW."""
-    latent: int = 16
+    latent: Count = 16
     """Z, the size of e_t and w."""
-    segment: int = 25
+    segment: Count = 25
     """Turns after which the encoder's recurrent units are reset."""
     encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
     """Network from turns to e_t."""
@@ -60,23 +62,17 @@ class EvidenceSettings:
     """Network from traits to w."""
     reads: tuple[str, ...] = READS
     """Parts of the vehicle AI's observation that the encoder reads."""
-    seed: int = 0
+    seed: Seed = 0
     """Random seed. The same seed gives the same weights (on one machine)."""
-    threads: int = 1
+    threads: Count = 1
     """Threads of the world and of the learner. Does not change the episodes."""
     checkpoint_every: float = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", check_seed(self.seed))
-        for name in ("drives", "updates", "batch", "threads", "latent", "segment"):
-            check_count(name, getattr(self, name))
+        super().__post_init__()
         if not self.hmis:
             raise ValueError("hmis names at least one HMI, but got none")
-        check_share("known", self.known)
-        check_positive("learning_rate", self.learning_rate)
-        check_share("held_out", self.held_out, zero=False, one=False)
-        check_positive("weight_decay", self.weight_decay, zero=True)
         if not 2 <= self.batch <= self.learned:
             raise ValueError(
                 f"batch lies in 2 to {self.learned}, the number of drives to learn from, but got "

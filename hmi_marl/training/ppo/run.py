@@ -35,24 +35,24 @@ from hmi_marl.training.protocols.settings import (
     Phase,
     TrainSettings,
 )
-from hmi_marl.training.runs.progress import Progress
 
 with needing("training"):
     import torch
 
     from hmi_marl.envs.vector import TeamVecEnv
-    from hmi_marl.training.ppo.batch import play_batch
-    from hmi_marl.training.ppo.learner import Learner, PPOLearner, TwoLearners
+    from hmi_marl.training.ppo.learner import Learner, PPOLearner, TwoLearners, play_batch
     from hmi_marl.training.ppo.models import (
+        Context,
+        IntentShown,
+        SeatView,
         make_actor,
         make_critic,
         make_joint_actor,
         weights_of,
         weights_of_both,
     )
-    from hmi_marl.training.ppo.views import Context, IntentShown, SeatView
     from hmi_marl.training.runs.processes import Processes, joined
-    from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
+    from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
 
 _INITIAL_WEIGHTS = {DRIVER: 0, OTHER_SEAT[DRIVER]: 1, TEAM: 2}
 
@@ -72,9 +72,7 @@ def train(
         folder: folder of the run.
         context: gives a vector z for each driver, which the vehicle AI observes instead of the
             traits. (The driver observes its own traits.)
-        quiet: no progress bar and no TensorBoard.
-        command_line: command that started it, kept with the policies.
-        line: line of the terminal for the progress bar, where several runs go side by side.
+        quiet, command_line, line: see :class:`Run`.
 
     Raises:
         ValueError: the folder holds a run with other settings, or a context is given and a driver

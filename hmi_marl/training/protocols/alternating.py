@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from hmi_marl.checks import check_count
+from hmi_marl.checks import Count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.protocols.settings import LEARNED, Budget, Phase, TrainSettings
@@ -18,22 +18,17 @@ class Alternating(TrainSettings):
     Example: hmi-marl train alternating --rounds 4 --out runs/rounds
     """
 
-    rounds: int = 4
+    rounds: Count = 4
     """Rounds. In the first one the driver learns without an HMI."""
-    driver_steps: int = 12_000_000
+    driver_steps: Count = 12_000_000
     """Environment steps in which the driver learns, over all rounds."""
-    hmi_steps: int = 2_000_000
+    hmi_steps: Count = 2_000_000
     """Environment steps in which the HMI learns, over all rounds."""
     driver_reward: Sharing = "driving"
     """Reward of the driver. Without an HMI, as in the first round, a distracted step gives the team
     less than 0, so that "team" teaches the driver to crash."""
     hmi_reward: Sharing = "team"
     """Reward of the HMI."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("rounds", "driver_steps", "hmi_steps"):
-            check_count(name, getattr(self, name))
 
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""

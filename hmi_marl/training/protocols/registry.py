@@ -11,9 +11,8 @@ from typing import Any
 
 from hmi_marl.registry import Registry
 from hmi_marl.training.protocols.alternating import Alternating
-from hmi_marl.training.protocols.joint import Joint
+from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.settings import TrainSettings
-from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 PROTOCOLS: Registry[type[TrainSettings]] = Registry("protocol", "hmi-marl train --help")

@@ -1,4 +1,4 @@
-"""Settings that all protocols share, and the phases that a protocol is made of; no torch."""
+"""Settings of PPO and those that all protocols share, and a protocol's phases; no torch."""
 
 from __future__ import annotations
 
@@ -9,12 +9,52 @@ from typing import Any, ClassVar, Literal, Self
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import PolicyCard, make_card
-from hmi_marl.checks import check_count, check_mini_batches, check_positive
+from hmi_marl.checks import (
+    Checked,
+    Count,
+    CountOrZero,
+    Positive,
+    PositiveOrZero,
+    Share,
+    check_mini_batches,
+)
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.rewards import SHARES, Sharing
-from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.envs.streams import Seed
+
+
+@dataclass(frozen=True)
+class PPOSettings(Checked):
+    """Settings of rsl_rl's PPO.
+
+    Raises:
+        ValueError: a number out of its range, by name.
+    """
+
+    num_learning_epochs: Count = 3
+    """Times that each batch is learned from."""
+    num_mini_batches: Count = 16
+    """Parts of a batch, with a gradient step each."""
+    gamma: Share = 0.98
+    """Discount γ per step: 0.98 looks about 10 s ahead."""
+    gae_lambda: Share = 0.95
+    """λ of generalised advantage estimation."""
+    learning_rate: Positive = 1e-3
+    """Learning rate at the start."""
+    final_learning_rate: Positive = 2e-5
+    """Learning rate at the end; it changes linearly in between."""
+    entropy_coef: PositiveOrZero = 0.01
+    """Coefficient of the policy's entropy bonus at the start."""
+    final_entropy_coef: PositiveOrZero = 0.0
+    """Coefficient of the entropy bonus at the end; it changes linearly in between."""
+    clip_param: Positive = 0.2
+    """Clip range of the ratio of an action's new to old probability."""
+    max_grad_norm: Positive = 1.0
+    """Largest norm of a gradient."""
+    reward_scale: Positive = 0.1
+    """Factor on rewards, so that values are not in the hundreds."""
+
 
 Critic = Literal["team", "own"]
 Condition = Literal["traits", "hidden"]
@@ -80,7 +120,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class TrainSettings(TeamSettings):
+class TrainSettings(Checked, TeamSettings):
     """Settings that all protocols share. A protocol adds its own and its phases.
 
     Raises:
@@ -92,10 +132,10 @@ class TrainSettings(TeamSettings):
 
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
-    seed: int = 0
+    seed: Seed = 0
     """Random seed. The same seed gives the same weights (on one machine, with the same number of
     processes)."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams side by side in each process. A batch is one whole episode of each."""
     condition: Condition = "traits"
     """Whether the policies observe the driver's traits, or not ("hidden")."""
@@ -112,20 +152,16 @@ class TrainSettings(TeamSettings):
     device: str = "auto"
     """Device of the learner: cpu, cuda, or auto for a GPU if there is one. The world runs on the
     CPU."""
-    threads: int = 1
+    threads: Count = 1
     """Threads of the world and of the learner in each process. Small networks gain little from a
     second one: more processes are the better use of more cores."""
-    snapshots: int = 0
+    snapshots: CountOrZero = 0
     """Times in each phase that the policies are saved in snapshots/STEPS."""
-    checkpoint_every: float = 60.0
+    checkpoint_every: PositiveOrZero = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", check_seed(self.seed))
-        check_count("num_teams", self.num_teams)
-        check_count("threads", self.threads)
-        check_count("snapshots", self.snapshots, least=0)
-        check_positive("checkpoint_every", self.checkpoint_every, zero=True)
+        super().__post_init__()
         if self.network.rnn_hidden_dim:
             raise ValueError(
                 "only the vehicle AI is recurrent: set rnn_hidden_dim, not network.rnn_hidden_dim"

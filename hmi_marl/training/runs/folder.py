@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.catalogue import learned_file
-from hmi_marl.agents.learned.shipped import is_shipped
+from hmi_marl.agents.learned.cards import is_shipped
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import json_value, sha256_of
 

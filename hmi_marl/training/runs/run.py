@@ -2,24 +2,30 @@
 
 The folder holds ``run.json`` (the resolved settings), ``checkpoint.safetensors``, ``curve.json``
 (rows of losses and measures) and, unless the run is quiet, ``tensorboard/``. A subclass learns and
-saves its models there.
+saves its models there. The environment's state is not kept: a batch is a whole episode of every
+team from its start, and all random numbers follow from the run's seed and the batch's number.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from types import MappingProxyType, TracebackType
+from typing import Any, Protocol, Self
 
 import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as save_tensors
+from tqdm import tqdm
 
 import hmi_marl
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.files import make_folder, write_json
-from hmi_marl.training.runs.checkpoint import Checkpoint
+from hmi_marl.files import make_folder, write_bytes, write_json
 from hmi_marl.training.runs.folder import (
     CHECKPOINT,
     CURVE,
@@ -29,7 +35,173 @@ from hmi_marl.training.runs.folder import (
     run_settings,
 )
 from hmi_marl.training.runs.processes import ALONE, Processes
-from hmi_marl.training.runs.progress import Progress
+
+OPTIMIZER = "optimizer"
+FORMAT = "hmi-marl checkpoint 1"
+
+
+@dataclass
+class Checkpoint:
+    """State of a run: one safetensors file with JSON in its header, written atomically."""
+
+    phase: int = 0
+    """Index of the current phase; the number of phases if the run is finished."""
+    iteration: int = 0
+    """Batches learned from in that phase."""
+    steps: int = 0
+    """Environment steps taken in the whole run, over all processes."""
+    seconds: float = 0.0
+    """Time spent in the whole run [s]."""
+    tensors: dict[str, dict[str, torch.Tensor]] = field(default_factory=dict)
+    """Weights and optimizer's state of each learner, by its name."""
+    curve: list[dict[str, Any]] = field(default_factory=list)
+    """A row for each batch."""
+
+    def save(self, path: Path) -> None:
+        """Write the state, atomically."""
+        flat = {
+            f"{learner}/{name}": tensor.detach().cpu().contiguous()
+            for learner, tensors in self.tensors.items()
+            for name, tensor in tensors.items()
+        }
+        header = {
+            "format": FORMAT,
+            "phase": self.phase,
+            "iteration": self.iteration,
+            "steps": self.steps,
+            "seconds": self.seconds,
+            "curve": self.curve,
+        }
+        write_bytes(path, save_tensors(flat, {"hmi_marl": json.dumps(header)}))
+
+    @classmethod
+    def load(cls, path: Path) -> Checkpoint:
+        """Read a state.
+
+        Raises:
+            ValueError: the file is damaged, or not such a checkpoint.
+        """
+        try:
+            with safe_open(path, "pt") as file:
+                header = json.loads((file.metadata() or {}).get("hmi_marl", "{}"))
+                flat = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        except (SafetensorError, json.JSONDecodeError) as error:
+            raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
+        if not isinstance(header, dict) or header.pop("format", None) != FORMAT:
+            raise ValueError(f"{path} is not a checkpoint that can be read here")
+        tensors: dict[str, dict[str, torch.Tensor]] = {}
+        for full_name, tensor in flat.items():
+            learner, name = full_name.split("/", 1)
+            tensors.setdefault(learner, {})[name] = tensor
+        try:
+            return cls(tensors=tensors, **header)
+        except TypeError as error:
+            raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
+
+
+def flat_moments(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Return the moments in an optimizer's state dict by flat names."""
+    return {
+        f"{OPTIMIZER}.{parameter}.{name}": torch.as_tensor(value)
+        for parameter, moments in state["state"].items()
+        for name, value in moments.items()
+    }
+
+
+def with_moments(state: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+    """Return an optimizer's state dict with the moments that :func:`flat_moments` returned.
+
+    Args:
+        state: state dict of the optimizer.
+        tensors: tensors by flat names; those of no optimizer are ignored.
+    """
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for full_name, value in tensors.items():
+        kind, name = full_name.split(".", 1)
+        if kind == OPTIMIZER:
+            parameter, moment = name.split(".")
+            moments.setdefault(int(parameter), {})[moment] = value
+    return {**state, "state": moments}
+
+
+_LOSSES = ("L1", "L2", "L3", "L4")
+_ON_THE_BAR = ("return", "crash_rate", "alerts", "imitation", "loss", "held_out_loss")
+_LEARNING = ("value", "surrogate", "entropy", "learning_rate", "imitation", *_LOSSES)
+_SPEED = ("steps_per_second", "share_of_time_learning", "seconds")
+_NOTHING: Mapping[str, float] = MappingProxyType({})
+
+
+class Progress:
+    """Show the progress of a run.
+
+    Args:
+        name: name of the run.
+        total: steps of the whole run.
+        done: steps taken before; TensorBoard's points beyond them are dropped.
+        unit: name of the steps.
+        quiet: show nothing.
+        line: line of the terminal for the bar, counted from the current one.
+        board: folder for TensorBoard's files; None for none.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        total: int,
+        done: int = 0,
+        unit: str = "steps",
+        quiet: bool = False,
+        line: int = 0,
+        board: Path | None = None,
+    ) -> None:
+        self._writer = None
+        self._done = done
+        self._bar = tqdm(
+            total=total,
+            initial=done,
+            desc=name,
+            unit=f" {unit}",
+            unit_scale=unit == "steps",  # there are millions
+            disable=quiet,
+            position=line,
+            smoothing=0.05,
+        )
+        if board is not None and not quiet:
+            from torch.utils.tensorboard.writer import SummaryWriter  # takes a second
+
+            self._writer = SummaryWriter(str(board), purge_step=done + 1)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.close()
+        if self._writer is not None:
+            self._writer.close()
+
+    def phase(self, name: str) -> None:
+        """Show the name of what is done now."""
+        self._bar.set_description(name)
+
+    def advance(self, count: int = 1, row: Mapping[str, float] = _NOTHING) -> None:
+        """Show ``count`` more steps, and a row of the curve if there is one."""
+        self._done += count
+        self._bar.update(count)
+        if not row:
+            return
+        self._bar.set_postfix({name: f"{row[name]:.4g}" for name in _ON_THE_BAR if name in row})
+        if self._writer is None:
+            return
+        for name, value in row.items():
+            group = "learning" if name.endswith(_LEARNING) else "episode"
+            group = "speed" if name in _SPEED else group
+            self._writer.add_scalar(f"{group}/{name}", value, self._done)
+
 
 Tensors = dict[str, dict[str, torch.Tensor]]
 

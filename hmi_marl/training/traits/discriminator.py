@@ -10,7 +10,7 @@ import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 
 from hmi_marl.agents.learned.trait_model import TraitCard
-from hmi_marl.training.runs.checkpoint import flat_moments, with_moments
+from hmi_marl.training.runs.run import flat_moments, with_moments
 from hmi_marl.training.traits.losses import (
     adversarial_loss,
     cohesion_loss,
@@ -26,8 +26,8 @@ from hmi_marl.training.traits.model import (
     log_likelihood,
     log_policy,
 )
-from hmi_marl.training.traits.pools import Batch, transitions
 from hmi_marl.training.traits.settings import TraitSettings
+from hmi_marl.training.traits.windows import Batch, transitions
 
 LONGEST_GRADIENT = 10.0
 _MODEL = "model."

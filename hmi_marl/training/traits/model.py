@@ -13,11 +13,10 @@ from tensordict import TensorDict
 from torch.nn.functional import one_hot
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA
-from hmi_marl.agents.learned.trait_model import PARTS, TraitCard
+from hmi_marl.agents.learned.trait_model import ACTIONS, EXTRA, PARTS, TraitCard
 from hmi_marl.training.ppo.heads import OneAction
 from hmi_marl.training.ppo.models import GROUPS, array_of, layers_of, make_critic
-from hmi_marl.training.traits.pools import Batch, Units
+from hmi_marl.training.traits.windows import Batch, Units
 
 FIRST_LOG_VARIANCE = -3.0
 """Initial log variance of z: small enough that z depends on its mean, which is random then."""

@@ -26,19 +26,17 @@ from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of
-from hmi_marl.training.runs.progress import Progress
-from hmi_marl.training.traits.labels import make_labels
 from hmi_marl.training.traits.settings import TraitSettings
 
 with needing("training"):
     import torch
 
     from hmi_marl.training.runs.processes import ALONE
-    from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
+    from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
     from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
-    from hmi_marl.training.traits.pools import Batch, Units, Windows
+    from hmi_marl.training.traits.windows import Batch, Units, Windows, make_labels
 
 PREPARING_POOLS = 64
 """Pools from which the encoder takes its units."""
@@ -66,9 +64,7 @@ def learn_traits(
             labelled windows, in the preference-supervised setting without ``preferences``.
         folder: folder of the run.
         preferences: people's answers by name, for the preference-supervised setting.
-        quiet: no progress bar and no TensorBoard.
-        command_line: command that started it, kept with the model.
-        line: line of the terminal for the progress bar.
+        quiet, command_line, line: see :class:`Run`.
 
     Raises:
         FileNotFoundError: there are no demonstrations.

@@ -4,49 +4,51 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from functools import partial
+from typing import Annotated, Literal
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.checks import (
-    check_choice,
+    Check,
+    Checked,
+    Count,
+    CountOrZero,
+    Positive,
+    PositiveOrZero,
+    Share,
     check_count,
     check_mini_batches,
-    check_positive,
     check_share,
 )
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.streams import check_seed
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.envs.streams import Seed
+from hmi_marl.training.protocols.settings import PPOSettings
 
 Supervision = Literal["none", "id", "preference"]
 
 
 @dataclass(frozen=True)
-class LossWeights:
+class LossWeights(Checked):
     """Weights of the losses in the paper's loss table, and of imitation in the encoder.
 
     Raises:
         ValueError: a weight below 0, or not finite.
     """
 
-    reconstruct: float = 1.0
+    reconstruct: PositiveOrZero = 1.0
     """Weight of L1, the adversarial loss."""
-    information: float = 5.0
+    information: PositiveOrZero = 5.0
     """Weight of L2, the information loss."""
-    contrast: float = 10.0
+    contrast: PositiveOrZero = 10.0
     """Weight of L3, the contrastive loss."""
-    regularise: float = 1e-4
+    regularise: PositiveOrZero = 1e-4
     """Weight of L4, the regularisation."""
-    imitate: float = 0.0
+    imitate: PositiveOrZero = 0.0
     """Weight of −log π(a | s, z) on demonstrations in the encoder, which is not in the paper. The
     policy always learns from it: a random policy would crash at once and leave the discriminator
     nothing to compare. With 1 the encoder learns the part of z that the policy can use, which makes
     the unsupervised setting much more accurate."""
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            check_positive(name, value, zero=True)
 
     def by_loss(self) -> dict[str, float]:
         """Weights by the names of the losses."""
@@ -60,7 +62,7 @@ class LossWeights:
 
 
 @dataclass(frozen=True)
-class TraitSettings:
+class TraitSettings(Checked):
     """Settings of learning latent traits from demonstrations.
 
     Raises:
@@ -69,39 +71,39 @@ class TraitSettings:
 
     supervision: Supervision = "none"
     """Labels of windows: none, the driver (id), or the driver's wish for help (preference)."""
-    labelled: float = 0.2
+    labelled: Annotated[float, Check(partial(check_share, zero=False))] = 0.2
     """Share of each driver's windows that is labelled."""
-    label_bandwidth: float = 0.0
+    label_bandwidth: PositiveOrZero = 0.0
     """Bandwidth of the Gaussian by which graded labels count as similar, in units of the labels; 0
     if labels are only equal or different."""
-    margin: float = 2.0
+    margin: Positive = 2.0
     """Margin ε of L3: least distance between latent vectors of different labels."""
-    held_out: float = 0.2
+    held_out: Annotated[float, Check(partial(check_share, one=False))] = 0.2
     """Share of each driver's windows, the last ones, that is kept out of the learning."""
-    latent: int = 2
+    latent: Count = 2
     """Size of z."""
-    pool: int = 8
+    pool: Count = 8
     """Windows of one driver that are pooled."""
     encoder_units: int = 128
     """Recurrent units of the context encoder."""
-    imitation_updates: int = 600
+    imitation_updates: CountOrZero = 600
     """Updates before the policy drives, in which the policy learns by imitation and the encoder
     from the losses that need no driving by the policy."""
-    steps: int = 1_000_000
+    steps: Count = 1_000_000
     """Environment steps of the policy, rounded up to whole rounds."""
-    num_teams: int = 64
+    num_teams: Count = 64
     """Cars that the policy drives in a round, one window each. The cars of a pool share one z."""
-    expert_pools: int = 16
+    expert_pools: Count = 16
     """Pools of demonstrations in each update of the discriminator, in pairs of one driver."""
-    labelled_pools: int = 16
-    """Labelled pools in each update, if there are labels."""
-    updates: int = 2
+    labelled_pools: Annotated[int, Check(partial(check_count, least=2))] = 16
+    """Labelled pools in each update, if there are labels; L3 compares them."""
+    updates: Count = 2
     """Updates of the discriminator in each round."""
-    settling: float = 0.06
+    settling: Share = 0.06
     """Share of the rounds, at the start, in which only the discriminator learns."""
-    learning_rate: float = 5e-4
+    learning_rate: Positive = 5e-4
     """Learning rate of the discriminator."""
-    imitation_rate: float = 5e-3
+    imitation_rate: Positive = 5e-3
     """Learning rate of the policy's imitation."""
     weights: LossWeights = field(default_factory=LossWeights)
     """Weights of the losses."""
@@ -122,36 +124,24 @@ class TraitSettings:
         )
     )
     """Settings of the policy's PPO. Its reward f − log π already contains the entropy."""
-    seed: int = 0
+    seed: Seed = 0
     """Random seed. The same seed and demonstrations give the same weights (on one machine)."""
     device: str = "auto"
     """Device of the learner: cpu, cuda, or auto for a GPU if there is one."""
-    threads: int = 1
+    threads: Count = 1
     """Threads of the world and of the learner."""
-    checkpoint_every: float = 60.0
+    checkpoint_every: PositiveOrZero = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", check_seed(self.seed))
-        check_choice("supervision", self.supervision, get_args(Supervision))
+        super().__post_init__()
         if self.label_bandwidth and self.supervision == "id":
             raise ValueError(
                 f"label_bandwidth = {self.label_bandwidth} is for graded labels, but drivers are "
                 "not graded; set it to 0, or supervision to preference"
             )
-        for name in ("steps", "num_teams", "expert_pools", "updates", "threads", "pool", "latent"):
-            check_count(name, getattr(self, name))
         if self.expert_pools % 2:
             raise ValueError(f"expert_pools is an even number, but got {self.expert_pools}")
-        check_count("imitation_updates", self.imitation_updates, least=0)
-        check_share("settling", self.settling)
-        check_share("held_out", self.held_out, one=False)
-        check_share("labelled", self.labelled, zero=False)
-        check_count("labelled_pools", self.labelled_pools, least=2)  # L3 compares them
-        for name in ("label_bandwidth", "checkpoint_every"):
-            check_positive(name, getattr(self, name), zero=True)
-        for name in ("margin", "learning_rate", "imitation_rate"):
-            check_positive(name, getattr(self, name))
         if self.num_teams % self.pool:
             raise ValueError(
                 f"num_teams is a multiple of pool = {self.pool}, since the policy's windows are "

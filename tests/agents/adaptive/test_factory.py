@@ -7,10 +7,17 @@ from evidence_models import HIDDEN, any_intents, save_trained, seeds, turns
 from standing_world import standing_teams
 
 from hmi_marl.agents import make_hmi
-from hmi_marl.agents.adaptive import factory
+from hmi_marl.agents.adaptive import hmis
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
-from hmi_marl.agents.adaptive.factory import KINDS, TYPES, Trained, make_adaptive
-from hmi_marl.agents.adaptive.hmis import ChoosingHMI, ConditionedHMI, ExpectedValueHMI
+from hmi_marl.agents.adaptive.hmis import (
+    KINDS,
+    TYPES,
+    ChoosingHMI,
+    ConditionedHMI,
+    ExpectedValueHMI,
+    Trained,
+    make_adaptive,
+)
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE
 from hmi_marl.agents.learned.policy import read_policy, save_policy
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, Traits
@@ -25,7 +32,7 @@ def trained(tmp_path):
 @pytest.fixture
 def shipped(trained, monkeypatch):
     """As if these came with the package."""
-    monkeypatch.setattr(factory, "Trained", lambda: trained)
+    monkeypatch.setattr(hmis, "Trained", lambda: trained)
 
 
 @pytest.mark.usefixtures("shipped")

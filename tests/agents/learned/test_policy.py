@@ -9,8 +9,8 @@ from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout
+from hmi_marl.envs.single import MergeDriver, MergeHMI
 from hmi_marl.envs.streams import Stream, uniform
-from hmi_marl.envs.views import MergeDriver, MergeHMI
 
 SMALL = {"scene": Scene(vehicles=2), "duration": 1.0}
 CONFIG = TeamConfig()

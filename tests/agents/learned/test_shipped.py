@@ -10,7 +10,7 @@ import torch
 
 from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.agents.catalogue import known_names
-from hmi_marl.agents.learned.shipped import (
+from hmi_marl.agents.learned.cards import (
     FOLDER,
     INDEX,
     find_shipped,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, Recent, situations
+from hmi_marl.agents.learned.trait_model import ACTIONS, EXTRA, LONG_AGO, Recent, situations
 
 COLUMNS = 3
 seeds = st.integers(0, 2**32 - 1)

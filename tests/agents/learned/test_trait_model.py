@@ -10,12 +10,15 @@ from hypothesis import strategies as st
 
 from hmi_marl.agents.learned import trait_model
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
 from hmi_marl.agents.learned.trait_model import (
+    ACTIONS,
+    EXTRA,
+    LONG_AGO,
     PARTS,
     TraitCard,
     TraitModel,
     encoder_inputs,
+    situations,
     standardise,
 )
 

@@ -33,8 +33,8 @@ if "no locks" in sys.argv:
         raise OSError(37, "No locks available")
     fcntl.flock = flock
 if "impatient" in sys.argv:
-    from hmi_marl.envs.worlds.batched import kept_code
-    kept_code._PATIENCE = 1.0
+    from hmi_marl.envs.worlds.batched import compiler
+    compiler._PATIENCE = 1.0
 if "full disk" in sys.argv:
     def write_bytes(self, data):
         self.touch()

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hmi_marl.envs.scene import Scene
-from hmi_marl.envs.worlds.highway import HighwayWorld
-from hmi_marl.envs.worlds.lidar import PerceivedObject, trace
+from hmi_marl.envs.worlds.highway import HighwayWorld, PerceivedObject, trace
 
 ALL = np.ones(1, np.bool_)
 CAR = {"LENGTH": 5.0, "WIDTH": 2.0}

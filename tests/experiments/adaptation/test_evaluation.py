@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from evidence_models import save_trained, small_evaluation
 
-from hmi_marl.agents.adaptive.factory import TYPES
+from hmi_marl.agents.adaptive.hmis import TYPES
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.experiments.adaptation import evaluation as adapt
 from hmi_marl.experiments.adaptation.evaluation import (

@@ -5,8 +5,7 @@ from evidence_models import HIDDEN, save_trained
 
 from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence
-from hmi_marl.agents.adaptive.factory import TYPES
-from hmi_marl.agents.adaptive.hmis import ChoosingHMI, ConditionedHMI, ExpectedValueHMI
+from hmi_marl.agents.adaptive.hmis import TYPES, ChoosingHMI, ConditionedHMI, ExpectedValueHMI
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.exact.evidence import ChainEvidence
 from hmi_marl.experiments.adaptation.hmis import (

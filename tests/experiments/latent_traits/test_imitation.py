@@ -9,8 +9,7 @@ from trait_models import untrained
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import make_card, save_policy
-from hmi_marl.agents.learned.situations import situations
-from hmi_marl.agents.learned.trait_model import TraitModel
+from hmi_marl.agents.learned.trait_model import TraitModel, situations
 from hmi_marl.demonstrations.dataset import Observed
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import TeamConfig

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from hmi_marl.experiments.experiment import Place, conduct
+from hmi_marl.experiments.latent_traits import figures
 from hmi_marl.experiments.latent_traits import report as trait_report
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
-from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2
+from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, average_kl
 from hmi_marl.experiments.latent_traits.report import (
     TraitResults,
     accuracy_figure,
@@ -102,6 +103,7 @@ THREE = {
     "preference": [one("preference", hits=60, kl=70.0, likes=94)],
 }
 ALL = TraitResults(THREE, POOL)
+EMBEDDINGS = {name: one.embedding for name, one in ALL.first.items()}
 
 
 def results(**assessments: list[Assessment]) -> TraitResults:
@@ -373,7 +375,7 @@ def test_json_holds_every_seed_and_no_nan(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_figures_are_pngs() -> None:
-    for figure in (embeddings_figure(ALL), accuracy_figure(ALL)):
+    for figure in (embeddings_figure(EMBEDDINGS), accuracy_figure(ALL)):
         assert figure.content.startswith(b"\x89PNG\r\n\x1a\n")
 
 
@@ -393,13 +395,14 @@ def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
         return Saved()
 
     monkeypatch.setattr(trait_report, "draw_accuracy", curves)
-    monkeypatch.setattr(trait_report, "draw_embeddings", panels)
-    assert accuracy_figure(ALL).content == embeddings_figure(ALL).content == b"figure"
+    monkeypatch.setattr(figures, "draw_embeddings", panels)
+    assert accuracy_figure(ALL).content == embeddings_figure(EMBEDDINGS).content == b"figure"
     windows, lines, ceiling, chance = drawn["accuracy"]
     assert (windows, ceiling, chance) == ([1, 8], [0.9, 0.9], 0.25)
     assert lines["by driver"] == [share(30, 100), share(88, 100)]
     titles = [(panel.title, panel.average_kl) for panel in drawn["panels"]]
-    assert titles == [("unsupervised", 10.0), ("by driver", 80.0), ("by preference", 70.0)]
+    kl = [average_kl(one.means, one.types) for one in EMBEDDINGS.values()]
+    assert titles == list(zip(("unsupervised", "by driver", "by preference"), kl, strict=True))
     accuracy_figure(results(none=[one(best=None)]))
     assert drawn["accuracy"][2] is None, "an unknown ceiling is not one of 100 %"
 

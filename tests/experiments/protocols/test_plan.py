@@ -21,7 +21,7 @@ from hmi_marl.experiments.protocols.plan import (
     play_all,
     play_pair,
 )
-from hmi_marl.training.runs.jobs import train_all
+from hmi_marl.training.jobs import train_all
 
 TINY = ProtocolComparison(
     steps=160,  # of 80 in a batch: two for the driver, one for the HMI

@@ -10,8 +10,8 @@ from hmi_marl.envs.drivers import DRIVERS, known_name
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import make_world
-from hmi_marl.training.evidence import drives as driving
-from hmi_marl.training.evidence.drives import MixedPopulation, drive_all
+from hmi_marl.training.evidence import run as driving
+from hmi_marl.training.evidence.run import MixedPopulation, drive_all
 from hmi_marl.training.evidence.settings import EvidenceSettings
 
 SETTINGS = EvidenceSettings(

@@ -9,10 +9,9 @@ from hmi_marl.agents.adaptive.evidence_model import load_evidence
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.training.evidence import run
-from hmi_marl.training.evidence.drives import Drives, drive_all
-from hmi_marl.training.evidence.run import learn_evidence
+from hmi_marl.training.evidence.run import Drives, drive_all, learn_evidence
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.runs.checkpoint import Checkpoint
+from hmi_marl.training.runs.run import Checkpoint
 
 TINY = EvidenceSettings(
     driver_policy="rule",

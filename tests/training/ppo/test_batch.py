@@ -7,7 +7,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
-from hmi_marl.training.ppo.batch import play_batch
+from hmi_marl.training.ppo.learner import play_batch
 
 SETTINGS = {"driver": ["bart", "homer"], "duration": 2.0, "reward": "individual"}
 

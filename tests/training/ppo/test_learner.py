@@ -12,11 +12,16 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.exact import oracle
-from hmi_marl.training.ppo.batch import play_batch
-from hmi_marl.training.ppo.learner import PPOLearner, ShuffledOnce, TwoLearners
-from hmi_marl.training.ppo.models import make_actor, make_critic, make_joint_actor, weights_of
-from hmi_marl.training.ppo.settings import PPOSettings
-from hmi_marl.training.ppo.views import IntentShown, SeatView
+from hmi_marl.training.ppo.learner import PPOLearner, ShuffledOnce, TwoLearners, play_batch
+from hmi_marl.training.ppo.models import (
+    IntentShown,
+    SeatView,
+    make_actor,
+    make_critic,
+    make_joint_actor,
+    weights_of,
+)
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.processes import Processes
 
 TINY = NetworkConfig((8,))

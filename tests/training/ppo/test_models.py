@@ -10,13 +10,13 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
 from hmi_marl.training.ppo.models import (
+    SeatView,
     make_actor,
     make_critic,
     make_joint_actor,
     weights_of,
     weights_of_both,
 )
-from hmi_marl.training.ppo.views import SeatView
 
 CONFIG = TeamConfig(driver=["bart", "lisa", "homer"])
 SMALL = NetworkConfig((7, 6), "elu")

@@ -9,7 +9,7 @@ from hmi_marl.agents.learned.policy import PolicyCard, make_card
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
-from hmi_marl.training.ppo.views import IntentShown, SeatView
+from hmi_marl.training.ppo.models import IntentShown, SeatView
 
 CONFIG = TeamConfig(driver=["bart", "lisa", "homer"])
 

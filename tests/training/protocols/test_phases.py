@@ -2,9 +2,8 @@ import pytest
 
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.training.protocols.alternating import Alternating
-from hmi_marl.training.protocols.joint import Joint
+from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.settings import LEARNED, Phase
-from hmi_marl.training.protocols.simultaneous import Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 

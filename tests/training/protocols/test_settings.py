@@ -5,11 +5,9 @@ import pytest
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.files import json_value
-from hmi_marl.training.ppo.settings import PPOSettings
 from hmi_marl.training.protocols.alternating import Alternating
-from hmi_marl.training.protocols.joint import Joint
-from hmi_marl.training.protocols.settings import TrainSettings
-from hmi_marl.training.protocols.simultaneous import Simultaneous
+from hmi_marl.training.protocols.joint import Joint, Simultaneous
+from hmi_marl.training.protocols.settings import PPOSettings, TrainSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 PROTOCOLS = (TwoStage, Joint, Simultaneous, Alternating)

@@ -10,10 +10,10 @@ import torch
 
 from hmi_marl.agents.learned.policy import read_policy
 from hmi_marl.training.ppo.run import train
-from hmi_marl.training.ppo.settings import PPOSettings
-from hmi_marl.training.protocols.simultaneous import Simultaneous
-from hmi_marl.training.runs.checkpoint import Checkpoint
+from hmi_marl.training.protocols.joint import Simultaneous
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.processes import Processes, joined
+from hmi_marl.training.runs.run import Checkpoint
 
 SETTINGS = Simultaneous(
     steps=160,

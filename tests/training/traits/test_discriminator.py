@@ -6,11 +6,11 @@ import torch
 from demonstrations import LAYOUT, made_up
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
 from hmi_marl.training.traits.model import log_policy, make_policy
-from hmi_marl.training.traits.pools import Units, Windows, transitions
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
+from hmi_marl.training.traits.windows import Units, Windows, transitions
 
 SETTINGS = TraitSettings(
     num_teams=4,

@@ -8,11 +8,11 @@ from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.scene import Scene
-from hmi_marl.training.ppo.settings import PPOSettings
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.generator import Generator
 from hmi_marl.training.traits.model import log_policy
-from hmi_marl.training.traits.pools import Units
 from hmi_marl.training.traits.settings import TraitSettings
+from hmi_marl.training.traits.windows import Units
 
 CONFIG = TeamConfig(duration=1.0, end_at_crash=False, scene=Scene(vehicles=(1, 2)))
 SETTINGS = TraitSettings(

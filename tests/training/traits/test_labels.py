@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from demonstrations import made_up
 
-from hmi_marl.training.traits.labels import choose_labelled, make_labels, read_preferences
+from hmi_marl.training.traits.windows import choose_labelled, make_labels, read_preferences
 
 NAMES = ("ada", "bob")
 DRIVER = [0, 1, 0, 1, 0, 0, -1, 0]

@@ -8,8 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, situations
-from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel, encoder_inputs
+from hmi_marl.agents.learned.trait_model import (
+    ACTIONS,
+    EXTRA,
+    TraitCard,
+    TraitModel,
+    encoder_inputs,
+    situations,
+)
 from hmi_marl.training.traits.model import (
     FORGETTING,
     SMALLEST_UNIT,
@@ -23,7 +29,7 @@ from hmi_marl.training.traits.model import (
     make_value,
     weights_of_model,
 )
-from hmi_marl.training.traits.pools import Batch, Units, Windows, transitions
+from hmi_marl.training.traits.windows import Batch, Units, Windows, transitions
 
 CARD = TraitCard(
     tuple((part.name, part.size) for part in LAYOUT.parts),

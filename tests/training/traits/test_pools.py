@@ -7,8 +7,8 @@ from demonstrations import LAYOUT, changed, made_up
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_marl.agents.learned.situations import EXTRA, situations
-from hmi_marl.training.traits.pools import Batch, Units, Windows, draw_pools, transitions
+from hmi_marl.agents.learned.trait_model import EXTRA, situations
+from hmi_marl.training.traits.windows import Batch, Units, Windows, draw_pools, transitions
 
 NAN = float("nan")
 LENGTH = [3, 5, 2, 5, 1, 4, 5, 3, 4]

@@ -1,7 +1,7 @@
 """The compiled world: thousands of merges at once, equal to highway-env.
 
 One file per physical idea; each function names the highway-env rule that it restates: ``lanes``,
-``neighbours``, ``idm``, ``mobil``, ``control``, ``motion``, ``collisions``, ``lidar``, ``spawn``.
+``neighbours``, ``traffic``, ``control``, ``motion``, ``collisions``, ``lidar``, ``spawn``.
 ``memory`` is the layout of the numbers, ``kernels`` loops over worlds, ``world`` is the interface.
 """
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
 from hmi_marl.envs.worlds.batched.elementary import arcsin, arctan, tan
-from hmi_marl.envs.worlds.batched.idm import ACC_MAX, acceleration, every_bit_counts
 from hmi_marl.envs.worlds.batched.lanes import (
     clip,
     follow_road,
@@ -37,8 +36,13 @@ from hmi_marl.envs.worlds.batched.memory import (
     X,
     Y,
 )
-from hmi_marl.envs.worlds.batched.mobil import choose_lane
 from hmi_marl.envs.worlds.batched.neighbours import front_of
+from hmi_marl.envs.worlds.batched.traffic import (
+    ACC_MAX,
+    acceleration,
+    choose_lane,
+    every_bit_counts,
+)
 
 KP_A = 1 / 0.6
 KP_HEADING = 1 / 0.2

@@ -35,8 +35,8 @@ from hmi_marl.envs.worlds.batched.memory import (
     X,
     Y,
 )
-from hmi_marl.envs.worlds.batched.mobil import LANE_CHANGE_DELAY
 from hmi_marl.envs.worlds.batched.neighbours import sort_by_x
+from hmi_marl.envs.worlds.batched.traffic import LANE_CHANGE_DELAY
 
 _mix_bits: Any = njit(streams.mix_bits)
 _place: Any = njit(scene.place)

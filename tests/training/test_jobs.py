@@ -2,9 +2,9 @@ import os
 
 import pytest
 
+from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.protocols.joint import Joint
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.jobs import Job, train_all
 
 TINY = {"num_teams": 16, "duration": 1.0}
 
