@@ -112,8 +112,7 @@ class ReproduceShip:
     def run(self, command_line: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
         from hmi_marl.reproduction.report import NUMBERS, PAGE
-        from hmi_marl.reproduction.shipping import ship
-        from hmi_marl.reproduction.suite import full_suite, shared_driver
+        from hmi_marl.reproduction.suite import full_suite, shared_driver, ship
 
         suite = full_suite()
         for agent in ship(suite, self.run_folder, shared_driver(suite, self.run_folder), self.out):

@@ -9,8 +9,8 @@ from typing import Annotated
 import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
+from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
-from hmi_marl.experiments.latent_traits.settings import AssessSettings
 from hmi_marl.reporting.report import PAGE
 from hmi_marl.training.traits.settings import TraitSettings
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,20 +108,18 @@ def audit_table(cells: Sequence[AuditedCell], window: int) -> Table:
     def ends(low: float, high: float) -> str:
         return f"{low:.0f} to {high:.0f}"
 
-    rows = [
-        [
-            f"{cell.hmi}, {cell.driver}",
-            f"{cell.paper:.0f}",
-            ends(cell.least, cell.most),
-            ends(*cell.optimum),
-            ends(*cell.optimum_if_eta_1),
-            "reachable" if cell.reachable else "OUT OF REACH of every alert policy",
-        ]
-        for cell in cells
-    ]
-    return Table(
+    columns: dict[str, Callable[[AuditedCell], str]] = {
+        "HMI, driver": lambda cell: f"{cell.hmi}, {cell.driver}",
+        "paper": lambda cell: f"{cell.paper:.0f}",
+        "reachable": lambda cell: ends(cell.least, cell.most),
+        "optimum": lambda cell: ends(*cell.optimum),
+        "optimum, η = 1": lambda cell: ends(*cell.optimum_if_eta_1),
+        "verdict": lambda cell: (
+            "reachable" if cell.reachable else "OUT OF REACH of every alert policy"
+        ),
+    }
+    title = (
         f"The paper's distraction returns, and what any alert policy can reach at N = {window} "
-        f"over {HORIZONS[0]} to {HORIZONS[-1]} steps",
-        ["HMI, driver", "paper", "reachable", "optimum", "optimum, η = 1", "verdict"],
-        rows,
+        f"over {HORIZONS[0]} to {HORIZONS[-1]} steps"
     )
+    return Table.of(title, cells, columns)

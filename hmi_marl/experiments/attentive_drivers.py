@@ -6,22 +6,19 @@ one policy is learned for both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.episodes import play_episodes
-from hmi_marl.experiments.experiment import Agent, Experiment, Place
-from hmi_marl.experiments.policies import EVALUATION_SEED, spec
+from hmi_marl.experiments.episodes import play_named
+from hmi_marl.experiments.experiment import Agent, Experiment, Place, spec
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
@@ -76,10 +73,7 @@ class AttentiveDrivers(Experiment[list[Driving]]):
         "confident driver (inflation 3) and a cautious one (9), neither ever distracted, as it "
         "learns."
     )
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "snapshots", "episodes"):
-            check_count(name, getattr(self, name))
+    counts = ("steps", "snapshots", "episodes")
 
     @classmethod
     def quick(cls) -> AttentiveDrivers:
@@ -140,18 +134,14 @@ class AttentiveDrivers(Experiment[list[Driving]]):
 
     def blocks(self, results: list[Driving]) -> Sequence[Block]:
         """Table of both drivers at every snapshot."""
-        head = ["million steps", "driver", "speed return", "crashes [%]", "median headway [s]"]
-        rows = [
-            [
-                f"{row.steps / 1e6:.2f}",
-                row.driver,
-                row.speed_return.shown(),
-                row.crash_rate.percent(),
-                f"{row.time_headway:.2f}",
-            ]
-            for row in results
-        ]
-        return [Table("As they learn", head, rows)]
+        columns: dict[str, Callable[[Driving], str]] = {
+            "million steps": lambda row: f"{row.steps / 1e6:.2f}",
+            "driver": lambda row: row.driver,
+            "speed return": lambda row: row.speed_return.shown(),
+            "crashes [%]": lambda row: row.crash_rate.percent(),
+            "median headway [s]": lambda row: f"{row.time_headway:.2f}",
+        }
+        return [Table.of("As they learn", results, columns)]
 
     def agents(self, place: Place) -> list[Agent]:
         """Policy of the drivers without distraction."""
@@ -161,10 +151,7 @@ class AttentiveDrivers(Experiment[list[Driving]]):
 
 def assess(policy: Path, steps: int, driver: Driver, episodes: int) -> Driving:
     """Let a driver drive with a learned policy, without alerts."""
-    team = TeamConfig(driver=driver)
-    seats = make_driver_policy(str(policy), team), make_hmi("never", team)
-    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + episodes, dtype=np.uint64)
-    played = play_episodes(team, *seats, seeds, world="batched")
+    played = play_named(TeamConfig(driver=driver), str(policy), "never", episodes)
     headways = played.median_time_headway
     return Driving(
         driver=driver.name,

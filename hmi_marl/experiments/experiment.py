@@ -18,18 +18,29 @@ from typing import Any, ClassVar, Generic, TypeVar
 from tqdm import tqdm
 
 from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.files import json_value, make_folder, write_bytes
 from hmi_marl.reporting.blocks import Block, Figure, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.jobs import Job, train_all
+from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import CHECKPOINT, seconds_of
 
 T = TypeVar("T")
 R = TypeVar("R")
 """Results of an experiment."""
+DRIVER_RUN = "driver"
+"""Folder of a run that learns a driver policy."""
+MODELS = (*PAPER_DRIVERS, "average")
+"""Drivers that HMIs without sight of attention are learned for."""
+HIDDEN_RUN = "hmi-{}"
+"""Folder of the run of each of these HMIs, {} for the driver model."""
+HIDDEN_EXPERIMENT = "hidden"
+"""Experiment that learns them, and its folder in a reproduction."""
 _DEPENDED_ON = (".safetensors", ".parquet")
 
 
@@ -110,6 +121,12 @@ class Experiment(ABC, Generic[R]):
     """Text on what the paper shows of it, and how ours corresponds to it."""
     uses_driver: ClassVar[bool] = False
     """Whether it plays with the driver policy that the experiments of a reproduction share."""
+    counts: ClassVar[tuple[str, ...]] = ()
+    """Settings that are whole numbers from 1 on."""
+
+    def __post_init__(self) -> None:
+        for name in self.counts:
+            check_count(name, getattr(self, name))
 
     @classmethod
     @abstractmethod
@@ -192,3 +209,18 @@ def learned_in(folder: Path) -> list[Path]:
 def driver_weights(place: Place) -> list[Path]:
     """Weights of the driver policy that the experiments share."""
     return [find_policy(place.driver_run, DRIVER).with_suffix(".safetensors")]
+
+
+def spec(driver: Driver) -> str:
+    """Write a driver as the command line takes one."""
+    return f"{driver.name}:{driver.beta:g},{driver.alpha:g},{driver.eta:g},{driver.inflation:g}"
+
+
+def driver_job(
+    drivers: tuple[str, ...], steps: int, num_teams: int, seed: int, folder: Path
+) -> Job:
+    """Training of one driver policy over these drivers, in a run below ``folder``."""
+    settings = TwoStage(
+        drivers=drivers, driver_steps=steps, hmi_steps=0, num_teams=num_teams, seed=seed
+    )
+    return Job(settings, folder / DRIVER_RUN)

@@ -7,25 +7,19 @@ an episode here, so that all have the same number of steps, over which the optim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import get_driver
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.criteria import GRADED_OPTIMUM_SHARE
-from hmi_marl.experiments.episodes import play_episodes
+from hmi_marl.experiments.episodes import exact_settings, play_named
 from hmi_marl.experiments.experiment import Agent, Experiment, Place
-from hmi_marl.experiments.policies import EVALUATION_SEED
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table, Text
@@ -156,10 +150,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
         "(Sec. IV). Below an alert has one of several strengths, and alerts that pile up may lose "
         "their effect. The optimum is exact here too."
     )
-
-    def __post_init__(self) -> None:
-        for name in ("hmi_steps", "episodes", "num_teams"):
-            check_count(name, getattr(self, name))
+    counts = ("hmi_steps", "episodes", "num_teams")
 
     @classmethod
     def quick(cls) -> GradedAlerts:
@@ -201,19 +192,11 @@ class GradedAlerts(Experiment[list[GradedRow]]):
     def assess(self, case: Case, folder: Path) -> GradedRow:
         """Play the HMI that was learned for a case, and the optimum, in the same episodes."""
         team = self.team(case)
-        seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + self.episodes, dtype=np.uint64)
-        played = {}
-        for name in (str(folder / case.name), "optimal"):
-            seats = make_driver_policy("rule", team), make_hmi(name, team)
-            played[name] = play_episodes(team, *seats, seeds, world="batched")
-        learned, optimal = played.values()
-        problem: dict[str, Any] = {
-            "driver": get_driver(case.driver),
-            "window": team.alert_window,
-            "horizon": team.horizon,
-            "strengths": team.alert_strengths,
-            "fatigue": team.fatigue,
-        }
+        learned, optimal = (
+            play_named(team, "rule", hmi, self.episodes)
+            for hmi in (str(folder / case.name), "optimal")
+        )
+        problem = exact_settings(team)
         best = oracle.solve_alerts(**problem)
         rule = partial(strongest_alert, team.alerts)
         steps = learned.length
@@ -245,22 +228,17 @@ class GradedAlerts(Experiment[list[GradedRow]]):
 
     def blocks(self, results: list[GradedRow]) -> Sequence[Block]:
         """Table of every case."""
-        head = ["driver, strengths", "learned", "optimum", "strongest", "silent", "share"]
-        head += ["shortfall", f"{100 * GRADED_OPTIMUM_SHARE:.0f} %"]
-        rows = [
-            [
-                row.case.describe(),
-                row.learned.shown(),
-                f"{row.optimum:.1f}",
-                f"{row.strongest:.1f}",
-                f"{row.silent:.1f}",
-                f"{100 * row.share:.1f} %",
-                f"{100 * row.shortfall:.1f} %",
-                "holds" if row.holds else "MISSED",
-            ]
-            for row in results
-        ]
-        return [Text(CAPTION), Table("Attention returns", head, rows)]
+        columns: dict[str, Callable[[GradedRow], str]] = {
+            "driver, strengths": lambda row: row.case.describe(),
+            "learned": lambda row: row.learned.shown(),
+            "optimum": lambda row: f"{row.optimum:.1f}",
+            "strongest": lambda row: f"{row.strongest:.1f}",
+            "silent": lambda row: f"{row.silent:.1f}",
+            "share": lambda row: f"{100 * row.share:.1f} %",
+            "shortfall": lambda row: f"{100 * row.shortfall:.1f} %",
+            f"{100 * GRADED_OPTIMUM_SHARE:.0f} %": lambda row: "holds" if row.holds else "MISSED",
+        }
+        return [Text(CAPTION), Table.of("Attention returns", results, columns)]
 
     def agents(self, place: Place) -> list[Agent]:
         """HMI of every case."""

@@ -6,7 +6,7 @@ driver, so that differences between them are paired.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
-from hmi_marl.experiments.episodes import play_episodes
-from hmi_marl.experiments.experiment import Agent, Experiment, Place
-from hmi_marl.experiments.policies import (
-    EVALUATION_SEED,
+from hmi_marl.experiments.episodes import evaluation_seeds, play_named
+from hmi_marl.experiments.experiment import (
     HIDDEN_EXPERIMENT,
     HIDDEN_RUN,
     MODELS,
+    Agent,
+    Experiment,
+    Place,
     driver_job,
 )
 from hmi_marl.files import json_value
@@ -108,10 +108,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
         "something. The Bayes filter, which knows the traits, is the ceiling."
     )
     uses_driver = True
-
-    def __post_init__(self) -> None:
-        for name in ("driver_steps", "hmi_steps", "rnn_hidden_dim", "episodes"):
-            check_count(name, getattr(self, name))
+    counts = ("driver_steps", "hmi_steps", "rnn_hidden_dim", "episodes")
 
     @classmethod
     def quick(cls) -> HiddenAttention:
@@ -149,9 +146,10 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
         return [self._play(model, place) for model in place.each(MODELS, "drivers")]
 
     def _play(self, model: str, place: Place) -> HiddenRow:
-        seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + self.episodes, dtype=np.uint64)
         team = TeamConfig(driver=model, ai_sees_attention=False)
-        share = revealing_share(team, place.driver_run, seeds[:500] + np.uint64(10**6))
+        share = revealing_share(
+            team, place.driver_run, evaluation_seeds(min(500, self.episodes)) + np.uint64(10**6)
+        )
         hmis = {
             LEARNED_OWN: str(place.folder / HIDDEN_RUN.format(model)),
             LEARNED_AVERAGE: str(place.folder / HIDDEN_RUN.format("average")),
@@ -159,10 +157,10 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             BAYES_AVERAGE: f"belief:average:{share}",
             NONE: "never",
         }
-        returns = {}
-        for label, hmi in hmis.items():
-            seats = make_driver_policy(str(place.driver_run), team), make_hmi(hmi, team)
-            returns[label] = play_episodes(team, *seats, seeds, world="batched").attention_return()
+        returns = {
+            label: play_named(team, str(place.driver_run), hmi, self.episodes).attention_return()
+            for label, hmi in hmis.items()
+        }
         exact = solve_belief(DRIVERS[model], team.alert_window, team.horizon, team.weights, share)
         return HiddenRow(
             driver=model,
@@ -196,15 +194,12 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             + [estimate.shown() for estimate in row.attention_return.values()]
             for row in results
         ]
-        differences = [
-            [
-                row.driver,
-                row.learned_minus_bayes.shown("+.1f"),
-                row.own_minus_average.shown("+.1f"),
-                "as good as Bayes" if row.as_good else "MISSED",
-            ]
-            for row in results
-        ]
+        differences: dict[str, Callable[[HiddenRow], str]] = {
+            "driver": lambda row: row.driver,
+            "learned - Bayes, own": lambda row: row.learned_minus_bayes.shown("+.1f"),
+            "own - AvgHMI, learned": lambda row: row.own_minus_average.shown("+.1f"),
+            "verdict": lambda row: "as good as Bayes" if row.as_good else "MISSED",
+        }
         return [
             Table(
                 "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if "
@@ -212,11 +207,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
                 ["driver", "revealing", "exact, own", *results[0].attention_return],
                 returns,
             ),
-            Table(
-                "Paired differences per episode",
-                ["driver", "learned - Bayes, own", "own - AvgHMI, learned", "verdict"],
-                differences,
-            ),
+            Table.of("Paired differences per episode", results, differences),
         ]
 
     def agents(self, place: Place) -> list[Agent]:

@@ -103,19 +103,12 @@ def bench(config: BenchConfig, progress: Callable[[int], Any] = id) -> list[Meas
                 speeds[turn, k] = contestant.run(config.seconds)
                 progress(1)
     ratios = np.median(speeds / speeds[:, :1], axis=0)
+    medians = np.median(speeds, axis=0)
     return [
         Measured(
-            name=contestant.name,
-            teams=contestant.teams,
-            threads=contestant.threads,
-            vehicles=contestant.vehicles,
-            steps_per_s=float(speed),
-            ratio=float(ratio),
-            bytes_per_team=contestant.bytes_per_team,
+            c.name, c.teams, c.threads, c.vehicles, float(speed), float(ratio), c.bytes_per_team
         )
-        for contestant, speed, ratio in zip(
-            contestants, np.median(speeds, axis=0), ratios, strict=True
-        )
+        for c, speed, ratio in zip(contestants, medians, ratios, strict=True)
     ]
 
 
@@ -288,19 +281,17 @@ def _team(scene: Scene, count: int, threads: int) -> Run:
 
 def make_report(config: BenchConfig, rows: Sequence[Measured], command_line: str) -> Report:
     """Make the report of a bench."""
-    entries = [
-        [
-            row.name,
-            f"{row.teams}",
-            f"{row.threads}",
-            f"{row.vehicles}",
-            f"{row.steps_per_s:,.0f}",
-            f"{row.ratio:,.1f}",
-            "-" if row.bytes_per_team is None else f"{row.bytes_per_team / 1000:.1f}",
-        ]
-        for row in rows
-    ]
-    head = ["", "teams", "threads", "vehicles", "steps/s", "ratio", "kB/team"]
+    columns: dict[str, Callable[[Measured], str]] = {
+        "": lambda row: row.name,
+        "teams": lambda row: f"{row.teams}",
+        "threads": lambda row: f"{row.threads}",
+        "vehicles": lambda row: f"{row.vehicles}",
+        "steps/s": lambda row: f"{row.steps_per_s:,.0f}",
+        "ratio": lambda row: f"{row.ratio:,.1f}",
+        "kB/team": lambda row: (
+            "-" if row.bytes_per_team is None else f"{row.bytes_per_team / 1000:.1f}"
+        ),
+    }
     numbers = {"rows": [asdict(row) for row in rows]}
-    table = Table("Speed, and its ratio to highway-env's own step", head, entries)
+    table = Table.of("Speed, and its ratio to highway-env's own step", rows, columns)
     return Report("bench", "Speed of the worlds", [table], numbers, command_line, asdict(config))

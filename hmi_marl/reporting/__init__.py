@@ -1,1 +1,1 @@
-"""."""
+"""Reports: blocks, pages, figures, clips, verdicts and statistics."""

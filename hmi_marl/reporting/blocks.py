@@ -10,11 +10,11 @@ import re
 from abc import ABC, abstractmethod
 from base64 import b64decode, b64encode
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from hmi_marl.files import json_value
 from hmi_marl.reporting.verdicts import Outcome, Verdict
@@ -22,6 +22,7 @@ from hmi_marl.reporting.verdicts import Outcome, Verdict
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
+T = TypeVar("T")
 COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
 """Colours of figures, in their order."""
 _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPORTED: "bad"}
@@ -101,6 +102,18 @@ class Table(Block):
     note: str = ""
     """Explanation below the table."""
     kind: ClassVar = "table"
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        items: Iterable[T],
+        columns: Mapping[str, Callable[[T], str]],
+        note: str = "",
+    ) -> Table:
+        """Make a table with a row for each item; columns are what they show of it, by heading."""
+        rows = [[shown(item) for shown in columns.values()] for item in items]
+        return cls(title, list(columns), rows, note)
 
     def as_text(self) -> str:
         """Render in columns for a terminal."""
@@ -251,6 +264,13 @@ def as_text(blocks: Iterable[Block]) -> str:
 def as_html(blocks: Iterable[Block]) -> str:
     """Render blocks as HTML, one below the other."""
     return "\n".join(block.as_html() for block in blocks)
+
+
+def canvas(width: float, height: float) -> Drawing:
+    """Make an empty matplotlib figure of this size [inches]."""
+    from matplotlib.figure import Figure as Drawing  # takes a while; no --help waits for it
+
+    return Drawing(figsize=(width, height), layout="constrained")
 
 
 def png(drawing: Drawing, dpi: int = 110) -> bytes:

@@ -1,1 +1,1 @@
-"""."""
+"""The whole reproduction: all experiments, the paper's claims, the report, the release."""

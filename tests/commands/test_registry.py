@@ -142,10 +142,9 @@ def test_a_command_that_needs_no_extra_runs_without_any(path: str, tmp_path: Pat
     [
         [
             "experiments.adaptation.evaluation",
-            "experiments.adaptation.report",
             "experiments.adaptation.experiment",
         ],
-        ["reproduction.suite", "reproduction.report", "reproduction.shipping"],
+        ["reproduction.suite", "reproduction.report"],
         ["experiments.speed", "agents", "envs.merge_v0", "envs.render", "agents.partners"],
     ],
 )

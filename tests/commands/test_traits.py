@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from hmi_marl.cli import main, parse
-from hmi_marl.experiments.latent_traits.settings import AssessSettings
+from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 COLLECT = ["--steps", "100", "--duration", "1", "--vehicles", "1", "4", "--num-teams", "64"]

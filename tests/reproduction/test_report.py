@@ -7,8 +7,7 @@ import pytest
 from hmi_marl.experiments.experiment import with_seed
 from hmi_marl.reporting.blocks import Table
 from hmi_marl.reproduction.claims import claims_json, judge
-from hmi_marl.reproduction.paper_items import paper_items
-from hmi_marl.reproduction.report import NUMBERS, PAGE, exact_values, full_report
+from hmi_marl.reproduction.report import NUMBERS, PAGE, exact_values, full_report, paper_items
 from hmi_marl.reproduction.suite import Record, full_suite, shared_driver
 
 SHIPPED = Path(__file__).parents[2] / "docs" / "report"

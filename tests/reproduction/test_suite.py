@@ -24,7 +24,8 @@ from hmi_marl.experiments.attentive_drivers import AttentiveDrivers
 from hmi_marl.experiments.graded_alerts import GradedAlerts
 from hmi_marl.experiments.hidden_attention import HiddenAttention
 from hmi_marl.experiments.metrics_table.experiment import MetricsTable
-from hmi_marl.experiments.latent_traits.experiment import AssessSettings, LatentTraits
+from hmi_marl.experiments.latent_traits.assessment import AssessSettings
+from hmi_marl.experiments.latent_traits.experiment import LatentTraits
 from hmi_marl.reproduction.report import full_report
 from hmi_marl.reproduction.suite import run_suite, shared_driver
 from hmi_marl.training.protocols.settings import PPOSettings

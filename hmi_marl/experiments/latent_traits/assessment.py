@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_model import TraitModel
+from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth, held_out
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.drivers import TRAIT_NAMES
@@ -36,13 +37,39 @@ from hmi_marl.experiments.latent_traits.probes import (
     trait_r2,
 )
 from hmi_marl.experiments.latent_traits.reward import RewardRanking, reward_ranking
-from hmi_marl.experiments.latent_traits.settings import MIN_UNSEEN_DRIVERS, AssessSettings
 from hmi_marl.files import json_value
 
 PARTS = 5
 """Calls of ``progress`` in :func:`assess`."""
 WINDOWS = (1, 2, 4, 8, 16)
 """Numbers of windows of a driver from which the driver is identified."""
+
+MIN_UNSEEN_DRIVERS = 4
+"""Least drivers to regress traits over: two fit the regression, and two judge it."""
+
+
+@dataclass(frozen=True)
+class AssessSettings:
+    """Size of the evaluation of each model.
+
+    Raises:
+        ValueError: a size below its least.
+    """
+
+    windows: int = 800
+    """Most windows of each driver, learned from or held out, that are encoded."""
+    episodes: int = 200
+    """Episodes that the policy drives with each driver's z."""
+    ranked: int = 100
+    """Held-out windows of each driver by which the recovered reward is judged."""
+    seed: int = 1_000_000
+    """Seed of those episodes and of all other draws."""
+
+    def __post_init__(self) -> None:
+        for name in ("windows", "episodes", "ranked"):
+            check_count(name, getattr(self, name))
+        if self.ranked < 2:
+            raise ValueError("ranking takes two windows: ranked is at least 2, but got 1")
 
 
 @dataclass(frozen=True)

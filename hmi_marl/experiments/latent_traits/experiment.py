@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.experiments.experiment import Agent, Experiment, Place, driver_weights
-from hmi_marl.experiments.latent_traits.settings import MIN_UNSEEN_DRIVERS, AssessSettings
-from hmi_marl.experiments.policies import driver_job
+from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
+from hmi_marl.experiments.latent_traits import assessment, ceiling
+from hmi_marl.experiments.latent_traits.assessment import (
+    MIN_UNSEEN_DRIVERS,
+    Assessment,
+    AssessSettings,
+)
+from hmi_marl.experiments.latent_traits.figures import embeddings_figure
+from hmi_marl.experiments.latent_traits.imitation import check_fits
+from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
 from hmi_marl.files import json_value, make_folder, sha256_of
-from hmi_marl.reporting.blocks import Block
-from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
-
-if TYPE_CHECKING:
-    from hmi_marl.agents.learned.trait_model import TraitModel
-    from hmi_marl.experiments.latent_traits.assessment import Assessment
-    from hmi_marl.experiments.latent_traits.report import TraitResults
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
 DEMONSTRATIONS, POPULATION = "demonstrations", "population"
@@ -39,34 +40,8 @@ _FREE = ("driver_policy", "num_teams")
 instead), and memory."""
 
 
-class _Judged(Experiment["TraitResults"]):
-    """Report of judged trait models."""
-
-    name = "traits"
-    files = "traits-report"
-    title = "Latent traits"
-
-    def numbers(self, results: TraitResults) -> Mapping[str, Any]:
-        """See :meth:`Experiment.numbers`."""
-        from hmi_marl.experiments.latent_traits.report import numbers
-
-        return numbers(results)
-
-    def judge(self, results: TraitResults) -> Sequence[Verdict]:
-        """See :meth:`Experiment.judge`."""
-        from hmi_marl.experiments.latent_traits.report import judge
-
-        return judge(results)
-
-    def blocks(self, results: TraitResults) -> Sequence[Block]:
-        """See :meth:`Experiment.blocks`."""
-        from hmi_marl.experiments.latent_traits.report import blocks
-
-        return blocks(results)
-
-
 @dataclass(frozen=True)
-class TraitEvaluation(_Judged):
+class TraitEvaluation(TraitReport):
     """Evaluation of trained models, as ``hmi-marl traits evaluate`` runs it."""
 
     runs: tuple[Path, ...]
@@ -95,12 +70,7 @@ class TraitEvaluation(_Judged):
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
                 other demonstrations or that pool or hold out differently.
         """
-        from hmi_marl.agents.learned.trait_model import load_traits
         from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations
-        from hmi_marl.experiments.latent_traits import assessment
-        from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, exact_evidence
-        from hmi_marl.experiments.latent_traits.imitation import check_fits
-        from hmi_marl.experiments.latent_traits.report import TraitResults, embeddings_figure
 
         models = [load_traits(run) for run in self.runs]
         data = read_demonstrations(self.demonstrations)
@@ -133,8 +103,8 @@ class TraitEvaluation(_Judged):
         with tqdm(total=parts, unit=" parts", desc="judging") as bar:
             exact = None
             try:
-                exact = exact_evidence(split.unseen, self.driver_policy)
-            except NoCeilingError as error:
+                exact = ceiling.exact_evidence(split.unseen, self.driver_policy)
+            except ceiling.NoCeilingError as error:
                 bar.write(str(error), file=sys.stderr)
             bar.update()
             for model, name, embedding in zip(models, settings, embeddings, strict=True):
@@ -151,7 +121,7 @@ class TraitEvaluation(_Judged):
 
 
 @dataclass(frozen=True)
-class LatentTraits(_Judged):
+class LatentTraits(TraitReport):
     """Learn latent traits in the paper's three settings and judge what was learned.
 
     With --seeds 5 every setting is learned five times, and accuracies and KL get intervals.
@@ -267,11 +237,6 @@ class LatentTraits(_Judged):
             write_demonstrations,
         )
         from hmi_marl.demonstrations.recording import collect
-        from hmi_marl.experiments.latent_traits.assessment import (
-            Split,
-            pool_sizes,
-            population_pools,
-        )
 
         for name, dataset in self.datasets(driver_run).items():
             truth = folder / name / TRUTH
@@ -290,9 +255,9 @@ class LatentTraits(_Judged):
             with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:
                 write_demonstrations(folder / name, collect(dataset, bar.update))
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
-        split = Split.of(demonstrations, learn.held_out, self.evaluation.windows)
-        pool_sizes(split, learn.pool, learn.latent)
-        population_pools(read_demonstrations(folder / POPULATION), learn.pool)
+        split = assessment.Split.of(demonstrations, learn.held_out, self.evaluation.windows)
+        assessment.pool_sizes(split, learn.pool, learn.latent)
+        assessment.population_pools(read_demonstrations(folder / POPULATION), learn.pool)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :meth:`Experiment.agents`."""
@@ -309,13 +274,11 @@ class LatentTraits(_Judged):
 
 def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:
     """Raise ``ValueError`` unless runs of one supervision differ in their seed and nothing else."""
-    from hmi_marl.experiments.latent_traits.assessment import supervision_of
-
     first: dict[str, tuple[Path, dict[str, Any]]] = {}
     seen: dict[tuple[str, int], Path] = {}
     for run, model in zip(runs, models, strict=True):
         settings = dict(model.card.training["settings"])
-        seed, supervision = settings.pop("seed", None), supervision_of(model)
+        seed, supervision = settings.pop("seed", None), assessment.supervision_of(model)
         if (supervision, seed) in seen:
             raise ValueError(f"{run} and {seen[supervision, seed]} have the same seed")
         seen[supervision, seed] = run

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse
-from matplotlib.ticker import PercentFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.drivers import PAPER_DRIVERS
-from hmi_marl.experiments.latent_traits.probes import checked_vectors
-from hmi_marl.reporting.blocks import COLOURS
+from hmi_marl.experiments.latent_traits.assessment import Embedding
+from hmi_marl.experiments.latent_traits.probes import average_kl, checked_vectors
+from hmi_marl.reporting.blocks import COLOURS, Figure, canvas, png
 from hmi_marl.reporting.statistics import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Ellipse
 
 Array = NDArray[np.float64]
 
@@ -25,6 +27,8 @@ Array = NDArray[np.float64]
 DRIVER_COLOURS = (*COLOURS[1:5], *COLOURS[5:], COLOURS[0])
 SETTING_COLOURS = (COLOURS[0], *COLOURS[5:], *COLOURS[1:5])
 """Different colours first, so that a setting is not mistaken for a driver."""
+TITLES = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
+"""Titles of the settings by supervision."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SIGMAS = 2.0
 """Standard deviations from an ellipse's centre to its edge."""
@@ -55,7 +59,7 @@ class EmbeddingPanel:
             )
 
 
-def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Figure:
+def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Drawing:
     """Draw a panel for each setting: vectors coloured by driver, 2σ ellipses, the average KL.
 
     Raises:
@@ -64,7 +68,7 @@ def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Figure:
     if not panels:
         raise ValueError("there are no embeddings to draw")
     names = _ordered(name for panel in panels for name in panel.names)
-    figure = Figure(figsize=(3.9 * len(panels) + 0.4, 4.6), layout="constrained")
+    figure = canvas(3.9 * len(panels) + 0.4, 4.6)
     for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         _embedding(axes, panel, names)
     figure.legend(
@@ -77,12 +81,23 @@ def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Figure:
     return figure
 
 
+def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
+    """Draw the paper's figure: a panel for each setting, with the average KL of its vectors."""
+    panels = [
+        EmbeddingPanel(
+            TITLES[name], one.means, one.types, one.names, average_kl(one.means, one.types)
+        )
+        for name, one in embeddings.items()
+    ]
+    return Figure("embeddings", "embeddings by driver", png(draw_embeddings(panels)))
+
+
 def draw_accuracy(
     windows: Sequence[int],
     curves: Mapping[str, Sequence[Estimate]],
     ceiling: ArrayLike | None,
     chance: float,
-) -> Figure:
+) -> Drawing:
     """Draw the accuracy of naming the driver by the number of windows seen, with 95 % intervals.
 
     Args:
@@ -103,7 +118,9 @@ def draw_accuracy(
     best = np.asarray(np.nan if ceiling is None else ceiling, np.float64)
     if best.shape not in ((), seen.shape):
         raise ValueError(f"{len(seen)} numbers of windows, but the ceiling has shape {best.shape}")
-    figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+    from matplotlib.ticker import PercentFormatter
+
+    figure = canvas(6.4, 4.6)
     axes = figure.subplots()
     for place, (name, curve) in enumerate(curves.items()):
         # A little apart, so that the intervals do not overlap.
@@ -172,6 +189,8 @@ def _two_axes(means: Array) -> tuple[Array, tuple[str, str]]:
 
 def _ellipse(points: Array, colour: str) -> Ellipse:
     """Make the ellipse SIGMAS standard deviations from the mean of the points (P, 2)."""
+    from matplotlib.patches import Ellipse
+
     variances, directions = np.linalg.eigh(np.cov(points, rowvar=False))
     height, width = 2.0 * SIGMAS * np.sqrt(np.clip(variances, 0.0, None))
     angle = float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
@@ -200,6 +219,8 @@ def _accuracy_line(axes: Axes, at: Array, curve: Sequence[Estimate], name: str, 
 
 
 def _legend_entry(name: str, place: int) -> Line2D:
+    from matplotlib.lines import Line2D
+
     return Line2D([], [], linestyle="", markersize=7, label=name, **_style(place))
 
 

@@ -359,11 +359,7 @@ def compare_driving(
         odd = ", ".join(sorted(set(demonstrated) ^ set(imitated)))
         raise ValueError(f"driving is compared over the same drivers, but only one has {odd}")
     return [
-        DrivingRow(
-            name,
-            driving(drives, policy_frequency),
-            driving(imitated[name], policy_frequency),
-        )
+        DrivingRow(name, *(driving(each, policy_frequency) for each in (drives, imitated[name])))
         for name, drives in demonstrated.items()
     ]
 

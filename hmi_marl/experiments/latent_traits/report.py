@@ -6,26 +6,24 @@ have been learned several times, from different seeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Embedding, Identified
-from hmi_marl.experiments.latent_traits.figures import (
-    EmbeddingPanel,
-    draw_accuracy,
-    draw_embeddings,
-)
-from hmi_marl.experiments.latent_traits.probes import average_kl
+from hmi_marl.experiments.experiment import Experiment
+from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Identified
+from hmi_marl.experiments.latent_traits.figures import TITLES, draw_accuracy, embeddings_figure
+from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
+from hmi_marl.experiments.latent_traits.probes import TraitR2
+from hmi_marl.experiments.latent_traits.reward import RewardRanking
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text, png
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict
 
-TITLES = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
-"""Titles of the settings by supervision."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -73,75 +71,82 @@ def over_seeds(values: Sequence[float]) -> Estimate:
     return Estimate(values[0], values[0], values[0])
 
 
-def judge(results: TraitResults) -> list[Verdict]:
-    """Judge the means of the settings that were learned, with pools of the models' size."""
-    size, found = results.pool, results.assessments
-    first = next(iter(results.first.values())).at_pool(size)
-    verdicts = []
+class TraitReport(Experiment[TraitResults]):
+    """Report of judged trait models."""
 
-    def add(claim: str, holds: bool, reason: str) -> None:
-        verdicts.append(Verdict.of_parts(claim, [holds], reason))
+    name = "traits"
+    files = "traits-report"
+    title = "Latent traits"
 
-    if "id" in found and first.ceilings is not None:
-        short = first.ceilings.identity.mean - results.accuracy("id", size).mean
-        margin = criteria.IDENTITY_MARGIN
-        claim = f"by driver: accuracy within {100 * margin:.0f} points of the ceiling"
-        add(claim, short <= margin, f"{100 * short:.1f} points below it")
-    if "preference" in found and first.preferences and first.ceilings:
-        reached = results.accuracy("preference", size, "preferences").mean
-        short, margin = first.ceilings.preference.mean - reached, criteria.PREFERENCE_MARGIN
-        claim = f"by preference: of preferences within {100 * margin:.0f} points of the ceiling"
-        add(claim, short <= margin, f"{100 * short:.1f} points below it")
-    if "none" in found:
-        above = results.accuracy("none", size).mean - first.types.chance
-        claim = f"unsupervised: {100 * criteria.ABOVE_CHANCE:.0f} points above chance"
-        add(claim, above >= criteria.ABOVE_CHANCE, f"{100 * above:.1f} points above it")
-        unsupervised = max(results.average_kl("none", size).mean, criteria.SMALLEST_KL)
-        for name in ("id", "preference"):
-            if name in found:
-                factor = results.average_kl(name, size).mean / unsupervised
-                claim = f"{TITLES[name]}: KL {criteria.KL_FACTOR:.0f} times the unsupervised one"
-                add(claim, factor >= criteria.KL_FACTOR, f"{factor:.1f} times")
-    return verdicts
+    def judge(self, results: TraitResults) -> list[Verdict]:
+        """Judge the means of the settings that were learned, with pools of the models' size."""
+        size, found = results.pool, results.assessments
+        first = next(iter(results.first.values())).at_pool(size)
+        verdicts = []
 
+        def add(claim: str, holds: bool, reason: str) -> None:
+            verdicts.append(Verdict.of_parts(claim, [holds], reason))
 
-def numbers(results: TraitResults) -> dict[str, Any]:
-    """JSON content."""
-    return {
-        "pool": results.pool,
-        "supervisions": {
-            name: {
-                "accuracy": results.accuracy(name, results.pool).as_json(),
-                "average_kl": results.average_kl(name, results.pool).as_json(),
-                "paper_kl": AVERAGE_KL[name],
-                "seeds": [one.as_json() for one in several],
-            }
-            for name, several in results.assessments.items()
-        },
-    }
+        if "id" in found and first.ceilings is not None:
+            short = first.ceilings.identity.mean - results.accuracy("id", size).mean
+            margin = criteria.IDENTITY_MARGIN
+            claim = f"by driver: accuracy within {100 * margin:.0f} points of the ceiling"
+            add(claim, short <= margin, f"{100 * short:.1f} points below it")
+        if "preference" in found and first.preferences and first.ceilings:
+            reached = results.accuracy("preference", size, "preferences").mean
+            short, margin = first.ceilings.preference.mean - reached, criteria.PREFERENCE_MARGIN
+            claim = f"by preference: of preferences within {100 * margin:.0f} points of the ceiling"
+            add(claim, short <= margin, f"{100 * short:.1f} points below it")
+        if "none" in found:
+            above = results.accuracy("none", size).mean - first.types.chance
+            claim = f"unsupervised: {100 * criteria.ABOVE_CHANCE:.0f} points above chance"
+            add(claim, above >= criteria.ABOVE_CHANCE, f"{100 * above:.1f} points above it")
+            unsupervised = max(results.average_kl("none", size).mean, criteria.SMALLEST_KL)
+            for name in ("id", "preference"):
+                if name in found:
+                    factor = results.average_kl(name, size).mean / unsupervised
+                    claim = (
+                        f"{TITLES[name]}: KL {criteria.KL_FACTOR:.0f} times the unsupervised one"
+                    )
+                    add(claim, factor >= criteria.KL_FACTOR, f"{factor:.1f} times")
+        return verdicts
 
+    def numbers(self, results: TraitResults) -> dict[str, Any]:
+        """JSON content."""
+        return {
+            "pool": results.pool,
+            "supervisions": {
+                name: {
+                    "accuracy": results.accuracy(name, results.pool).as_json(),
+                    "average_kl": results.average_kl(name, results.pool).as_json(),
+                    "paper_kl": AVERAGE_KL[name],
+                    "seeds": [one.as_json() for one in several],
+                }
+                for name, several in results.assessments.items()
+            },
+        }
 
-def blocks(results: TraitResults) -> list[Block]:
-    """Show the figures and all tables."""
-    seeds = max(len(several) for several in results.assessments.values())
-    note = (
-        f"On held-out windows; pools of {results.pool}; {seeds} seed(s). Bayes is the exact "
-        "classifier of the same windows, which no encoder can beat. Accuracies and KL are means "
-        "over seeds, the rest is of the first."
-    )
-    tables = (
-        identity_table(results),
-        trait_table(results),
-        likelihood_table(results),
-        driving_table(results),
-        ranking_table(results),
-    )
-    return [
-        Text(" ".join([note, *left_out(results)])),
-        embeddings_figure({name: one.embedding for name, one in results.first.items()}),
-        accuracy_figure(results),
-        *(table for table in tables if table.rows),
-    ]
+    def blocks(self, results: TraitResults) -> list[Block]:
+        """Show the figures and all tables."""
+        seeds = max(len(several) for several in results.assessments.values())
+        note = (
+            f"On held-out windows; pools of {results.pool}; {seeds} seed(s). Bayes is the exact "
+            "classifier of the same windows, which no encoder can beat. Accuracies and KL are "
+            "means over seeds, the rest is of the first."
+        )
+        tables = (
+            identity_table(results),
+            trait_table(results),
+            likelihood_table(results),
+            driving_table(results),
+            ranking_table(results),
+        )
+        return [
+            Text(" ".join([note, *left_out(results)])),
+            embeddings_figure({name: one.embedding for name, one in results.first.items()}),
+            accuracy_figure(results),
+            *(table for table in tables if table.rows),
+        ]
 
 
 def left_out(results: TraitResults) -> list[str]:
@@ -158,17 +163,6 @@ def left_out(results: TraitResults) -> list[str]:
         )
         if holds
     ]
-
-
-def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
-    """Draw the paper's figure: a panel for each setting, with the average KL of its vectors."""
-    panels = [
-        EmbeddingPanel(
-            TITLES[name], one.means, one.types, one.names, average_kl(one.means, one.types)
-        )
-        for name, one in embeddings.items()
-    ]
-    return Figure("embeddings", "embeddings by driver", png(draw_embeddings(panels)))
 
 
 def accuracy_figure(results: TraitResults) -> Figure:
@@ -213,102 +207,71 @@ def identity_table(results: TraitResults) -> Table:
 def _table(
     results: TraitResults,
     title: str,
-    head: Sequence[str],
-    rows: Callable[[Assessment], Sequence[Sequence[str]]],
+    items: Callable[[Assessment], Iterable[T]],
+    columns: Mapping[str, Callable[[T], str]],
 ) -> Table:
-    """Show rows of the first seed of each setting."""
-    listed = [[TITLES[name], *row] for name, one in results.first.items() for row in rows(one)]
-    return Table(title, ["setting", *head], listed)
+    """Show items of the first seed of each setting, a row each."""
+    listed = [(TITLES[name], item) for name, one in results.first.items() for item in items(one)]
+    rows = [[setting, *(shown(item) for shown in columns.values())] for setting, item in listed]
+    return Table(title, ["setting", *columns], rows)
 
 
 def trait_table(results: TraitResults) -> Table:
     """Show R² of each trait of unseen drivers."""
-    return _table(
-        results,
-        "Traits of unseen drivers",
-        ["trait", "R², linear", "R², smooth"],
-        lambda one: [
-            [trait, found.linear.shown("z.2f"), found.smooth.shown("z.2f")]
-            for trait, found in (one.traits or {}).items()
-        ],
-    )
-
-
-LIKELIHOOD = {
-    "own": "own z",
-    "other": "another's z",
-    "own_minus_other": "own - another's",
-    "exact": "exact",
-    "exact_minus_own": "exact - own",
-}
+    columns: dict[str, Callable[[tuple[str, TraitR2]], str]] = {
+        "trait": lambda row: row[0],
+        "R², linear": lambda row: row[1].linear.shown("z.2f"),
+        "R², smooth": lambda row: row[1].smooth.shown("z.2f"),
+    }
+    title = "Traits of unseen drivers"
+    return _table(results, title, lambda one: (one.traits or {}).items(), columns)
 
 
 def likelihood_table(results: TraitResults) -> Table:
     """Show the log-likelihood of held-out actions."""
-    return _table(
-        results,
-        "Log-likelihood of held-out actions per step [nats]",
-        ["driver", *LIKELIHOOD.values()],
-        lambda one: [
-            [
-                row.driver,
-                *(
-                    "-" if estimate is None else estimate.shown("z.3f")
-                    for estimate in (getattr(row, name) for name in LIKELIHOOD)
-                ),
-            ]
-            for row in one.likelihood
-        ],
-    )
 
+    def shown(estimate: Estimate | None) -> str:
+        return "-" if estimate is None else estimate.shown("z.3f")
 
-DRIVING = {
-    "speed": "speed [m/s]",
-    "headway": "headway [s]",
-    "lane_changes": "lane changes/min",
-    "repeated": "repeated",
-    "alert_effect": "more with alerts",
-    "crash_rate": "crashed",
-}
+    columns: dict[str, Callable[[ActionLikelihood], str]] = {
+        "driver": lambda row: row.driver,
+        "own z": lambda row: shown(row.own),
+        "another's z": lambda row: shown(row.other),
+        "own - another's": lambda row: shown(row.own_minus_other),
+        "exact": lambda row: shown(row.exact),
+        "exact - own": lambda row: shown(row.exact_minus_own),
+    }
+    title = "Log-likelihood of held-out actions per step [nats]"
+    return _table(results, title, lambda one: one.likelihood, columns)
 
 
 def driving_table(results: TraitResults) -> Table:
     """Show how the policy and the drivers drive."""
-    return _table(
-        results,
-        "The learned policy / the demonstrations",
-        ["driver", *DRIVING.values()],
-        lambda one: [
-            [
-                row.driver,
-                *(
-                    " / ".join(
-                        number(getattr(each, name).mean, ".3g")
-                        for each in (row.imitated, row.demonstrated)
-                    )
-                    for name in DRIVING
-                ),
-            ]
-            for row in one.driving
-        ],
-    )
+
+    def both(row: DrivingRow, of: Callable[[Driving], Estimate]) -> str:
+        return " / ".join(number(of(each).mean, ".3g") for each in (row.imitated, row.demonstrated))
+
+    columns: dict[str, Callable[[DrivingRow], str]] = {
+        "driver": lambda row: row.driver,
+        "speed [m/s]": lambda row: both(row, lambda one: one.speed),
+        "headway [s]": lambda row: both(row, lambda one: one.headway),
+        "lane changes/min": lambda row: both(row, lambda one: one.lane_changes),
+        "repeated": lambda row: both(row, lambda one: one.repeated),
+        "more with alerts": lambda row: both(row, lambda one: one.alert_effect),
+        "crashed": lambda row: both(row, lambda one: one.crash_rate),
+    }
+    title = "The learned policy / the demonstrations"
+    return _table(results, title, lambda one: one.driving, columns)
 
 
 def ranking_table(results: TraitResults) -> Table:
     """Show rank correlations of recovered and true return."""
-    return _table(
-        results,
-        "Rank correlation of recovered and true driving return",
-        ["driver", "f, demonstrated", "g, demonstrated", "f, mixture", "g, mixture"],
-        lambda one: [
-            [
-                row.driver,
-                *(
-                    correlation.shown("z.2f")
-                    for ranks in (row.demonstrated, row.mixture)
-                    for correlation in (ranks.f, ranks.g)
-                ),
-            ]
-            for row in one.reward_ranking
-        ],
-    )
+    columns: dict[str, Callable[[RewardRanking], str]] = {
+        "driver": lambda row: row.driver,
+        "f, demonstrated": lambda row: row.demonstrated.f.shown("z.2f"),
+        "g, demonstrated": lambda row: row.demonstrated.g.shown("z.2f"),
+        "f, mixture": lambda row: row.mixture.f.shown("z.2f"),
+        "g, mixture": lambda row: row.mixture.g.shown("z.2f"),
+    }
+    title = "Rank correlation of recovered and true driving return"
+    return _table(results, title, lambda one: one.reward_ranking, columns)

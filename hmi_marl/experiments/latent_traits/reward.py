@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.agents.memory import Draws
@@ -220,6 +219,8 @@ def rank_correlation(
 
 def _spearman(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """Correlate the rows of two arrays (B, M), shape (B,); NaN where one is constant."""
+    from scipy import stats  # takes half a second
+
     a, b = (stats.rankdata(values, axis=1) - (values.shape[1] + 1) / 2 for values in (one, other))
     spread = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
     return np.divide((a * b).sum(axis=1), spread, out=np.full(len(a), math.nan), where=spread > 0)

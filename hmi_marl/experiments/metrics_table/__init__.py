@@ -1,1 +1,1 @@
-"""."""
+"""Tables of HMIs and drivers; the paper's table of metrics made again."""

@@ -11,28 +11,36 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import check_count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.experiments.criteria import EXACT_TOLERANCE
-from hmi_marl.experiments.experiment import Agent, Experiment, Place
+from hmi_marl.experiments.episodes import EVALUATION_SEED
+from hmi_marl.experiments.experiment import (
+    DRIVER_RUN,
+    Agent,
+    Experiment,
+    Place,
+    driver_job,
+    spec,
+)
 from hmi_marl.experiments.metrics_table.paper_table import (
     AVERAGE,
     METRICS,
     NONE,
     PRINTED,
     VARIANTS,
+    Average,
     PaperTable,
     Variant,
     agrees_with_exact,
     averages,
     numbers,
     orders,
+    paper_figure,
     paper_verdict,
     shortfall,
 )
 from hmi_marl.experiments.metrics_table.table import TableConfig, make_table
-from hmi_marl.experiments.policies import DRIVER_RUN, EVALUATION_SEED, driver_job, spec
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict
@@ -75,10 +83,7 @@ class MetricsTable(Experiment[list[PaperTable]]):
         "and the paper's figure; entries that the paper leaves as * are filled in. Twice: with η "
         "as printed and with η = 1 for all drivers."
     )
-
-    def __post_init__(self) -> None:
-        for name in ("driver_steps", "hmi_steps", "episodes"):
-            check_count(name, getattr(self, name))
+    counts = ("driver_steps", "hmi_steps", "episodes")
 
     @classmethod
     def quick(cls) -> MetricsTable:
@@ -175,8 +180,6 @@ class MetricsTable(Experiment[list[PaperTable]]):
 
     def blocks(self, results: list[PaperTable]) -> Sequence[Block]:
         """Figure, and tables of each variant."""
-        from hmi_marl.experiments.metrics_table.figures import paper_figure
-
         shown: list[Block] = [
             Text(CAPTION),
             Figure("table", "bars of both tables", paper_figure(results)),
@@ -222,18 +225,15 @@ def _metric_table(
 
 def _average_table(table: PaperTable) -> Table:
     titles = {metric: title for metric, title, _ in METRICS}
-    rows = [
-        [
-            f"{titles[average.metric]}, {average.hmi}",
-            average.ours.shown(".0f"),
-            number(average.exact, ".0f"),
-            f"{average.paper:.0f}",
-            average.verdict,
-        ]
-        for average in averages(table)
-    ]
-    head = ["mean over the drivers", "ours", "exact", "paper", "verdict"]
-    return Table(f"Averages over the drivers, {table.variant.title}", head, rows)
+    columns: dict[str, Callable[[Average], str]] = {
+        "mean over the drivers": lambda average: f"{titles[average.metric]}, {average.hmi}",
+        "ours": lambda average: average.ours.shown(".0f"),
+        "exact": lambda average: number(average.exact, ".0f"),
+        "paper": lambda average: f"{average.paper:.0f}",
+        "verdict": lambda average: average.verdict,
+    }
+    title = f"Averages over the drivers, {table.variant.title}"
+    return Table.of(title, averages(table), columns)
 
 
 def _optimum_table(table: PaperTable) -> Table:

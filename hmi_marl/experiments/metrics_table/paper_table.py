@@ -19,7 +19,9 @@ import numpy as np
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.metrics_table.table import Cell
+from hmi_marl.files import json_value
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
+from hmi_marl.reporting.blocks import COLOURS, canvas, png
 from hmi_marl.reporting.statistics import Estimate
 
 AVERAGE, NONE = "AvgHMI", "NoHMI"
@@ -184,8 +186,7 @@ def numbers(tables: Sequence[PaperTable]) -> dict[str, Any]:
         "tables": {name: _cells(table) for name, table in by_name.items()},
         "averages": {
             name: [
-                vars(average) | {"ours": average.ours.as_json(), "verdict": average.verdict}
-                for average in averages(table)
+                json_value(average) | {"verdict": average.verdict} for average in averages(table)
             ]
             for name, table in by_name.items()
         },
@@ -218,3 +219,34 @@ def _cells(table: PaperTable) -> list[dict[str, Any]]:
         }
         for (hmi, driver), cell in table.cells.items()
     ]
+
+
+def paper_figure(tables: Sequence[PaperTable]) -> bytes:
+    """Draw our returns, the exact values and the paper's, by driver and HMI. A PNG."""
+    drawing = canvas(11, 3.4 * len(tables))
+    panels = drawing.subplots(len(tables), 2, squeeze=False)
+    for table, pair in zip(tables, panels, strict=True):
+        for axes, (metric, title, printed) in zip(pair, METRICS, strict=True):
+            width = 0.8 / len(table.rows)
+            for k, hmi in enumerate(table.rows):
+                at = np.arange(len(table.columns)) + (k + 0.5) * width - 0.4
+                cells = [table.cells[hmi, driver] for driver in table.columns]
+                means = np.array([getattr(cell, metric).mean for cell in cells])
+                name = hmi if hmi in (AVERAGE, NONE) else f"HMI for {hmi}"
+                axes.bar(at, means, width * 0.92, color=COLOURS[k % len(COLOURS)], label=name)
+                if metric == "distraction_return":
+                    exact = [cell.exact_distraction_return_same_steps for cell in cells]
+                    axes.plot(at, exact, "k_", markersize=8, label="exact" if k == 0 else None)
+                rows = [table.paper_row(hmi, driver) for driver in table.columns]
+                shown = [
+                    (x, printed[row][driver])
+                    for x, row, driver in zip(at, rows, table.columns, strict=True)
+                    if row
+                ]
+                label = "paper" if hmi == NONE else None
+                axes.plot(*zip(*shown, strict=True), "r.", markersize=7, label=label)
+            axes.set_xticks(np.arange(len(table.columns)), table.columns)
+            axes.set_title(f"{title}, {table.variant.title}")
+            axes.spines[["top", "right"]].set_visible(False)
+    drawing.legend(*panels[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=8)
+    return png(drawing)

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hmi_marl.experiments.metrics_table.figures import table_figure
+import numpy as np
+
 from hmi_marl.experiments.metrics_table.in_short import in_short
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig
 from hmi_marl.files import write_text
-from hmi_marl.reporting.blocks import Block, Clip, Figure, Heading, Table, Text
+from hmi_marl.reporting.blocks import (
+    COLOURS,
+    Block,
+    Clip,
+    Figure,
+    Heading,
+    Table,
+    Text,
+    canvas,
+    png,
+)
 from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.statistics import Estimate, number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 CLIP = "clip"
 """Name of the clip's file."""
@@ -30,6 +45,12 @@ METRICS: tuple[tuple[str, str, str], ...] = (
     ("alerts", "Alerts per minute", ".0f"),
     ("crash_rate", "Crash rate", ".2f"),
     ("min_time_headway", "Shortest time headway [s]", ".2f"),
+)
+PANELS = (
+    ("speed_return", "speed return"),
+    ("distraction_return", "distraction return"),
+    ("crash_rate", "crash rate"),
+    ("alerts", "alerts per minute"),
 )
 NOTE = (
     "Means over seeded episodes with 95 % intervals (Student's t, cut off at 0 for alerts and "
@@ -136,3 +157,55 @@ def as_csv(cells: Sequence[Cell]) -> str:
     writer.writeheader()
     writer.writerows(lines)
     return text.getvalue()
+
+
+def table_figure(config: TableConfig, cells: Sequence[Cell], narrow: bool = False) -> bytes:
+    """Draw bars with 95 % intervals for each driver and HMI, the exact values marked. A PNG.
+
+    Args:
+        config: settings of the table.
+        cells: all of them.
+        narrow: for a telephone: panels one below the other, and larger type.
+    """
+    from matplotlib import rc_context
+
+    size, shape, columns = ((5.4, 12), (4, 1), 2) if narrow else ((11, 6.4), (2, 2), 6)
+    with rc_context({"font.size": 14} if narrow else {}):
+        figure = canvas(*size)
+        for axes, (name, title) in zip(figure.subplots(*shape).flat, PANELS, strict=True):
+            _bars(axes, config, cells, name)
+            axes.set_title(title)
+        axes = figure.axes[1]  # the one that also has the exact marks
+        handles = axes.get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=columns)
+        return png(figure)
+
+
+def _bars(axes: Axes, config: TableConfig, cells: Sequence[Cell], name: str) -> None:
+    places = np.arange(len(config.drivers))
+    width = 0.8 / len(config.hmis)
+    for row, hmi in enumerate(config.hmis):
+        own = {cell.driver: cell for cell in cells if cell.hmi == hmi}
+        estimates: list[Estimate] = [getattr(own[driver], name) for driver in config.drivers]
+        means = np.array([estimate.mean for estimate in estimates])
+        ends = np.array([[estimate.low, estimate.high] for estimate in estimates]).T
+        errors = np.nan_to_num(np.abs(ends - means))
+        at = places + (row + 0.5) * width - 0.4
+        colour = COLOURS[row % len(COLOURS)]
+        axes.bar(
+            at,
+            means,
+            width * 0.92,
+            yerr=errors,
+            color=colour,
+            label=hmi,
+            error_kw={"elinewidth": 1, "ecolor": "#333"},
+        )
+        if name == "distraction_return":
+            exact = [own[driver].exact_distraction_return_same_steps for driver in config.drivers]
+            marks = [math.nan if value is None else value for value in exact]
+            label = "exact, same number of steps" if row == len(config.hmis) - 1 else None
+            axes.plot(at, marks, "k_", markersize=9, markeredgewidth=2, label=label)
+    axes.set_xticks(places, config.drivers)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.axhline(0, color="#333", linewidth=0.8)

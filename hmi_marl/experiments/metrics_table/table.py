@@ -22,8 +22,13 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.exact import oracle
-from hmi_marl.experiments.alert_quality import AlertJudge, ExactRules, exact_settings
-from hmi_marl.experiments.episodes import Episodes, play_episodes
+from hmi_marl.experiments.episodes import (
+    AlertJudge,
+    Episodes,
+    ExactRules,
+    exact_settings,
+    play_episodes,
+)
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate
@@ -136,18 +141,13 @@ class Cell:
     def as_json(self) -> dict[str, Any]:
         """Plain JSON content: ``alerts`` and ``crash_rate`` as numbers with ``*_interval``."""
         content: dict[str, Any] = {}
-        for name, value in vars(self).items():
+        for name, value in json_value(self).items():
+            content[name] = value
             if name in ("alerts", "crash_rate"):
-                estimate = value.as_json()
-                content[name] = estimate["mean"]
-                content[f"{name}_interval"] = [estimate["low"], estimate["high"]]
-            elif isinstance(value, Estimate):
-                content[name] = value.as_json()
-            elif isinstance(value, oracle.Reachable):
-                content[name] = value._asdict()
-            else:
-                content[name] = value
-        return content
+                content |= {name: value["mean"], f"{name}_interval": [value["low"], value["high"]]}
+        return content | {
+            "reachable_distraction_return": self.reachable_distraction_return._asdict()
+        }
 
 
 def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:

@@ -1,1 +1,1 @@
-"""."""
+"""Protocols compared at equal environment steps and over several seeds."""

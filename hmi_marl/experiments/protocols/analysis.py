@@ -34,15 +34,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.protocols.experiment import (
+from hmi_marl.experiments.protocols.plan import (
     ALL_DRIVERS,
     TWO_STAGE,
+    ComparisonSettings,
     Pair,
+    Played,
     Protocol,
-    ProtocolComparison,
     Run,
+    Sums,
 )
-from hmi_marl.experiments.protocols.play import Played, Sums
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate
 
@@ -61,7 +62,7 @@ Rows = Sequence[Mapping[str, Any]]
 class Comparison:
     """Results of a comparison."""
 
-    settings: ProtocolComparison
+    settings: ComparisonSettings
     played: Played
     curves: Mapping[str, Rows]
     """Rows of each run's learning curve, by its name."""
@@ -300,7 +301,7 @@ def gaming_of(comparison: Comparison) -> list[Gaming]:
     return rows
 
 
-def _with_drivers(settings: ProtocolComparison) -> list[tuple[Protocol, str]]:
+def _with_drivers(settings: ComparisonSettings) -> list[tuple[Protocol, str]]:
     names = (ALL_DRIVERS, *settings.driver_names)
     return [(protocol, name) for protocol in settings.protocols for name in names]
 

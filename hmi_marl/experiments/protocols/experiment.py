@@ -1,73 +1,75 @@
-"""Compare the protocols at equal environment steps and over several seeds.
-
-Every pair of driver and HMI plays the same seeded episodes on the batched world, with the driver
-of each drawn from the population.
-"""
+"""Experiment "protocols": compare the protocols, judge them, and show tables and figures."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import permutations, product
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import cycle
+from typing import Any
 
-from hmi_marl.checks import check_choice, check_count, check_share
-from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
-from hmi_marl.envs.scene import Scene
-from hmi_marl.envs.streams import check_seed
+import numpy as np
+
+from hmi_marl.envs.rewards import TERMS
+from hmi_marl.experiments import criteria
 from hmi_marl.experiments.experiment import Experiment, Place
-from hmi_marl.names import unknown
-from hmi_marl.reporting.blocks import Block
-from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.jobs import Job, train_all
-from hmi_marl.training.protocols.registry import compared
-from hmi_marl.training.protocols.settings import Budget, TrainSettings
+from hmi_marl.experiments.protocols.analysis import (
+    CURVES,
+    Comparison,
+    Dependence,
+    Finding,
+    Gaming,
+    crash_rate,
+    curves_of,
+    dependence_of,
+    gaming_of,
+    over_seeds,
+    pooled,
+    swap_matrix,
+    worst_finding,
+)
+from hmi_marl.experiments.protocols.plan import (
+    ALL_DRIVERS,
+    PROTOCOLS,
+    TWO_STAGE,
+    ComparisonSettings,
+    Sums,
+    play_all,
+)
+from hmi_marl.files import json_value
+from hmi_marl.reporting import statistics
+from hmi_marl.reporting.blocks import Block, Figure, Table, Text, canvas, png
+from hmi_marl.reporting.statistics import number
+from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.training.jobs import train_all
 from hmi_marl.training.runs.folder import read_curve
 
-if TYPE_CHECKING:
-    from hmi_marl.experiments.protocols.analysis import Comparison
-
-Protocol = str
-"""Name of a protocol or of a variant, as :func:`compared` lists them."""
-PROTOCOLS: tuple[Protocol, ...] = tuple(compared())
-TWO_STAGE: Protocol = "two-stage"
-ALL_DRIVERS = "all"
-"""In place of a driver's name: all drivers of the population together."""
-QUICK = {"steps": 300_000, "seeds": 2, "episodes": 200, "num_teams": 128}
-"""Settings of a coarse comparison."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """One training run."""
-
-    protocol: Protocol
-    seed: int
-    standing: bool = False
-    """Whether it is trained with ``end_at_crash=False``: a crashed car stands until the end."""
-
-    @property
-    def name(self) -> str:
-        """Name of the run and of its folder."""
-        return f"{self.protocol}-seed{self.seed}" + ("-standing" if self.standing else "")
+COLOURS = dict(
+    zip(PROTOCOLS, cycle(("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c")), strict=False)
+)
+"""Colours of the protocols."""
+CURVE_TITLES = {
+    "team_return": "team return",
+    "speed_reward": "speed return",
+    "attention_return": "attention return",
+    "crash_rate": "crash rate",
+}
+ABOUT_CURVES = (
+    "Means over the seeds, interpolated at common environment steps, with the 95 % band of "
+    "Student's t, cut off at the values that occurred (two seeds: thin lines instead). These are "
+    "the training episodes, so with actions that were drawn (explored), not the likeliest, by the "
+    "policies that learn at the time. In two-stage's first part, and alternating's, there is no "
+    "HMI."
+)
+_OUTCOMES: dict[Finding, Outcome] = {
+    "fine": Outcome.SUPPORTED,
+    "crashes more": Outcome.PARTLY,
+    "GAMED": Outcome.NOT_SUPPORTED,
+    "unknown": Outcome.UNTESTABLE,
+}
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Driver and HMI that play together."""
-
-    driver: str
-    """Name of a run, or of a driver policy in the catalogue."""
-    hmi: str
-    """Name of a run, or of an HMI in the catalogue."""
-    end_at_crash: bool = True
-
-
-@dataclass(frozen=True)
-class ProtocolComparison(Experiment["Comparison"]):
+class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
     """Train by every protocol with equal environment steps and several seeds, and compare them.
 
     Learning curves, final returns and their terms, crashes, alerts, wall time, swapped partners,
@@ -77,181 +79,17 @@ class ProtocolComparison(Experiment["Comparison"]):
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
-    protocols: tuple[Protocol, ...] = PROTOCOLS
-    """Protocols to compare; two-stage is the reference."""
-    steps: int = 3_000_000
-    """Environment steps of each run in all, rounded to batches, the same for every protocol."""
-    driver_share: float = 0.8
-    """Share of the steps of two-stage and alternating in which the driver learns."""
-    rounds: int = 4
-    """Rounds of alternating."""
-    seeds: int = 3
-    """Runs of each protocol."""
-    seed: int = 0
-    """Seed of the first run; the others count up from it."""
-    episodes: int = 1000
-    """Episodes that each pair of driver and HMI plays."""
-    drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
-    reward: Literal["default", "team", "individual"] = "default"
-    """Reward to learn from: each protocol's own (where the seats learn one after the other, the
-    driver learns from driving and the HMI from the team's reward; where they learn together, both
-    from the team's), or one for all but two-stage. (Joint learns from the sum of both agents'
-    rewards.)"""
-    crash_check: bool = True
-    """Train every protocol also with end_at_crash=False, with the first seed, to see whether
-    crashing early pays."""
-    num_teams: int = 512
-    """Teams that train side by side."""
-    duration: float = 20.0
-    """Length of an episode [s]."""
-    vehicles: tuple[int, int] = (1, 20)
-    """Least and most other vehicles."""
-
     name = "protocols"
     files = "compare"
     title = "Protocols compared"
-
-    def __post_init__(self) -> None:
-        _check_protocols(self.protocols)
-        for name in ("steps", "rounds", "seeds", "episodes", "num_teams"):
-            check_count(name, getattr(self, name))
-        check_share("driver_share", self.driver_share, zero=False, one=False)
-        check_choice("reward", self.reward, ("default", "team", "individual"))
-        object.__setattr__(self, "seed", check_seed(self.seed))
-        check_seed(self.seed + self.seeds - 1)
-        if not isinstance(self.drivers, tuple) or not self.drivers:
-            raise ValueError(f"drivers is a tuple of at least one name, not {self.drivers!r}")
-        names = Counter(get_driver(driver).name for driver in self.drivers)
-        if names.total() > len(names):
-            raise ValueError(f"drivers names {names.most_common(1)[0][0]!r} twice")
-        self.jobs(Path())  # checks the rest
-
-    @property
-    def driver_names(self) -> tuple[str, ...]:
-        """Names of the drivers."""
-        return tuple(get_driver(driver).name for driver in self.drivers)
-
-    def team(self, end_at_crash: bool = True) -> TeamConfig:
-        """Settings of the teams of an evaluation."""
-        return TeamConfig(
-            driver=self.drivers,
-            duration=self.duration,
-            end_at_crash=end_at_crash,
-            scene=Scene(vehicles=self.vehicles),
-        )
-
-    @property
-    def _batches(self) -> tuple[int, int]:
-        """Batches of the driver and of the HMI in each round of alternating; at least one each."""
-        wanted = self.steps / (self.num_teams * self.team().horizon * self.rounds)
-        shares = self.driver_share, 1.0 - self.driver_share
-        driver, hmi = (max(1, round(share * wanted)) for share in shares)
-        return driver, hmi
-
-    @property
-    def steps_apart(self) -> tuple[int, int]:
-        """Environment steps of the driver and of the HMI where they learn one after the other."""
-        driver, hmi = (
-            count * self.rounds * self.num_teams * self.team().horizon for count in self._batches
-        )
-        return driver, hmi
-
-    @property
-    def steps_each(self) -> int:
-        """Environment steps of every run, rounded to batches."""
-        return sum(self.steps_apart)
-
-    @property
-    def main_runs(self) -> tuple[Run, ...]:
-        """Runs of every protocol with every seed."""
-        return tuple(
-            Run(protocol, self.seed + k) for protocol in self.protocols for k in range(self.seeds)
-        )
-
-    @property
-    def standing_runs(self) -> tuple[Run, ...]:
-        """Runs in which a crash does not end the episode."""
-        wanted = self.protocols if self.crash_check else ()
-        return tuple(Run(protocol, self.seed, standing=True) for protocol in wanted)
-
-    @property
-    def runs(self) -> tuple[Run, ...]:
-        """All runs."""
-        return self.main_runs + self.standing_runs
-
-    def jobs(self, folder: Path) -> list[Job]:
-        """Training of all runs, a folder for each."""
-        return [Job(self._training(run), folder / run.name) for run in self.runs]
-
-    def _training(self, run: Run) -> TrainSettings:
-        driver_steps, hmi_steps = self.steps_apart
-        reward = None if self.reward == "default" else self.reward
-        shared: dict[str, Any] = {
-            "drivers": self.drivers,
-            "seed": run.seed,
-            "end_at_crash": not run.standing,
-            "num_teams": self.num_teams,
-            "duration": self.duration,
-            "vehicles": self.vehicles,
-        }
-        protocol, variant = compared()[run.protocol]
-        budget = Budget(driver_steps, hmi_steps, self.rounds, reward)
-        return protocol.for_comparison(budget, **shared, **variant)
-
-    def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
-        """Reward terms that the driver learns from."""
-        return self._training(Run(protocol, self.seed)).driver_terms
-
-    def pairs(self) -> list[Pair]:
-        """List every pair that plays, each once."""
-        by_seed = [
-            [run for run in self.main_runs if run.seed == self.seed + k] for k in range(self.seeds)
-        ]
-        wanted = [Pair(a.name, b.name) for same in by_seed for a, b in product(same, same)]
-        for protocol in self.protocols:
-            own = [run for run in self.main_runs if run.protocol == protocol]
-            wanted += [Pair(a.name, b.name) for a, b in permutations(own, 2)]
-        for pairs in self.baselines().values():
-            wanted += pairs
-        for run in self.standing_runs:
-            wanted += [Pair(run.name, run.name, ends) for ends in (True, False)]
-        return list(dict.fromkeys(wanted))
-
-    def baselines(self) -> dict[str, list[Pair]]:
-        """List pairs of known policies, and the two-stage driver with known HMIs, by label.
-
-        "when-distracted" is the exact alert optimum for all of the paper's drivers.
-        """
-        hmis = "never", "when-distracted"
-        known = {f"rule, {hmi}": [Pair("rule", hmi)] for hmi in hmis}
-        learned = [run.name for run in self.main_runs if run.protocol == TWO_STAGE]
-        if learned:
-            known |= {f"{TWO_STAGE}, {hmi}": [Pair(name, hmi) for name in learned] for hmi in hmis}
-        return known
 
     @classmethod
     def quick(cls) -> ProtocolComparison:
         """See :meth:`Experiment.quick`."""
         return cls().coarse()
 
-    def coarse(self) -> ProtocolComparison:
-        """Return the same comparison with the sizes of ``QUICK``.
-
-        Raises:
-            ValueError: one of these sizes was chosen.
-        """
-        default = type(self)()
-        chosen = [name for name in QUICK if getattr(self, name) != getattr(default, name)]
-        if chosen:
-            raise ValueError(f"--quick sets {', '.join(chosen)} itself; leave out one or the other")
-        return replace(self, **QUICK)  # type: ignore[arg-type]
-
     def run(self, place: Place) -> Comparison:
         """See :meth:`Experiment.run`."""
-        from hmi_marl.experiments.protocols.analysis import Comparison
-        from hmi_marl.experiments.protocols.play import play_all
-
         jobs = self.jobs(place.folder)
         train_all(jobs, place.workers, place.command_line)
         with place.playing(len(self.pairs()) * self.episodes, "episodes") as progress:
@@ -259,31 +97,282 @@ class ProtocolComparison(Experiment["Comparison"]):
         curves = {job.folder.name: read_curve(job.folder) for job in jobs}
         return Comparison(self, played, curves, place.workers)
 
-    def numbers(self, results: Comparison) -> Mapping[str, Any]:
-        """See :meth:`Experiment.numbers`."""
-        from hmi_marl.experiments.protocols.report import numbers
+    def judge(self, results: Comparison) -> list[Verdict]:
+        """Judge whether each protocol is gamed; two-stage is the reference."""
+        gaming = gaming_of(results)
+        verdicts = []
+        for protocol in results.settings.protocols:
+            if protocol == TWO_STAGE:
+                continue
+            worst = worst_finding(gaming, protocol)
+            rows = [row for row in gaming if row.protocol == protocol and row.finding == worst]
+            reason: str = worst
+            if worst != "fine":
+                reason += f" with {', '.join(row.driver for row in rows)}"
+            claim = f"{protocol}: crashes no more than {TWO_STAGE}, and crashing does not pay"
+            verdicts.append(Verdict(claim, _OUTCOMES[worst], reason))
+        return verdicts
 
-        return numbers(results)
+    def numbers(self, results: Comparison) -> dict[str, Any]:
+        """JSON content, with every seed's numbers."""
+        settings, played, gaming = results.settings, results.played, gaming_of(results)
+        return {
+            "steps_each": settings.steps_each,
+            "workers": results.workers,
+            "protocols": {
+                label: {
+                    "crash_rate_pooled": json_value(crash_rate(pooled(played, pairs))),
+                    "over_seeds": {
+                        metric: over_seeds(played, pairs, metric).as_json()
+                        for metric in played[pairs[0]][ALL_DRIVERS].metrics()
+                    },
+                }
+                for label, pairs in results.groups().items()
+            },
+            "findings": {name: worst_finding(gaming, name) for name in settings.protocols},
+            "gaming": json_value(gaming),
+            "dependence": json_value(dependence_of(results)),
+            "swap_matrix": {
+                "protocols": list(settings.protocols),
+                "team_return_by_seed_driver_hmi": swap_matrix(results).tolist(),
+            },
+            "pairs": [
+                vars(pair) | {"by_driver": {name: _metrics(sums) for name, sums in drivers.items()}}
+                for pair, drivers in played.items()
+            ],
+            "training_seconds": {run.name: results.seconds(run) for run in settings.runs},
+            "curves": {name: json_value(curves_of(results, name)) for name in settings.protocols},
+        }
 
-    def judge(self, results: Comparison) -> Sequence[Verdict]:
-        """See :meth:`Experiment.judge`."""
-        from hmi_marl.experiments.protocols.report import judge
+    def blocks(self, results: Comparison) -> list[Block]:
+        """Show all tables and figures, each with a note."""
+        settings = results.settings
+        driver_steps, hmi_steps = settings.steps_apart
+        return [
+            Text(
+                f"Every run: {settings.steps_each:,} environment steps. Two-stage and alternating "
+                f"give {driver_steps:,} of them to the driver and {hmi_steps:,} to the HMI; in the "
+                "others both learn in all."
+            ),
+            summary_table(results),
+            Text(ABOUT_CURVES, "Learning curves"),
+            curves_figure(results),
+            terms_figure(results),
+            terms_table(results),
+            swap_figure(results),
+            swap_table(results),
+            dependence_table(results),
+            gaming_table(results),
+            time_table(results),
+        ]
 
-        return judge(results)
 
-    def blocks(self, results: Comparison) -> Sequence[Block]:
-        """See :meth:`Experiment.blocks`."""
-        from hmi_marl.experiments.protocols.report import blocks
-
-        return blocks(results)
+def _metrics(sums: Sums) -> dict[str, Any]:
+    counted = {name: getattr(sums, name) for name in ("episodes", "crashes", "steps", "alerts")}
+    return counted | dict(json_value(sums.metrics()))
 
 
-def _check_protocols(protocols: Sequence[str]) -> None:
-    known = ", ".join(PROTOCOLS)
-    if isinstance(protocols, str) or not protocols:
-        raise ValueError(f"protocols is a tuple of at least one of {known}; got {protocols!r}")
-    for name, times in Counter(protocols).items():
-        if name not in PROTOCOLS:
-            raise ValueError(unknown("protocol", name, PROTOCOLS, "hmi-marl compare --help"))
-        if times > 1:
-            raise ValueError(f"protocols names {name!r} twice")
+def summary_table(comparison: Comparison) -> Table:
+    """Show the protocols and the baselines of known policies."""
+    metrics = {
+        "team return": ("team_return", "z.1f"),
+        "per step": ("team_return_per_step", "z.2f"),
+        "attention return": ("attention_return", "z.1f"),
+        "speed return": ("speed_reward", "z.1f"),
+        "crashes [%]": ("", ""),
+        "alerts/min": ("alerts_per_minute", "z.1f"),
+        "steps": ("length", "z.1f"),
+        "headway [s]": ("time_headway", ".2f"),
+    }
+    rows = [
+        [
+            label,
+            *(
+                over_seeds(comparison.played, pairs, metric).shown(form)
+                if metric
+                else crash_rate(pooled(comparison.played, pairs)).percent()
+                for metric, form in metrics.values()
+            ),
+        ]
+        for label, pairs in comparison.groups().items()
+    ]
+    note = (
+        f"Means over {comparison.settings.seeds} seeds of {comparison.settings.episodes} episodes "
+        "each, the same ones for every pair, likeliest actions; in brackets Student's t interval "
+        "(95 %) over the seeds. Crashes: episodes of all seeds together with Wilson's interval, "
+        "which does not show how runs differ. when-distracted is the exact alert optimum for the "
+        "paper's drivers. steps: of an episode; a crash ends it. headway: mean of the episodes' "
+        "medians while a vehicle is ahead."
+    )
+    return Table("Final team return, crashes and alerts", ["driver and HMI", *metrics], rows, note)
+
+
+def terms_table(comparison: Comparison) -> Table:
+    """Show the eight reward terms per episode."""
+    rows = [
+        [label, *(over_seeds(comparison.played, pairs, term).shown() for term in TERMS)]
+        for label, pairs in comparison.groups().items()
+    ]
+    note = "Per episode. In the figure a dot for each seed."
+    return Table("The eight reward terms", ["driver and HMI", *TERMS], rows, note)
+
+
+def swap_table(comparison: Comparison) -> Table:
+    """Show the team return of every driver with every HMI; own pairs in asterisks."""
+    protocols, matrix = comparison.settings.protocols, swap_matrix(comparison)
+    rows = []
+    for i, protocol in enumerate(protocols):
+        entries = [statistics.mean(matrix[:, i, j]).shown() for j in range(len(protocols))]
+        entries[i] = f"*{entries[i]}*"
+        rows.append([protocol, *entries])
+    note = (
+        "Team return per episode of the driver of one run with the HMI of another of the same "
+        "seed, the same episodes for all; own pairs are marked."
+    )
+    head = ["driver of", *(f"HMI of {name}" for name in protocols)]
+    return Table("Swapped partners", head, rows, note)
+
+
+def dependence_table(comparison: Comparison) -> Table:
+    """Show how much partners depend on each other."""
+    note = (
+        "Own pairs minus swapped pairs, ½ [M(a,a) + M(b,b)] - ½ [M(a,b) + M(b,a)] with M the team "
+        "return of a's driver with b's HMI: 0 if partners could be exchanged freely, however good "
+        "each is. On protocol: mean over the other protocols (each number is shared by both of a "
+        "pair); on seed: over the other runs of the protocol. Intervals are over the seeds, whose "
+        "pairs overlap among the latter."
+    )
+    columns: dict[str, Callable[[Dependence], str]] = {
+        "protocol": lambda row: row.protocol,
+        "own pair": lambda row: row.own.shown(),
+        "driver, others' HMIs": lambda row: row.driver_with_others.shown(),
+        "HMI, others' drivers": lambda row: row.hmi_with_others.shown(),
+        "dependence on protocol": lambda row: row.on_protocol.shown("+z.1f"),
+        "pairs across seeds": lambda row: row.other_seeds.shown(),
+        "dependence on seed": lambda row: row.on_seed.shown("+z.1f"),
+    }
+    return Table.of(
+        "How much partners depend on each other", dependence_of(comparison), columns, note
+    )
+
+
+def gaming_table(comparison: Comparison) -> Table:
+    """Show crash rates with and without an end at the crash, and whether crashing pays."""
+    note = (
+        "Crashes: a crash ends the episode, in training and now. Trained standing: one run trained "
+        "with end_at_crash=False, where a crashed car stands until the time is over (whether it "
+        "crashes does not depend on what would follow, so the rate is that of both settings); "
+        "return, stands: its team return in that setting. worth of a step: mean reward of a step "
+        "that the driver learns from, without the collision term; where it is negative, ending "
+        "early pays. GAMED: crashes more often than two-stage's (intervals more than "
+        f"{criteria.MORE_CRASHES:g} apart) and a step's worth is negative; crashes more: only the "
+        "former; fine: neither. The two-stage driver learns from driving alone and is the "
+        "reference, a mild one if it has not learned long enough."
+    )
+    columns: dict[str, Callable[[Gaming], str]] = {
+        "protocol": lambda row: row.protocol,
+        "driver": lambda row: row.driver,
+        "crashes [%]": lambda row: row.crash_rate.percent(),
+        "two-stage's [%]": lambda row: row.two_stage_crash_rate.percent(),
+        "team return": lambda row: number(row.team_return, "z.1f"),
+        "per step": lambda row: number(row.team_return_per_step, "z.2f"),
+        "worth of a step": lambda row: number(row.worth_of_a_step, "+z.2f"),
+        "trained standing [%]": lambda row: row.crash_rate_if_trained_standing.percent(),
+        "return, stands": lambda row: number(row.team_return_standing, "z.1f"),
+        "finding": lambda row: row.finding,
+    }
+    return Table.of("Does crashing pay?", gaming_of(comparison), columns, note)
+
+
+def time_table(comparison: Comparison) -> Table:
+    """Show the wall time of each protocol's runs."""
+    rows = []
+    for protocol in comparison.settings.protocols:
+        seconds = [comparison.seconds(run) for run in comparison.runs(protocol)]
+        spent = statistics.mean(seconds, lowest=0.0)
+        steps = comparison.curves[comparison.runs(protocol)[0].name][-1]["steps"]
+        rows.append([protocol, f"{steps}", spent.shown(), f"{steps / spent.mean:.0f}"])
+    note = f"Training only, in parallel (workers: {comparison.workers}, a thread each)."
+    head = ["protocol", "environment steps", "seconds of a run", "steps/s"]
+    return Table("Wall time", head, rows, note)
+
+
+def curves_figure(comparison: Comparison) -> Figure:
+    """Draw learning curves: mean over seeds with the 95 % band, over environment steps.
+
+    The band of two seeds is nine times their standard deviation to either side and would hide the
+    rest; they are drawn as thin lines instead.
+    """
+    figure = canvas(11, 7)
+    panels = dict(zip(CURVES, figure.subplots(2, 2).flat, strict=True))
+    for protocol in comparison.settings.protocols:
+        for name, curve in curves_of(comparison, protocol).items():
+            axes, colour = panels[name], COLOURS[protocol]
+            million = curve.steps / 1e6
+            axes.plot(million, curve.mean, color=colour, linewidth=1.4, label=protocol)
+            if comparison.settings.seeds > 2:
+                axes.fill_between(million, curve.low, curve.high, color=colour, alpha=0.15, lw=0)
+                continue
+            for run in comparison.runs(protocol):
+                rows = comparison.curves[run.name]
+                seen = [row["steps"] / 1e6 for row in rows], [row[name] for row in rows]
+                axes.plot(*seen, color=colour, linewidth=0.6, alpha=0.6)
+    shown = [comparison.curves[run.name] for run in comparison.settings.main_runs]
+    for name, axes in panels.items():
+        values = [row[name] for rows in shown for row in rows]
+        edge = 0.05 * (max(values) - min(values)) or 0.05
+        axes.set_ylim(min(values) - edge, max(values) + edge)
+        axes.set_title(CURVE_TITLES[name])
+        axes.set_xlabel("environment steps [million]")
+        axes.spines[["top", "right"]].set_visible(False)
+    lines = panels[CURVES[0]].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=len(PROTOCOLS))
+    return Figure("curves", "Learning curves", png(figure))
+
+
+def swap_figure(comparison: Comparison) -> Figure:
+    """Draw team returns of every driver (rows) with every HMI (columns), own pairs framed."""
+    protocols, returns = comparison.settings.protocols, swap_matrix(comparison).mean(axis=0)
+    size = 2.6 + 1.15 * len(protocols)
+    figure = canvas(size + 1, size * 0.85)
+    from matplotlib.patches import Rectangle
+
+    axes = figure.subplots()
+    drawn = axes.imshow(returns, cmap="viridis", aspect="auto")
+    figure.colorbar(drawn, ax=axes, label="team return")
+    middle = (returns.min() + returns.max()) / 2.0
+    for (row, column), value in np.ndenumerate(returns):
+        colour = "white" if value < middle else "black"
+        weight = "bold" if row == column else "normal"
+        axes.text(
+            column, row, f"{value:.0f}", ha="center", va="center", color=colour, weight=weight
+        )
+        if row == column:
+            corner = (column - 0.48, row - 0.48)
+            axes.add_patch(Rectangle(corner, 0.96, 0.96, fill=False, edgecolor="red", linewidth=2))
+    labels = [name.replace("-", "-\n") for name in protocols]
+    axes.set_xticks(range(len(protocols)), labels)
+    axes.set_yticks(range(len(protocols)), labels)
+    axes.set_xlabel("HMI of")
+    axes.set_ylabel("driver of")
+    return Figure("swap", "Swapped partners", png(figure))
+
+
+def terms_figure(comparison: Comparison) -> Figure:
+    """Draw the reward terms per episode: a bar for each protocol, a dot for each seed."""
+    protocols = comparison.settings.protocols
+    figure = canvas(11, 5.6)
+    for axes, term in zip(figure.subplots(2, 4).flat, TERMS, strict=True):
+        for place, protocol in enumerate(protocols):
+            pairs = comparison.own_pairs(protocol)
+            mean = over_seeds(comparison.played, pairs, term).mean
+            seeds = [comparison.played[p][ALL_DRIVERS].per_episode([term]) for p in pairs]
+            axes.bar(place, mean, 0.8, color=COLOURS[protocol], alpha=0.75, label=protocol)
+            axes.plot([place] * len(seeds), seeds, "k.", markersize=5)
+        axes.axhline(0, color="#333", linewidth=0.8)
+        axes.set_xticks([])
+        axes.set_title(term)
+        axes.spines[["top", "right"]].set_visible(False)
+    bars = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*bars, loc="outside lower center", ncols=len(PROTOCOLS))
+    return Figure("terms", "The eight reward terms", png(figure))

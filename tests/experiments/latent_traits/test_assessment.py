@@ -16,6 +16,7 @@ from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits.assessment import (
     PARTS,
     Assessment,
+    AssessSettings,
     Split,
     assess,
     disjoint_pools,
@@ -24,7 +25,6 @@ from hmi_marl.experiments.latent_traits.assessment import (
 )
 from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence, exact_evidence
 from hmi_marl.experiments.latent_traits.imitation import by_driver, driving, replay
-from hmi_marl.experiments.latent_traits.settings import AssessSettings
 from hmi_marl.files import json_value
 
 CAST = ("lisa", "homer")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hmi_marl.experiments.experiment import Place, conduct
+from hmi_marl.experiments.latent_traits import figures
 from hmi_marl.experiments.latent_traits import report as trait_report
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
@@ -18,14 +19,11 @@ from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, ave
 from hmi_marl.experiments.latent_traits.report import (
     TraitResults,
     accuracy_figure,
-    blocks,
     driving_table,
     embeddings_figure,
     identity_table,
-    judge,
     left_out,
     likelihood_table,
-    numbers,
     over_seeds,
     ranking_table,
     trait_table,
@@ -35,6 +33,8 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import as_text
 from hmi_marl.reporting.report import PAGE, Stopwatch
 from hmi_marl.reporting.statistics import Estimate, share
+
+REPORT = TraitEvaluation((), Path())
 
 NOT_KNOWN = Estimate(math.nan, math.nan, math.nan)
 NAMES = ("lisa", "marge<b>", "bart", "homer")
@@ -111,12 +111,12 @@ def results(**assessments: list[Assessment]) -> TraitResults:
 
 
 def judged(found: TraitResults) -> dict[str, bool]:
-    return {f"{verdict.claim} ({verdict.reason})": verdict.holds for verdict in judge(found)}
+    return {f"{verdict.claim} ({verdict.reason})": verdict.holds for verdict in REPORT.judge(found)}
 
 
 def text_of(found: TraitResults) -> str:
     """The report's text, without verdicts."""
-    return as_text(blocks(found))
+    return as_text(REPORT.blocks(found))
 
 
 # Over seeds.
@@ -367,8 +367,8 @@ def test_json_holds_every_seed_and_no_nan(tmp_path: Path, monkeypatch: pytest.Mo
     assert first["reward_ranking"][0]["demonstrated"]["f"]["mean"] is None
     assert first["traits"]["eta"]["linear"] == {"mean": None, "low": None, "high": None}
     assert first["driving"][0]["imitated"]["alert_effect"]["mean"] is None
-    assert content["verdicts"] == [v.as_json() for v in judge(results(**several))]
-    assert set(numbers(results(**several))) == {"pool", "supervisions"}
+    assert content["verdicts"] == [v.as_json() for v in REPORT.judge(results(**several))]
+    assert set(REPORT.numbers(results(**several))) == {"pool", "supervisions"}
 
 
 # Figures and the page.
@@ -395,7 +395,7 @@ def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
         return Saved()
 
     monkeypatch.setattr(trait_report, "draw_accuracy", curves)
-    monkeypatch.setattr(trait_report, "draw_embeddings", panels)
+    monkeypatch.setattr(figures, "draw_embeddings", panels)
     assert accuracy_figure(ALL).content == embeddings_figure(EMBEDDINGS).content == b"figure"
     windows, lines, ceiling, chance = drawn["accuracy"]
     assert (windows, ceiling, chance) == ([1, 8], [0.9, 0.9], 0.25)

@@ -6,6 +6,7 @@ import pytest
 
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import DRIVERS, get_driver
+from hmi_marl.experiments.experiment import spec
 from hmi_marl.experiments.metrics_table.experiment import MetricsTable
 from hmi_marl.experiments.metrics_table.paper_table import (
     ETA_1,
@@ -16,7 +17,6 @@ from hmi_marl.experiments.metrics_table.paper_table import (
     shortfall,
 )
 from hmi_marl.experiments.metrics_table.table import TableConfig, make_cell, play_cell
-from hmi_marl.experiments.policies import spec
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.reporting.statistics import Estimate
 

@@ -15,8 +15,8 @@ import hmi_marl
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.experiments.episodes import Episodes
 from hmi_marl.experiments.metrics_table import report
-from hmi_marl.experiments.metrics_table.figures import table_figure
 from hmi_marl.experiments.metrics_table.in_short import in_short
+from hmi_marl.experiments.metrics_table.report import table_figure
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig, make_cell
 from hmi_marl.reporting.blocks import Clip, as_text
 from hmi_marl.reporting.statistics import Estimate

@@ -21,8 +21,8 @@ from hmi_marl.experiments.protocols.analysis import (
     swap_matrix,
     worst_finding,
 )
-from hmi_marl.experiments.protocols.experiment import ALL_DRIVERS, Pair, ProtocolComparison
-from hmi_marl.experiments.protocols.play import Sums
+from hmi_marl.experiments.protocols.experiment import ProtocolComparison
+from hmi_marl.experiments.protocols.plan import ALL_DRIVERS, Pair, Sums
 from hmi_marl.reporting.statistics import Estimate
 
 SETTINGS = ProtocolComparison(

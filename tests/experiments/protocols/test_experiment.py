@@ -1,303 +1,228 @@
+import base64
 import json
+import math
 from dataclasses import replace
-from itertools import product
+from html.parser import HTMLParser
+from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from PIL import Image
 
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.policy import read_policy
-from hmi_marl.cli import main
-from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
-from hmi_marl.experiments.episodes import Episodes, play_episodes
-from hmi_marl.experiments.policies import EVALUATION_SEED
+import hmi_marl
+from hmi_marl.envs.rewards import TERMS
+from hmi_marl.experiments.experiment import Place, conduct
+from hmi_marl.experiments.protocols.analysis import CURVES, Comparison
 from hmi_marl.experiments.protocols.experiment import (
-    ALL_DRIVERS,
-    PROTOCOLS,
-    Pair,
+    CURVE_TITLES,
     ProtocolComparison,
-    Run,
+    curves_figure,
+    swap_figure,
+    terms_figure,
 )
-from hmi_marl.experiments.protocols.play import Sums, play_all, play_pair
-from hmi_marl.training.jobs import train_all
+from hmi_marl.experiments.protocols.plan import ALL_DRIVERS, Sums
+from hmi_marl.reporting.blocks import as_text
+from hmi_marl.reporting.report import Report
+from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import Outcome
 
-TINY = ProtocolComparison(
-    steps=160,  # of 80 in a batch: two for the driver, one for the HMI
-    rounds=1,
-    seeds=2,
-    episodes=8,
-    num_teams=16,
-    duration=1.0,
-    vehicles=(1, 3),
+SETTINGS = ProtocolComparison(
+    protocols=("two-stage", "simultaneous"), seeds=2, drivers=("bart", "homer"), num_teams=16
 )
-TYPED = (
-    "compare --steps 160 --rounds 1 --seeds 2 --episodes 8 --num-teams 16 --duration 1 "
-    "--vehicles 1 3 --workers 1"
-)
+COMMAND = "hmi-marl compare --out '<script>alert(1)</script>'"
+
+
+def made(settings: ProtocolComparison = SETTINGS, crashes: int = 0) -> Comparison:
+    """Pair k has a team return of -100 + 10 k; own policies of simultaneous crash."""
+    played = {}
+    for k, pair in enumerate(settings.pairs()):
+        crashed = crashes if pair.driver.startswith("simultaneous") else 0
+        terms = dict.fromkeys(TERMS, 0.0) | {"distraction": 100.0 * (10 * k - 100)}
+        sums = Sums(100, crashed, 5000, 50.0, 300, math.nan, terms)
+        played[pair] = {ALL_DRIVERS: sums, "bart": sums, "homer": replace(sums, episodes=0)}
+    curves = {
+        run.name: [
+            dict.fromkeys(CURVES, run.seed + 0.1 * k) | {"steps": 100 * k, "seconds": 2.0 * k}
+            for k in range(1, 4)
+        ]
+        for run in settings.runs
+    }
+    return Comparison(settings, played, curves, workers=2)
+
+
+def write_report(out: Path, comparison: Comparison) -> Report:
+    """Write the report of a comparison that was made."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ProtocolComparison, "run", lambda self, place: comparison)
+        return conduct(comparison.settings, Place(out, out, command_line=COMMAND))
+
+
+class Page(HTMLParser):
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.text = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset")]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("compare") / "out"
-    assert main([*TYPED.split(), "--out", str(out)]) == 0
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report")
+    write_report(out, made(crashes=60))
     return out
 
 
-@pytest.fixture(scope="module")
-def content(folder: Path) -> dict:
-    return json.loads((folder / "compare.json").read_text("utf-8"))
+def block(comparison: Comparison, title: str) -> list[str]:
+    """A part of the text, by its title."""
+    text = as_text(comparison.settings.blocks(comparison)).split("\n")
+    start = text.index(title)
+    ends = [k for k, line in enumerate(text) if k > start and line and not line.startswith(" ")]
+    return [line.strip() for line in text[start + 1 : ends[0] if ends else None]]
 
 
-def batches(settings: ProtocolComparison, training) -> int:
-    return sum(phase.iterations(settings.num_teams, 1) for phase in training.phases())
+def test_the_page_needs_no_other_file(out: Path) -> None:
+    page = Page((out / "index.html").read_text("utf-8"))
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    start = "data:image/png;base64,"
+    shown = [base64.b64decode(link.removeprefix(start), validate=True) for link in page.links]
+    assert shown == [(out / f"{name}.png").read_bytes() for name in ("curves", "terms", "swap")]
+    for content in shown:
+        with Image.open(BytesIO(content)) as image:
+            assert image.format == "PNG"
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        ProtocolComparison(),
-        ProtocolComparison.quick(),
-        TINY,
-        ProtocolComparison(steps=1),
-        ProtocolComparison(steps=777_777, driver_share=0.37, rounds=3, num_teams=100),
-    ],
-)
-def test_every_run_takes_the_same_number_of_steps(settings: ProtocolComparison) -> None:
-    jobs = settings.jobs(Path("out"))
-    assert len(jobs) == len(PROTOCOLS) * (settings.seeds + 1)
-    taken = {batches(settings, job.settings) for job in jobs}
-    assert {count * settings.num_teams * settings.team().horizon for count in taken} == {
-        settings.steps_each
+def test_the_page_tells_how_it_was_made(out: Path) -> None:
+    page = Page((out / "index.html").read_text("utf-8"))
+    assert COMMAND in page.text
+    assert hmi_marl.__version__ in page.text
+    assert f"{SETTINGS.steps_each:,} environment steps" in page.text
+    assert "actions that were drawn (explored)" in page.text
+    assert "workers: 2" in page.text
+
+
+def test_the_text_is_written_as_it_is_printed(tmp_path: Path) -> None:
+    text = write_report(tmp_path, made(crashes=60)).text
+    assert (tmp_path / "compare.txt").read_text("utf-8") == text + "\n"
+
+
+def test_json_has_no_nan_and_everything_in_it(out: Path) -> None:
+    content = json.loads((out / "compare.json").read_text("utf-8"))
+    assert content["hmi_marl_version"] == hmi_marl.__version__
+    assert content["command"] == COMMAND
+    assert content["findings"] == {"two-stage": "reference", "simultaneous": "GAMED"}
+    (verdict,) = content["verdicts"]
+    assert (verdict["outcome"], verdict["reason"]) == ("not supported", "GAMED with all, bart")
+    assert content["protocols"]["two-stage"]["over_seeds"]["time_headway"]["mean"] is None
+    assert content["pairs"][0]["by_driver"]["homer"]["team_return"] is None
+    assert content["pairs"][0]["by_driver"][ALL_DRIVERS]["team_return"] == -100.0
+    assert content["curves"]["two-stage"]["team_return"]["steps"] == [100, 200, 300]
+    assert content["curves"]["two-stage"]["team_return"]["mean"] == pytest.approx([0.6, 0.7, 0.8])
+    assert content["training_seconds"]["two-stage-seed0"] == 6.0
+    settings = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in content["settings"].items()
     }
+    assert ProtocolComparison(**settings) == SETTINGS
 
 
-def test_the_steps_are_about_those_that_were_asked_for() -> None:
-    assert ProtocolComparison().steps_each == 60 * 51_200  # 3 million are 58.6 batches
-    assert ProtocolComparison().steps_apart == (48 * 51_200, 12 * 51_200)
-    assert ProtocolComparison.quick().steps_each == 24 * 12_800
-
-
-def test_every_run_has_its_own_folder_seed_and_setting() -> None:
-    jobs = {job.folder.name: job.settings for job in replace(TINY, seed=5).jobs(Path("out"))}
-    assert len(jobs) == 15
-    assert jobs["joint-seed6"].seed == 6
-    assert jobs["joint-seed6"].end_at_crash
-    assert not jobs["joint-seed5-standing"].end_at_crash
-    assert not jobs["simultaneous-moves-seed5"].sequential
-    assert jobs["simultaneous-seed5"].sequential
-    assert "joint-seed6-standing" not in jobs
-    unchecked = replace(TINY, crash_check=False)
-    assert not any("standing" in job.folder.name for job in unchecked.jobs(Path("out")))
-
-
-def test_the_reward_is_that_of_those_who_learn_together() -> None:
-    jobs = {
-        job.folder.name: job.settings
-        for job in replace(TINY, reward="individual").jobs(Path("out"))
-    }
-    for protocol in ("joint", "simultaneous", "simultaneous-moves"):
-        assert jobs[f"{protocol}-seed0"].reward == "individual"
-    alternating = jobs["alternating-seed0"]
-    assert (alternating.driver_reward, alternating.hmi_reward) == ("individual", "individual")
-    default = {job.folder.name: job.settings for job in TINY.jobs(Path("out"))}
-    assert default["joint-seed0"].reward == "team"
-    assert default["alternating-seed0"].driver_reward == "driving"
-    assert TINY.driver_terms("alternating") == DRIVING_TERMS
-    assert replace(TINY, reward="team").driver_terms("alternating") == TERMS
-    assert jobs["two-stage-seed0"].driver_reward == "driving"
-    assert TINY.driver_terms("two-stage") == DRIVING_TERMS
-    assert TINY.driver_terms("simultaneous") == TERMS
-    individual = replace(TINY, reward="individual")
-    assert individual.driver_terms("alternating") == DRIVER_TERMS
-    assert individual.driver_terms("joint") == TERMS  # both agents' together
-
-
-def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
-    pairs = TINY.pairs()
-    assert len(pairs) == len(set(pairs))
-    # 25 of each seed, 2 across the seeds of each protocol, 2 + 2 x 2 baselines, 2 x 5 standing
-    assert len(pairs) == 2 * 25 + 5 * 2 + 6 + 10
-    assert Pair("joint-seed1", "alternating-seed1") in pairs
-    assert Pair("joint-seed0", "joint-seed1") in pairs
-    assert Pair("joint-seed0", "alternating-seed1") not in pairs
-    assert Pair("joint-seed0-standing", "joint-seed0-standing", end_at_crash=False) in pairs
-    alone = replace(TINY, protocols=("joint",), seeds=1, crash_check=False)
-    assert alone.pairs() == [
-        Pair("joint-seed0", "joint-seed0"),
-        Pair("rule", "never"),
-        Pair("rule", "when-distracted"),
+def test_the_summary_worked_by_hand() -> None:
+    head, *rows = block(made(), "Final team return, crashes and alerts")
+    assert head.startswith("driver and HMI")
+    # pairs 0 and 4 are two-stage's own: -100 and -60; 300 alerts in 50 minutes
+    own = rows[0].split("  ")
+    own = [entry.strip() for entry in own if entry.strip()]
+    assert own[0] == "two-stage"
+    assert own[1] == "-80.0 [-334.1, 174.1]"
+    assert own[5] == "0.0 [0.0, 1.9]"  # Wilson, none of 200
+    assert own[6] == "6.0 [6.0, 6.0]"
+    assert own[8] == "-"
+    assert [row.split("  ")[0] for row in rows[1:6]] == [
+        "simultaneous",
+        "rule, never",
+        "rule, when-distracted",
+        "two-stage, never",
+        "two-stage, when-distracted",
     ]
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"protocols": ()}, "at least one of two-stage"),
-        ({"protocols": "joint"}, "a tuple of at least one"),
-        ({"protocols": ("fast",)}, "unknown protocol 'fast'; known: two-stage"),
-        ({"protocols": ("joint", "joint")}, "'joint' twice"),
-        ({"steps": 0}, "steps is at least 1"),
-        ({"rounds": 0}, "rounds is at least 1"),
-        ({"seeds": 0}, "seeds is at least 1"),
-        ({"episodes": 0}, "episodes is at least 1"),
-        ({"num_teams": 0}, "teams is at least 1"),
-        ({"num_teams": 8}, "cannot split 8 teams into 16 mini-batches"),
-        ({"driver_share": 0.0}, r"driver_share lies in \(0, 1\)"),
-        ({"driver_share": float("nan")}, r"driver_share lies in \(0, 1\)"),
-        ({"reward": "driving"}, "reward is one of default, team, individual"),
-        ({"seed": -1}, "a seed lies in"),
-        ({"seed": 2**64 - 1}, "a seed lies in"),
-        ({"drivers": ()}, "at least one name"),
-        ({"drivers": "homer"}, "a tuple of at least one name"),
-        ({"drivers": ("bob",)}, "unknown driver 'bob'"),
-        ({"drivers": ("homer", "Homer")}, "'homer' twice"),
-        ({"duration": 0.33}, "whole number of steps"),
-        ({"vehicles": (3, 1)}, "vehicles"),
-    ],
-)
-def test_impossible_settings_are_refused(change: dict, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
-        replace(TINY, **change)
+def test_own_pairs_are_marked() -> None:
+    _, first, second, *_ = block(made(), "Swapped partners")
+    # two-stage with both HMIs: -100 and -90, then -60 and -50 with the other seed
+    assert first.split()[1:4] == ["*-80.0", "[-334.1,", "174.1]*"]
+    assert first.count("*") == second.count("*") == 2
+    assert second.endswith("*-50.0 [-304.1, 204.1]*")
 
 
-def some_episodes() -> Episodes:
-    returns = {name: np.zeros(3) for name in TERMS}
-    returns["speed_reward"] = np.array([40.0, 20.0, 30.0])
-    returns["distraction"] = np.array([-10.0, -30.0, 0.0])
-    return Episodes(
-        seeds=np.arange(3, dtype=np.uint64),
-        length=np.array([10, 5, 10]),
-        crashed=np.array([False, True, False]),
-        alerts=np.array([4, 1, 0]),
-        distracted=np.zeros(3, np.int64),
-        min_time_headway=np.full(3, np.inf),
-        median_time_headway=np.array([1.0, np.inf, 3.0]),
-        returns=returns,
-    )
+def test_verdicts_name_their_drivers() -> None:
+    def judged(comparison: Comparison) -> list[tuple[str, str, str]]:
+        return [
+            (verdict.claim.split(":")[0], verdict.outcome, verdict.reason)
+            for verdict in comparison.settings.judge(comparison)
+        ]
+
+    assert judged(made(crashes=60)) == [
+        ("simultaneous", Outcome.NOT_SUPPORTED, "GAMED with all, bart")
+    ]
+    assert judged(made()) == [("simultaneous", Outcome.UNTESTABLE, "unknown with homer")]
+    rows = block(made(crashes=60), "Does crashing pay?")
+    assert rows[1].split()[:2] + rows[1].split()[-1:] == ["two-stage", "all", "reference"]
+    assert rows[4].split()[:2] + rows[4].split()[-1:] == ["simultaneous", "all", "GAMED"]
 
 
-def test_sums_worked_by_hand() -> None:
-    sums = Sums.of(some_episodes(), np.array([True, True, False]), frequency=5.0)
-    found = sums.metrics()
-    assert found["team_return"] == (60.0 - 40.0) / 2
-    assert found["attention_return"] == -20.0
-    assert found["team_return_per_step"] == pytest.approx(20.0 / 15)
-    assert found["crash_rate"] == 0.5
-    assert found["alerts_per_minute"] == pytest.approx(5 * 20)  # in 3 s
-    assert found["length"] == 7.5
-    assert found["time_headway"] == 1.0
-    assert set(TERMS) < set(found)
+def test_the_time_of_a_run() -> None:
+    _, row, *_ = block(made(), "Wall time")
+    assert row.split() == ["two-stage", "300", "6.0", "[6.0,", "6.0]", "50"]
 
 
-def test_sums_of_parts_make_the_whole() -> None:
-    episodes = some_episodes()
-    whole = Sums.of(episodes, np.ones(3, np.bool_), 5.0)
-    parts = [Sums.of(episodes, np.arange(3) == k, 5.0) for k in range(3)]
-    joined = Sums.join(parts)
-    assert joined.metrics() == pytest.approx(whole.metrics())
-    assert (joined.episodes, joined.crashes, joined.steps) == (3, 1, 25)
+def test_one_protocol_with_one_seed_can_be_reported(tmp_path: Path) -> None:
+    alone = replace(SETTINGS, protocols=("joint",), seeds=1, crash_check=False)
+    write_report(tmp_path, made(alone))
+    content = json.loads((tmp_path / "compare.json").read_text("utf-8"))
+    assert content["findings"] == {"joint": "unknown"}
+    assert content["verdicts"][0]["outcome"] == "cannot be tested here"
+    assert content["dependence"][0]["on_protocol"]["mean"] is None
 
 
-def test_no_episodes_come_to_nothing_known() -> None:
-    nothing = Sums.of(some_episodes(), np.zeros(3, np.bool_), 5.0)
-    assert np.isnan(list(nothing.metrics().values())).all()
-    assert np.isnan(Sums.join([nothing, nothing]).time_headway)
+def test_an_entry_says_what_is_known() -> None:
+    assert Estimate(1.26, 1.0, 1.5).shown() == "1.3 [1.0, 1.5]"
+    assert Estimate(-0.01, math.nan, math.nan).shown() == "0.0"
+    assert Estimate(math.nan, math.nan, math.nan).shown() == "-"
 
 
-def test_a_driver_who_never_came_is_left_open() -> None:
-    few = replace(TINY, episodes=1)
-    sums = play_pair(few, Path("none"), Pair("rule", "never"))
-    assert list(sums) == [ALL_DRIVERS, "lisa", "marge", "bart", "homer"]
-    assert sorted(part.episodes for part in sums.values()) == [0, 0, 0, 1, 1]
+def test_the_figures_show_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    for draw in (curves_figure, swap_figure, terms_figure):
+        draw(made())
+    curves, swap, terms = drawn
+    assert [panel.get_title() for panel in curves.axes] == list(CURVE_TITLES.values())
+    line = curves.axes[0].lines[0]
+    assert line.get_label() == "two-stage"
+    assert list(line.get_ydata()) == pytest.approx([0.6, 0.7, 0.8])
+    assert list(line.get_xdata()) == pytest.approx([1e-4, 2e-4, 3e-4])
+    assert [next(iter(seed.get_ydata())) for seed in curves.axes[0].lines[1:3]] == [0.1, 1.1]
+    low, high = curves.axes[0].get_ylim()
+    assert low < 0.1
+    assert 1.3 < high < 1.5, "the axes show what was seen, not the band"
+    assert [text.get_text() for text in swap.axes[0].texts] == ["-80", "-70", "-60", "-50"]
+    assert len(swap.axes[0].patches) == 2
+    distraction = terms.axes[TERMS.index("distraction")]
+    assert [bar.get_height() for bar in distraction.patches] == [-80.0, -50.0]
+    assert list(distraction.lines[0].get_ydata()) == [-100.0, -60.0]
 
 
-def test_drivers_share_the_episodes_among_them(folder: Path) -> None:
-    sums = play_pair(TINY, folder, Pair("joint-seed0", "two-stage-seed0"))
-    parts = [part for name, part in sums.items() if name != ALL_DRIVERS]
-    assert sum(part.episodes for part in parts) == 8
-    assert Sums.join(parts).per_episode() == pytest.approx(sums[ALL_DRIVERS].per_episode())
-
-
-def test_a_swapped_pair_plays_as_anybody_would_play_it(folder: Path) -> None:
-    swapped = Pair("alternating-seed1", "simultaneous-moves-seed1")
-    sums = play_pair(TINY, folder, swapped)[ALL_DRIVERS]
-    team = TINY.team()
-    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + 8, dtype=np.uint64)
-    episodes = play_episodes(
-        team,
-        make_driver_policy(str(folder / swapped.driver), team),
-        make_hmi(str(folder / swapped.hmi), team),
-        seeds,
-        "batched",
-    )
-    assert sums.terms == pytest.approx({k: v.sum() for k, v in episodes.returns.items()})
-    assert sums.alerts == episodes.alerts.sum()
-
-
-def test_results_do_not_depend_on_the_workers(folder: Path) -> None:
-    few = replace(TINY, protocols=("two-stage",), seeds=1, crash_check=False)
-    heard: list[int] = []
-    together = play_all(few, folder, 2, heard.append)
-    assert heard == [8] * len(few.pairs())
-    assert list(together) == few.pairs()
-    assert str(together) == str(play_all(few, folder, 1))  # NaN equals no other
-
-
-def test_runs_are_trained_as_their_protocols_say(folder: Path) -> None:
-    cards = {run: read_policy(folder / run.name / "vehicle_ai.json")[0] for run in TINY.main_runs}
-    for run, card in cards.items():
-        assert card.sequential == (run.protocol != "simultaneous-moves")
-        assert card.by_intent == (run.protocol == "joint")
-        assert card.training["steps"] == TINY.steps_each
-    standing = read_policy(folder / Run("joint", 0, standing=True).name / "driver.json")[0]
-    assert standing.training["team"]["end_at_crash"] is False
-
-
-def test_a_second_call_trains_nothing_and_another_comparison_is_refused(folder: Path) -> None:
-    few = replace(TINY, protocols=("two-stage", "joint"), crash_check=False)
-    jobs = few.jobs(folder)
-    paths = [job.folder / "checkpoint.safetensors" for job in jobs]
-    before = [path.stat().st_mtime_ns for path in paths]
-    other = replace(few, drivers=("homer",)).jobs(folder)[-1]
-    with pytest.raises(ValueError, match=r"joint-seed1 holds another run \(drivers = "):
-        train_all([*jobs, other], 1, quiet=True)
-    assert [path.stat().st_mtime_ns for path in paths] == before
-
-
-def test_curves_reach_the_last_step(folder: Path) -> None:
-    curves = {job.folder.name: job.curve() for job in TINY.jobs(folder)}
-    assert set(curves) == {run.name for run in TINY.runs}
-    assert {rows[-1]["steps"] for rows in curves.values()} == {TINY.steps_each}
-
-
-def test_the_command_writes_everything(folder: Path) -> None:
-    files = {path.name for path in folder.iterdir() if path.is_file()}
-    pictures = {"curves.png", "swap.png", "terms.png"}
-    assert files == {"compare.txt", "compare.json", "index.html"} | pictures
-
-
-def test_json_holds_every_seeds_numbers(content: dict) -> None:
-    assert content["steps_each"] == TINY.steps_each == 240
-    assert content["workers"] == 1
-    assert content["settings"]["protocols"] == list(PROTOCOLS)
-    assert content["command"].startswith(f"hmi-marl {TYPED} --out ")
-    assert set(content["training_seconds"]) == {run.name for run in TINY.runs}
-    found = {(p["driver"], p["hmi"], p["end_at_crash"]): p["by_driver"] for p in content["pairs"]}
-    assert len(found) == len(TINY.pairs())
-    for k, (i, a), (j, b) in product(range(2), enumerate(PROTOCOLS), enumerate(PROTOCOLS)):
-        pair = found[f"{a}-seed{k}", f"{b}-seed{k}", True]
-        matrix = content["swap_matrix"]["team_return_by_seed_driver_hmi"]
-        assert matrix[k][i][j] == pytest.approx(pair[ALL_DRIVERS]["team_return"])
-    assert set(content["findings"]) == set(PROTOCOLS)
-    assert content["findings"]["two-stage"] == "reference"
-    claims = [verdict["claim"].split(":")[0] for verdict in content["verdicts"]]
-    assert claims == [name for name in PROTOCOLS if name != "two-stage"]
-    assert {len(curve["mean"]) for curve in content["curves"]["joint"].values()} == {3}
-
-
-def test_help_gives_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["compare", "--help"])
-    assert stop.value.code == 0
-    assert "Example: hmi-marl compare --protocols" in " ".join(capsys.readouterr().out.split())
+@pytest.mark.parametrize(("seeds", "bands"), [(1, 0), (2, 0), (3, 2)])
+def test_two_seeds_have_no_band(seeds: int, bands: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    curves_figure(made(replace(SETTINGS, seeds=seeds)))
+    assert len(drawn[0].axes[0].collections) == bands

@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 
 from hmi_marl.experiments.adaptation.evaluation import POPULATION, WHEN, Result
-from hmi_marl.experiments.adaptation.experiment import AdaptEvaluation
+from hmi_marl.experiments.adaptation.experiment import (
+    AdaptEvaluation,
+    figure,
+    tables,
+)
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
     AVERAGE,
@@ -14,7 +18,6 @@ from hmi_marl.experiments.adaptation.hmis import (
     LEARNED_AVERAGE,
     NONE,
 )
-from hmi_marl.experiments.adaptation.report import blocks, figure, judge, tables
 from hmi_marl.experiments.adaptation.trips import Closed
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.reporting.blocks import Verdicts, as_text
@@ -83,7 +86,7 @@ CLAIMS = [
 
 
 def verdicts(every):
-    return {verdict.claim: verdict.holds for verdict in judge(every)}
+    return {verdict.claim: verdict.holds for verdict in AdaptEvaluation().judge(every)}
 
 
 def test_what_is_asked_of_it():
@@ -107,7 +110,12 @@ def test_what_is_asked_of_it():
 def test_what_is_missed_is_reported(change, missed):
     found = verdicts(results(**change))
     assert [claim for claim, holds in found.items() if not holds] == [missed]
-    text = as_text([*blocks(results(**change)), Verdicts(judge(results(**change)))])
+    text = as_text(
+        [
+            *AdaptEvaluation().blocks(results(**change)),
+            Verdicts(AdaptEvaluation().judge(results(**change))),
+        ]
+    )
     assert f"not supported  {missed}" in text
 
 

@@ -6,8 +6,13 @@ from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.exact import oracle
-from hmi_marl.experiments.alert_quality import AlertJudge, AlertQuality, ExactRules
-from hmi_marl.experiments.episodes import Episodes, play_episodes
+from hmi_marl.experiments.episodes import (
+    AlertJudge,
+    AlertQuality,
+    Episodes,
+    ExactRules,
+    play_episodes,
+)
 
 ONE_STEP = TeamConfig(driver="homer", duration=0.2)
 

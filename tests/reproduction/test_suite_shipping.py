@@ -10,8 +10,7 @@ from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Agent
 from hmi_marl.files import write_json
-from hmi_marl.reproduction.shipping import ship, without_places
-from hmi_marl.reproduction.suite import run_suite
+from hmi_marl.reproduction.suite import run_suite, ship, without_places
 
 
 class Learning(Counting):
