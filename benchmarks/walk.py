@@ -6,7 +6,8 @@ recorded from people, so that nothing is simulated, and one trait model.
 
 The walk goes along the calls and reads each function of the package once, where it is called for
 the first time. Calls of a function that was read already are passed over, with all that they call;
-so is what a module does when it is imported. Then
+so are imports, and the constructors ``__init__`` and ``__post_init__``, which set a value up and
+check it: following the data takes no look into them (``--constructors`` counts them as well). Then
 
 - a stop is the file in which the walk begins, and each first call of a function in another file
   than its caller's, which is where an editor's "go to definition" opens another file;
@@ -15,6 +16,7 @@ so is what a module does when it is imported. Then
 
 Run: python benchmarks/walk.py
      python benchmarks/walk.py --list     # every stop, and the function that is read there
+     python benchmarks/walk.py --constructors
 """
 
 from __future__ import annotations
@@ -42,6 +44,8 @@ class Walk:
     """Name of the file whose writing ends the walk."""
     stops: list[tuple[str, str]] = field(default_factory=list)
     """File, below the package, and the first function that is read there."""
+    passed_over: tuple[str, ...] = ("<module>", "__init__", "__post_init__")
+    """Names of functions that are passed over."""
     over: bool = False
     _read: set[Any] = field(default_factory=set)
     _open: list[FrameType] = field(default_factory=list)
@@ -54,7 +58,7 @@ class Walk:
             return
         if event == "call" and self._passed_over is None:
             code = frame.f_code
-            if code.co_name == "<module>" or (self._ours(frame) and code in self._read):
+            if code.co_name in self.passed_over or (self._ours(frame) and code in self._read):
                 self._passed_over = frame
             elif self._ours(frame):
                 self._read.add(code)
@@ -84,11 +88,12 @@ class Walk:
         return len({file for file, _ in self.stops})
 
 
-def walk(folder: Path) -> Walk:
+def walk(folder: Path, constructors: bool = False) -> Walk:
     """Evaluate a tiny trait model on tiny demonstrations and record the walk.
 
     Args:
         folder: for the data and what is written.
+        constructors: count them too.
     """
     from demonstrations import LAYOUT, made_up
     from trait_models import untrained
@@ -109,6 +114,8 @@ def walk(folder: Path) -> Walk:
     arguments = [str(folder / "model"), "--demonstrations", str(folder / "data")]
     command: Any = parse(["traits", "evaluate", *arguments, "--out", str(folder / "out")])
     found = Walk(str(Path(hmi_marl.__file__).parent))
+    if constructors:
+        found.passed_over = ("<module>",)
     sys.addaudithook(found.hear)
     sys.setprofile(found)
     try:
@@ -126,9 +133,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--list", action="store_true", help="print every stop")
+    parser.add_argument("--constructors", action="store_true", help="count constructors too")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = walk(Path(folder))
+        found = walk(Path(folder), arguments.constructors)
     if arguments.list:
         for number, (file, function) in enumerate(found.stops, 1):
             print(f"{number:3}  {file}  {function}")

@@ -15,7 +15,6 @@ from typing import Annotated, Any, NoReturn, Union
 import hmi_marl
 from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
 from hmi_marl.registry import unknown
-from hmi_marl.workers import environment
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 """Exit statuses; the last two are those of a shell after SIGINT and SIGPIPE."""
@@ -167,6 +166,8 @@ def _reason(
 
 def _output(parsed: Callable[[list[str]], object], arguments: list[str]) -> str:
     """Return what tyro prints, with no line broken."""
+    from hmi_marl.workers import environment
+
     text = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # tyro looks for an encoding
     with (
         environment({"COLUMNS": _WIDE}),

@@ -12,8 +12,7 @@ from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.exact import oracle
 from hmi_marl.exact.oracle import AlertReturns, Reachable
 from hmi_marl.files import json_value
-from hmi_marl.paper import audit
-from hmi_marl.paper.audit import HORIZONS, AuditedCell
+from hmi_marl.paper.audit import HORIZONS, AuditedCell, audit
 from hmi_marl.reporting.blocks import Block, Table, Text
 
 
@@ -76,7 +75,7 @@ class AlertProblem:
             },
             "alerts": json_value(self.alerts),
             "reachable_distraction_return": self.reachable._asdict(),
-            "audit": audit.audit_json(self.audited),
+            "audit": json_value(self.audited),
         }
 
 
@@ -99,7 +98,7 @@ def alert_problem(
     returns: dict[str, AlertReturns] = {"optimal": oracle.solve_alerts(*problem, **given)}
     returns |= {name: oracle.evaluate(rule, *problem, **given) for name, rule in rules.items()}
     reachable = oracle.reachable(*problem, **given)
-    return AlertProblem(*problem, returns, reachable, audit.audit(window), alerts)
+    return AlertProblem(*problem, returns, reachable, audit(window), alerts)
 
 
 def audit_table(cells: Sequence[AuditedCell], window: int) -> Table:

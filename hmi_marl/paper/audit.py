@@ -6,8 +6,7 @@ and every horizon from 94 to 100 steps, around the 95 or so that the NoHMI row i
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.exact import oracle
@@ -61,8 +60,3 @@ def _exact_ranges(driver: Driver, window: int) -> list[tuple[float, float]]:
         optima = [oracle.solve_alerts(each, window, steps).distraction_return for steps in HORIZONS]
         ranges.append((min(optima), max(optima)))
     return ranges
-
-
-def audit_json(cells: list[AuditedCell]) -> list[dict[str, Any]]:
-    """Return the audit as JSON content."""
-    return [asdict(cell) for cell in cells]

@@ -17,7 +17,8 @@ from hmi_marl.exact import oracle
 from hmi_marl.experiments.alert_problem import audit_table
 from hmi_marl.experiments.criteria import ETA_1_TOLERANCE
 from hmi_marl.experiments.hidden_attention import BAYES_OWN, LEARNED_OWN
-from hmi_marl.paper import audit
+from hmi_marl.files import json_value
+from hmi_marl.paper.audit import AuditedCell, audit
 from hmi_marl.paper.printed import AVERAGE_KL, DRIVER_TRAITS, REWARDS
 from hmi_marl.reporting.blocks import Block, Heading, Table, Text, Verdicts
 from hmi_marl.reporting.report import PAGE, Report
@@ -51,7 +52,7 @@ def full_report(records: Sequence[Record], command_line: str) -> Report:
     """
     results = {record.experiment.name: record.numbers for record in records}
     settings = {record.experiment.name: record.experiment.settings() for record in records}
-    verdicts, audited, made = judge(results), audit.audit(), made_with()
+    verdicts, audited, made = judge(results), audit(), made_with()
     blocks: list[Block] = [
         Text(_INTRODUCTION),
         Heading("The paper's claims", "claims"),
@@ -76,7 +77,7 @@ def full_report(records: Sequence[Record], command_line: str) -> Report:
         "made with": made,
         "claims": claims_json(verdicts),
         "exact": exact_values(),
-        "audit": audit.audit_json(audited),
+        "audit": json_value(audited),
         "stages": results,
     }
     return Report(NAME, "The paper, made again", blocks, numbers, command_line, settings)
@@ -147,7 +148,7 @@ def exact_blocks(results: Mapping[str, Mapping[str, Any]]) -> list[Block]:
     return blocks
 
 
-def audit_blocks(cells: Sequence[audit.AuditedCell]) -> list[Block]:
+def audit_blocks(cells: Sequence[AuditedCell]) -> list[Block]:
     """Distraction returns that the paper prints, and what can be reached."""
     out = [cell for cell in cells if not cell.reachable]
     like_1 = [cell for cell in out if _near(cell.paper, cell.optimum_if_eta_1)]

@@ -3,12 +3,7 @@ import json
 import pytest
 
 from hmi_marl.cli import main
-from hmi_marl.experiments.attentive_drivers import (
-    CAUTIOUS,
-    CONFIDENT,
-    AttentiveDrivers,
-    Driving,
-)
+from hmi_marl.experiments.attentive_drivers import CAUTIOUS, CONFIDENT, AttentiveDrivers, Driving
 from hmi_marl.reporting.blocks import Verdicts
 from hmi_marl.reporting.statistics import Estimate
 

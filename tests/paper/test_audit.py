@@ -6,13 +6,12 @@ from typing import Any
 import pytest
 
 from hmi_marl.exact import oracle
-from hmi_marl.files import write_json
+from hmi_marl.files import json_value, write_json
 from hmi_marl.paper.audit import (
     DISTRACTION_RETURNS,
     HORIZONS,
     AuditedCell,
     audit,
-    audit_json,
 )
 
 Cells = dict[tuple[str, str], AuditedCell]
@@ -119,7 +118,7 @@ def test_the_window_matters_to_the_audit(cells: Cells, monkeypatch: pytest.Monke
 
 
 def test_the_audit_goes_through_json(tmp_path: Path, audited: list[AuditedCell]) -> None:
-    write_json(tmp_path / "audit.json", audit_json(audited))
+    write_json(tmp_path / "audit.json", json_value(audited))
     content = json.loads((tmp_path / "audit.json").read_text())
     assert len(content) == 12
     assert content[0]["driver"] == "lisa"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -286,18 +286,16 @@ def tables(results: Sequence[Result]) -> list[Table]:
     """Show returns, closed shares of the gaps, and regret after a change of driver."""
     steady = [result for result in results if result.shares]
     changing = [result for result in results if result.after_change]
-    worth = [
-        [
-            result.group,
-            "" if result.exact_worth is None else f"{result.exact_worth:.1f}",
-            result.shares[AVERAGE]["3 trips"].gap.shown(".1f"),
-            *(
-                result.returns[hmi][-1].shown(".1f")
-                for hmi in (KNOWING, AVERAGE, LEARNED_AVERAGE, NONE)
-            ),
-        ]
-        for result in steady
-    ]
+
+    def last(hmi: str) -> Callable[[Result], str]:
+        return lambda result: result.returns[hmi][-1].shown(".1f")
+
+    worth: dict[str, Callable[[Result], str]] = {
+        "driver": lambda result: result.group,
+        "exact worth": lambda r: "" if r.exact_worth is None else f"{r.exact_worth:.1f}",
+        "played": lambda result: result.shares[AVERAGE]["3 trips"].gap.shown(".1f"),
+        **{hmi: last(hmi) for hmi in (KNOWING, AVERAGE, LEARNED_AVERAGE, NONE)},
+    }
     shares = [
         [result.group, hmi, *_closed(closed), closed["3 trips"].regret.shown(".1f")]
         for result in steady
@@ -318,28 +316,21 @@ def tables(results: Sequence[Result]) -> list[Table]:
         [result.group, *(_percent(result.after_change[hmi]) for hmi in (AVERAGE, *ADAPTIVE))]
         for result in changing
     ]
+    worth_title = "What knowing the driver is worth: attention return per trip, attention hidden"
+    shares_title = "Share of the gap from AvgHMI to the knowing HMI that is closed [%]"
+    learned_title = (
+        "The same between learned HMIs: learned AvgHMI and the one learned for the driver [%]"
+    )
+    change_title = (
+        "Regret from 20 to 40 s after a change of driver, of what the knowing HMI earns [%]"
+    )
+    head = ["driver", "HMI", *SHARE_COLUMNS]
     return [
-        Table(
-            "What knowing the driver is worth: attention return per trip, attention hidden",
-            ["driver", "exact worth", "played", KNOWING, AVERAGE, LEARNED_AVERAGE, NONE],
-            worth,
-        ),
-        Table(
-            "Share of the gap from AvgHMI to the knowing HMI that is closed [%]",
-            ["driver", "HMI", *SHARE_COLUMNS, "regret per trip, last"],
-            shares,
-        ),
-        Table(
-            "The same between learned HMIs: learned AvgHMI and the one learned for the driver [%]",
-            ["driver", "HMI", *SHARE_COLUMNS, "gap per trip"],
-            learned,
-        ),
+        Table.of(worth_title, steady, worth),
+        Table(shares_title, [*head, "regret per trip, last"], shares),
+        Table(learned_title, [*head, "gap per trip"], learned),
         Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first),
-        Table(
-            "Regret from 20 to 40 s after a change of driver, of what the knowing HMI earns [%]",
-            ["change", AVERAGE, *ADAPTIVE],
-            change,
-        ),
+        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change),
     ]
 
 

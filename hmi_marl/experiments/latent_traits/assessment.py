@@ -19,7 +19,7 @@ from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, T
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
-from hmi_marl.experiments.latent_traits.ceiling import LIKES_HELP, Ceilings, ceilings
+from hmi_marl.experiments.latent_traits.ceiling import Ceilings, ceilings, likes_help
 from hmi_marl.experiments.latent_traits.imitation import (
     ActionLikelihood,
     DrivingRow,
@@ -30,12 +30,7 @@ from hmi_marl.experiments.latent_traits.imitation import (
     imitate,
     replay,
 )
-from hmi_marl.experiments.latent_traits.probes import (
-    Separability,
-    TraitR2,
-    separability,
-    trait_r2,
-)
+from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, separability, trait_r2
 from hmi_marl.experiments.latent_traits.reward import RewardRanking, reward_ranking
 from hmi_marl.files import json_value
 
@@ -43,7 +38,6 @@ PARTS = 5
 """Calls of ``progress`` in :func:`assess`."""
 WINDOWS = (1, 2, 4, 8, 16)
 """Numbers of windows of a driver from which the driver is identified."""
-
 MIN_UNSEEN_DRIVERS = 4
 """Least drivers to regress traits over: two fit the regression, and two judge it."""
 
@@ -224,13 +218,6 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
         )
     sizes = sorted({*WINDOWS, pool})
     return tuple(size for size in sizes if (latent + 2) * size <= counts.min())
-
-
-def likes_help(demonstrations: Demonstrations) -> NDArray[np.int64] | None:
-    """Return 1 for windows of drivers who like help, else 0, (E,); None without the truth."""
-    if demonstrations.truth is None:
-        return None
-    return (demonstrations.truth.traits[:, TRAIT_NAMES.index("eta")] >= LIKES_HELP).astype(np.int64)
 
 
 def embed(model: TraitModel, split: Split) -> Embedding:

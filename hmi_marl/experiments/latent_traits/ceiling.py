@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
 from hmi_marl.demonstrations.dataset import Demonstrations, Observed
@@ -44,6 +44,13 @@ class Ceilings:
     """Accuracy of the driver's name."""
     preference: Estimate
     """Accuracy of whether the driver likes help."""
+
+
+def likes_help(demonstrations: Demonstrations) -> NDArray[np.int64] | None:
+    """Return 1 for windows of drivers who like help, else 0, (E,); None without the truth."""
+    if demonstrations.truth is None:
+        return None
+    return (demonstrations.truth.traits[:, TRAIT_NAMES.index("eta")] >= LIKES_HELP).astype(np.int64)
 
 
 def driver_policy_of(observed: Observed, given: str | None, config: TeamConfig) -> LearnedPolicy:

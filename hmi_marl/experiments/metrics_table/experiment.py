@@ -15,14 +15,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.experiments.criteria import EXACT_TOLERANCE
 from hmi_marl.experiments.episodes import EVALUATION_SEED
-from hmi_marl.experiments.experiment import (
-    DRIVER_RUN,
-    Agent,
-    Experiment,
-    Place,
-    driver_job,
-    spec,
-)
+from hmi_marl.experiments.experiment import DRIVER_RUN, Agent, Experiment, Place, driver_job, spec
 from hmi_marl.experiments.metrics_table.paper_table import (
     AVERAGE,
     METRICS,

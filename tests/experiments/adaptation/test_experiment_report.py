@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 
 from hmi_marl.experiments.adaptation.evaluation import POPULATION, WHEN, Result
-from hmi_marl.experiments.adaptation.experiment import (
-    AdaptEvaluation,
-    figure,
-    tables,
-)
+from hmi_marl.experiments.adaptation.experiment import AdaptEvaluation, figure, tables
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
     AVERAGE,

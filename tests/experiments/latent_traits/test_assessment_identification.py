@@ -17,12 +17,12 @@ from hmi_marl.experiments.latent_traits.assessment import (
     disjoint_pools,
     encode,
     identify_drivers,
-    likes_help,
     mean_latents,
     pool_sizes,
     population_pools,
     regress_traits,
 )
+from hmi_marl.experiments.latent_traits.ceiling import likes_help
 from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
