@@ -49,12 +49,7 @@ def check_count(name: str, value: int, least: int = 1) -> int:
 
 
 def check_positive(name: str, value: float, zero: bool = False) -> float:
-    """Return a finite number above 0.
-
-    Args:
-        name: of the setting.
-        value: of the setting.
-        zero: 0 is allowed too.
+    """Return a finite number above 0, or with ``zero`` 0 too.
 
     Raises:
         ValueError: it is not finite, or too small.
@@ -66,13 +61,7 @@ def check_positive(name: str, value: float, zero: bool = False) -> float:
 
 
 def check_share(name: str, value: float, zero: bool = True, one: bool = True) -> float:
-    """Return a number between 0 and 1.
-
-    Args:
-        name: of the setting.
-        value: of the setting.
-        zero: 0 itself is allowed.
-        one: 1 itself is allowed.
+    """Return a number between 0 and 1; ``zero`` and ``one`` allow these ends.
 
     Raises:
         ValueError: it lies outside, or is not a number.

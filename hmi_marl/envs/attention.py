@@ -162,14 +162,8 @@ def successors(driver: Driver, window: int, alerts: Alerts = PLAIN) -> Successor
 def transition_matrix(driver: Driver, window: int) -> NDArray[np.float64]:
     """P[a, d, i, c, d', i', c']: the chain's transition probabilities, for inspection.
 
-    Its size is O(N²); :func:`successors` gives the same in O(N).
-
-    Args:
-        driver: has the traits.
-        window: N, in steps.
-
-    Returns:
-        float64 array of shape (2, 2, 2, N, 2, 2, N); the last three axes sum to 1.
+    Float64 of shape (2, 2, 2, N, 2, 2, N) with N = ``window``; the last three axes sum to 1. Its
+    size is O(N²); :func:`successors` gives the same in O(N).
     """
     after = successors(driver, window)
     matrix = np.zeros((2, 2, 2, window, 2, 2, window))

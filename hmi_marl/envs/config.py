@@ -39,7 +39,7 @@ class TeamConfig:
     """Whether the vehicle AI sees d, i and c of the last step (a driver-monitoring camera)."""
     reward: Sharing = "team"
     """Reward of each agent: "team", "individual", "driving" or "attention" (see
-    :func:`rewards.share`)."""
+    :data:`rewards.SHARES`)."""
     alert_window: int = 7
     """N, the intervention window in steps."""
     alert_strengths: tuple[float, ...] = FULL

@@ -112,7 +112,7 @@ from pettingzoo.utils import wrappers
 
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
 from hmi_marl.envs.observations import Layout
-from hmi_marl.envs.single import RENDER_MODES, SingleTeam, team_info
+from hmi_marl.envs.single import RENDER_MODES, Pictured, SingleTeam, team_info
 from hmi_marl.envs.worlds import World
 
 _OVER = "the episode is over: call reset() before stepping again"
@@ -139,8 +139,8 @@ def env(
     return _InOrder(raw_env(world=world, render_mode=render_mode, **settings))
 
 
-class _TwoSeats:
-    """Spaces, layouts, state and pictures of both PettingZoo interfaces."""
+class _TwoSeats(Pictured):
+    """Spaces, layouts and state of both PettingZoo interfaces."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's habit)
         "name": "merge_v0",
@@ -214,14 +214,6 @@ class _TwoSeats:
 
     def _infos(self) -> dict[str, dict[str, Any]]:
         return {agent: team_info(self.team.teaming, self.team.result) for agent in AGENTS}
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """A picture of shape (height, width, 3), or None after drawing in the window."""
-        return self.team.render()
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self.team.close()
 
 
 class raw_env(_TwoSeats, AECEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # noqa: N801 (PettingZoo's name)

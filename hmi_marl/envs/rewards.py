@@ -128,12 +128,7 @@ SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
 def share(
     terms: dict[str, NDArray[np.float64]], sharing: Sharing
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rewards of the driver and of the vehicle AI, shapes (N,).
-
-    ``team``: the sum of all eight to both. ``individual``: driving and distraction to the driver,
-    alert and accept to the AI. ``driving``: the five driving terms to both. ``attention``:
-    distraction, alert and accept to both.
-    """
+    """Rewards of the driver and of the vehicle AI, shapes (N,): sums of the terms in SHARES."""
     # One after the other: NumPy's sum adds a single team's terms in another order than many teams'.
     driver, vehicle_ai = (
         reduce(np.add, [terms[name] for name in names]) for names in SHARES[sharing]

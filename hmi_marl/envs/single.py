@@ -8,8 +8,7 @@ to do. Both take every keyword of :mod:`hmi_marl.envs.merge_v0`.
 
 The classes here take the partner as a :class:`hmi_marl.envs.seats.Policy`;
 :mod:`hmi_marl.agents.partners`, which ``gymnasium.make`` goes through, also takes a known
-policy's name or a plain function from one observation to an action. A policy may remember
-what it saw: give each environment its own object.
+policy's name or a plain function from one observation to an action.
 """
 
 from __future__ import annotations
@@ -125,6 +124,20 @@ class SingleTeam:
             self._viewer = None
 
 
+class Pictured:
+    """An environment of one team, with its pictures."""
+
+    team: SingleTeam
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of shape (height, width, 3), or None after drawing in the window."""
+        return self.team.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.team.close()
+
+
 def team_info(teaming: Teaming, result: StepResult | None, team: int = 0) -> dict[str, Any]:
     """Numbers about one team after a step, for ``info``: the truth, for evaluation and pictures.
 
@@ -192,7 +205,7 @@ def as_scalar(action: Any) -> Any:
     return int(action) if isinstance(action, bool) else action
 
 
-class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
+class _OneSeat(Pictured, gymnasium.Env[NDArray[np.float32], np.int64]):
     """The common part of both seats."""
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's)
@@ -266,14 +279,6 @@ class _OneSeat(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def _info(self) -> dict[str, Any]:
         return team_info(self.team.teaming, self.team.result)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """A picture of shape (height, width, 3), or None after drawing in the window."""
-        return self.team.render()
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self.team.close()
 
 
 class MergeDriver(_OneSeat):

@@ -105,7 +105,7 @@ class Teaming:
             ValueError, TypeError: seeds or a mask that do not fit, or a population that draws
                 impossible traits. Nothing has changed then.
         """
-        fresh = self._mask(which)
+        fresh = check_mask(which, self.num_teams)
         seeds = np.where(fresh, self._checked_seeds(seeds, fresh), self.seeds)
         drawn = check_traits(self.config.population.draw(seeds), self.num_teams).as_array()
         self.seeds = seeds
@@ -131,7 +131,7 @@ class Teaming:
             ValueError, TypeError: impossible traits, a mask that does not fit, or a turn that has
                 begun: another driver would carry out its intent. Nothing has changed then.
         """
-        fresh = self._mask(which)
+        fresh = check_mask(which, self.num_teams)
         if (fresh & self.intent_given).any():
             raise ValueError("the wheel is handed over between turns; alert with step() first")
         new = check_traits(traits, self.num_teams).as_array()
@@ -177,7 +177,7 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or a second intent in the same step.
         """
-        acts = self._mask(which) & ~self.over
+        acts = check_mask(which, self.num_teams) & ~self.over
         if (acts & self.intent_given).any():
             raise ValueError("the drivers have already acted in this step; now alert with step()")
         actions = self._checked(driver_actions, len(VEHICLE_ACTIONS), "driver", acts)
@@ -292,9 +292,6 @@ class Teaming:
             "fatigue": now.fatigue[:, None] / max(1, self.alerts.levels),
             "traits": obs.traits_part(self.traits),
         }
-
-    def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        return check_mask(which, self.num_teams)
 
     def _checked_seeds(self, seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:
         given = np.asarray(seeds)

@@ -73,7 +73,7 @@ class BayesFilter:
         Raises:
             ValueError: a mask of another shape or type.
         """
-        fresh = self._mask(which)
+        fresh = check_mask(which, len(self._applied))
         self.accepted = np.where(fresh, 0, self.accepted)
         self.counter = np.where(fresh, 0, self.counter)
         self._applied = np.where(fresh, NO_ACTION, self._applied)
@@ -107,7 +107,8 @@ class BayesFilter:
             ValueError: arrays that do not fit, or numbers out of their range. Nothing has changed
                 then.
         """
-        acts, shape = self._mask(active), (*self.log_evidence.T.shape, len(VEHICLE_ACTIONS))
+        acts = check_mask(active, len(self._applied))
+        shape = (*self.log_evidence.T.shape, len(VEHICLE_ACTIONS))
         if np.shape(intent_probabilities) != shape:
             raise ValueError(
                 f"intent_probabilities have shape (K, N, 5) = {shape}, not "
@@ -151,9 +152,6 @@ class BayesFilter:
         distracted = self.distracted * stays + self._attentive * becomes
         attentive = self.distracted * (1.0 - stays) + self._attentive * (1.0 - becomes)
         return distracted, attentive
-
-    def _mask(self, which: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        return check_mask(which, len(self._applied))
 
 
 def posterior(

@@ -199,11 +199,8 @@ def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeigh
 
     Args:
         rule: of :func:`solve_belief`, with sequential moves.
-        driver: the driver.
+        driver: any, also another than the rule's.
         weights: of the rewards.
-
-    Returns:
-        Expected attention return of an episode.
     """
     driver, window, horizon = get_driver(driver), rule.window, rule.horizon
     d, i, c = np.indices((2, 2, window))

@@ -207,7 +207,11 @@ def perceived(
         ValueError: a window goes on after its end.
     """
     inflations, which = np.unique([driver.inflation for driver in drivers], return_inverse=True)
-    replays = [_attentive_teams(config, inflation, seeds) for inflation in inflations.tolist()]
+    replays = []
+    for inflation in inflations.tolist():
+        attentive = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=inflation)
+        replays.append(Teaming(replace(config, driver=attentive), len(seeds), "batched"))
+        replays[-1].reset(seeds)
     layout, traits = driver_layout(config), traits_part(Traits.of(drivers))
     within = np.arange(actions.shape[1]) < length[:, None]
     driven, alerted = np.where(within, actions, 0), np.where(within, alerts, 0)
@@ -223,14 +227,6 @@ def perceived(
         yield seen
         for teams in replays:
             teams.turn(driven[:, t], alerted[:, t])
-
-
-def _attentive_teams(config: TeamConfig, inflation: float, seeds: NDArray[np.uint64]) -> Teaming:
-    """Teams at the start of these windows, of a driver with this inflation, never distracted."""
-    driver = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=inflation)
-    teams = Teaming(replace(config, driver=driver), len(seeds), "batched")
-    teams.reset(seeds)
-    return teams
 
 
 def check_stochastic(policy: object) -> StochasticPolicy:

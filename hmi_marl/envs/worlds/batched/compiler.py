@@ -32,6 +32,8 @@ try:
 except ImportError:  # on Windows, processes that start together may compile the same twice
     fcntl = None  # type: ignore[assignment]
 
+WITHOUT_COMPILER = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
+"""Whether NUMBA_DISABLE_JIT lets everything run as plain Python."""
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _PATIENCE = 180.0
 """Longest wait for another process that compiles [s]."""
@@ -226,7 +228,7 @@ inlined: Any = njit(forceinline=True, **_OPTIONS)
 def kernel(loop: Callable[..., None]) -> Any:
     """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it."""
     function: Any = njit(nogil=True, error_model="numpy")(loop)
-    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if not WITHOUT_COMPILER:
         function._cache = KeptCode(loop)
     return function
 
@@ -234,12 +236,10 @@ def kernel(loop: Callable[..., None]) -> Any:
 def prepare(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
     """Compile kernels for the types of the arguments that they will be called with.
 
-    Compiles all of them together, so that a user waits, and reads about it, only once.
-
-    Args:
-        calls: pairs of a kernel and an example of its arguments.
+    Compiles all of them together, so that a user waits, and reads about it, only once. ``calls``
+    are pairs of a kernel and an example of its arguments.
     """
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if WITHOUT_COMPILER:
         return
     wanted = [(each, tuple(numba.typeof(one) for one in given)) for each, given in calls]
     if all(types in each.overloads for each, types in wanted):

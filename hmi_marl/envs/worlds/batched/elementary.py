@@ -27,12 +27,11 @@ import math
 from fractions import Fraction
 from typing import Any
 
-import numba
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from hmi_marl.envs.worlds.batched.compiler import compiled, inlined
+from hmi_marl.envs.worlds.batched.compiler import WITHOUT_COMPILER, compiled, inlined
 
 
 def _fma_compiled(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
@@ -48,11 +47,7 @@ def _fma_in_python(x: float, y: float, z: float) -> float:
     return float(Fraction(x) * Fraction(y) + Fraction(z))
 
 
-fma: Any = (
-    _fma_in_python
-    if numba.config.DISABLE_JIT  # type: ignore[attr-defined]
-    else intrinsic(_fma_compiled)
-)
+fma: Any = _fma_in_python if WITHOUT_COMPILER else intrinsic(_fma_compiled)
 """x * y + z with one rounding."""
 
 _QUARTER_TURN, _QUARTER_TURN_LOW = 1.5707963267948966, 6.123233995736766e-17

@@ -25,7 +25,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from hmi_marl.envs.worlds.batched.compiler import compiled
+from hmi_marl.envs.worlds.batched.compiler import WITHOUT_COMPILER, compiled
 
 WORTH_A_THREAD = 16
 """Worlds below which another thread costs more time than it saves."""
@@ -50,8 +50,7 @@ def _add_in_python(array: NDArray[np.int64], place: int, amount: int) -> int:
     return before
 
 
-_WITHOUT_COMPILER = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
-_add: Any = _add_in_python if _WITHOUT_COMPILER else intrinsic(_add_compiled)
+_add: Any = _add_in_python if WITHOUT_COMPILER else intrinsic(_add_compiled)
 """Add to an element of an int64 array, safe among threads; returns what it was before."""
 
 
@@ -140,7 +139,7 @@ def share(loop: Callable[..., None], count: int, threads: int, *arguments: Any) 
     """
     progress = np.zeros(2, np.int64)
     helpers = min(threads, count // WORTH_A_THREAD) - 1
-    if helpers < 1 or _WITHOUT_COMPILER:
+    if helpers < 1 or WITHOUT_COMPILER:
         loop(progress, *arguments)
         return
     ended: SimpleQueue[BaseException | None] = SimpleQueue()
