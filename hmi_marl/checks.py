@@ -12,30 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-import numpy as np
-
-
-def check_whole(name: str, value: int, unit: str = "") -> int:
-    """Return an integer of Python or NumPy as an int.
-
-    Raises:
-        TypeError: it is a bool or anything else.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} is a whole number{unit}, not {value!r}")
-    return int(value)
-
-
-def check_number(name: str, value: float, unit: str = "") -> float:
-    """Return a number of Python or NumPy as a float.
-
-    Raises:
-        TypeError: it is a bool or anything else.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise TypeError(f"{name} is a number{unit}, not {value!r}")
-    return float(value)
-
 
 def check_count(name: str, value: int, least: int = 1) -> int:
     """Return a number of things.

@@ -22,11 +22,9 @@ _EXTRA_OF = {module: extra for extra, modules in EXTRAS.items() for module in mo
 
 
 def need(feature: str, *modules: str) -> None:
-    """Check that modules of extras are installed, without importing them.
+    """Check that the modules of :data:`EXTRAS` that a feature needs are installed.
 
-    Args:
-        feature: needs them, the subject of the error.
-        modules: names in :data:`EXTRAS`.
+    Imports none of them. ``feature`` is the subject of the error.
 
     Raises:
         ModuleNotFoundError: some are missing; the message names the extras to install.

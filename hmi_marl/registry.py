@@ -128,7 +128,6 @@ def unknown(kind: str, name: str, known: Iterable[str], where: str = HELP) -> st
 
     Args:
         kind: the kind of name, such as "driver".
-        name: the unknown name.
         known: all names, in the order to list them.
         where: the command or page that lists them.
 

@@ -35,11 +35,9 @@ def check_workers(workers: int | None) -> int:
 def pool(
     workers: int, begin: Callable[..., object] | None = None, *arguments: Any
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes; at the end, submitted tasks that have not begun are dropped.
+    """A pool of up to ``workers`` fresh processes, each of which first calls ``begin(*arguments)``.
 
-    Args:
-        workers: number of processes at most.
-        begin: called first in each process, with the ``arguments``.
+    At the end, submitted tasks that have not begun are dropped.
     """
     with environment(_ONE_THREAD):  # a worker reads them when it starts
         executor = ProcessPoolExecutor(

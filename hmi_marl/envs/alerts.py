@@ -33,7 +33,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import check_count, check_number, check_share, check_whole
+from hmi_marl.envs.streams import check_number, check_whole
 
 FULL = (1.0,)
 """The strengths of the paper's one bit."""
@@ -59,9 +59,13 @@ class Fatigue:
     def __post_init__(self) -> None:
         for name in ("levels", "per_alert"):
             value = check_whole(f"fatigue: {name}", getattr(self, name))
-            object.__setattr__(self, name, check_count(f"fatigue: {name}", value))
+            if value < 1:
+                raise ValueError(f"fatigue: {name} is at least 1, but got {value}")
+            object.__setattr__(self, name, value)
         effect = check_number("fatigue: effect", self.effect)
-        object.__setattr__(self, "effect", check_share("fatigue: effect", effect))
+        if not 0.0 <= effect <= 1.0:  # also refuses NaN
+            raise ValueError(f"fatigue: effect lies in [0, 1], but got {effect}")
+        object.__setattr__(self, "effect", effect)
 
     def __str__(self) -> str:
         return f"{self.per_alert} of {self.levels} levels per alert, which take {self.effect:g} η"
@@ -126,7 +130,7 @@ class Alerts:
         """The share of η that helps in step t, in [0, 1], from i_t and f_{t-1}, broadcast."""
         if self.fatigue is None:
             return self.strength(accepted)
-        share = np.asarray(fatigue) / self.fatigue.levels
+        share = np.asarray(fatigue) / self.levels
         return self.strength(accepted) * (1.0 - self.fatigue.effect * share)
 
     def next_fatigue(self, fatigue: ArrayLike, alert: ArrayLike) -> NDArray[np.int64]:

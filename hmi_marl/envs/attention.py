@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import check_whole
 from hmi_marl.envs.alerts import PLAIN, Alerts
 from hmi_marl.envs.drivers import Driver, Traits
+from hmi_marl.envs.streams import check_whole
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,13 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from hmi_marl.checks import check_choice, check_number
+from hmi_marl.checks import check_choice
 from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
 from hmi_marl.envs.attention import check_window
 from hmi_marl.envs.drivers import Driver, DriverList, Population, as_population
 from hmi_marl.envs.rewards import SHARES, RewardWeights, Sharing
 from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.streams import check_number
 from hmi_marl.registry import suggest
 
 AGENTS = ("driver", "vehicle_ai")

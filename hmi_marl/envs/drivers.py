@@ -16,8 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import check_number
-from hmi_marl.envs.streams import Stream, uniform
+from hmi_marl.envs.streams import Stream, check_number, uniform
 
 TRAIT_NAMES = ("beta", "alpha", "eta", "inflation")
 MAX_INFLATION = 20.0
@@ -279,11 +278,9 @@ class TraitDistributions:
 
     def draw(self, seeds: NDArray[np.uint64]) -> Traits:
         """See :meth:`Population.draw`."""
+        distributions = [getattr(self, trait) for trait in TRAIT_NAMES]
         return Traits(
-            *(
-                getattr(self, trait).quantile(uniform(seeds, Stream.TRAITS, counter))
-                for counter, trait in enumerate(TRAIT_NAMES)
-            )
+            *(d.quantile(uniform(seeds, Stream.TRAITS, k)) for k, d in enumerate(distributions))
         )
 
 

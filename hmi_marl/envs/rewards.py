@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import check_number
+from hmi_marl.envs.streams import check_number
 
 DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
 DRIVER_TERMS = (*DRIVING_TERMS, "distraction")

@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.checks import check_number, check_whole
-from hmi_marl.envs.streams import Stream, uniform
+from hmi_marl.envs.streams import Stream, check_number, check_whole, uniform
 
 LANE_WIDTH = 4.0
 EGO_START = 30.0
@@ -98,13 +97,13 @@ class Scene:
     @property
     def vehicle_range(self) -> tuple[int, int]:
         """Least and most other vehicles."""
-        if isinstance(self.vehicles, (tuple, list)):
-            if len(self.vehicles) != 2:
-                raise ValueError(
-                    f"scene.vehicles is a number or a (least, most) pair, not {self.vehicles}"
-                )
-            return self.vehicles[0], self.vehicles[1]
-        return self.vehicles, self.vehicles
+        if not isinstance(self.vehicles, (tuple, list)):
+            return self.vehicles, self.vehicles
+        if len(self.vehicles) != 2:
+            raise ValueError(
+                f"scene.vehicles is a number or a (least, most) pair, not {self.vehicles}"
+            )
+        return self.vehicles[0], self.vehicles[1]
 
     @property
     def merge_end(self) -> float:

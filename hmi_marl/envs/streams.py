@@ -5,6 +5,8 @@ share a batch, in which order or on which thread they run, or which world carrie
 mixing function is SplitMix64's finaliser (Steele, Lea & Flood 2014), chained over the three
 words. It needs only 64-bit integer arithmetic, works element by element on NumPy arrays of any
 shape, and can be compiled.
+
+Checks of the numbers that users give, such as seeds, stand here too.
 """
 
 from __future__ import annotations
@@ -76,6 +78,28 @@ def episode_seed(seed: ArrayLike, episode: ArrayLike) -> NDArray[np.uint64]:
     """The seed of a team's ``episode``-th episode: the team's own seed for the first (0)."""
     seed, episode = np.asarray(seed, np.uint64), np.asarray(episode, np.uint64)
     return np.where(episode == 0, seed, mix(seed, Stream.EPISODE, episode))
+
+
+def check_whole(name: str, value: int, unit: str = "") -> int:
+    """Return an integer of Python or NumPy as an int.
+
+    Raises:
+        TypeError: it is a bool or anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} is a whole number{unit}, not {value!r}")
+    return int(value)
+
+
+def check_number(name: str, value: float, unit: str = "") -> float:
+    """Return a number of Python or NumPy as a float.
+
+    Raises:
+        TypeError: it is a bool or anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
+        raise TypeError(f"{name} is a number{unit}, not {value!r}")
+    return float(value)
 
 
 def check_seed(seed: Any) -> int:

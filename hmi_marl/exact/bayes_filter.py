@@ -67,8 +67,7 @@ class BayesFilter:
     def begin(self, which: NDArray[np.bool_] | None = None) -> None:
         """Begin a new window of the same drivers: d, i, c and v begin anew, the evidence stays.
 
-        Args:
-            which: the teams that begin one, bool, shape (N,); all by default.
+        ``which`` marks the teams that begin one, bool, shape (N,); all by default.
 
         Raises:
             ValueError: a mask of another shape or type.

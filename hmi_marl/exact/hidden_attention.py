@@ -199,8 +199,7 @@ def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeigh
 
     Args:
         rule: of :func:`solve_belief`, with sequential moves.
-        driver: any, also another than the rule's.
-        weights: of the rewards.
+        driver, weights: of the episode.
     """
     driver, window, horizon = get_driver(driver), rule.window, rule.horizon
     d, i, c = np.indices((2, 2, window))

@@ -470,7 +470,7 @@ def test_bad_actions_of_one_seat():
 
 def test_seats_and_partners_that_do_not_fit():
     teams, hmi = standing_teams(1), make_hmi("never", TeamConfig())
-    with pytest.raises(ValueError, match="'driver', 'vehicle_ai', 'team', not 'passenger'"):
+    with pytest.raises(ValueError, match="one of driver, vehicle_ai, team, not 'passenger'"):
         TeamVecEnv(teams, "passenger")
     with pytest.raises(ValueError, match="needs a partner"):
         TeamVecEnv(teams, "driver")

@@ -171,17 +171,13 @@ class BatchedWorld:
         """Compile the loops, or load them."""
         none, everywhere = np.zeros(self.num_worlds, np.int64), np.ones(self.num_worlds, np.bool_)
         progress = np.zeros(2, np.int64)
-        prepare(
-            [
-                (
-                    begin_worlds,
-                    (progress, *self._begin_arguments(none.view(np.uint64), everywhere)),
-                ),
-                (step_worlds, (progress, *self._step_arguments(none, everywhere))),
-                (look_around, (progress, *self._look_arguments(inflated=True))),
-                (fill_directions, (progress, self._directions)),
-            ]
-        )
+        calls: dict[Any, tuple[Any, ...]] = {
+            begin_worlds: self._begin_arguments(none.view(np.uint64), everywhere),
+            step_worlds: self._step_arguments(none, everywhere),
+            look_around: self._look_arguments(inflated=True),
+            fill_directions: (self._directions,),
+        }
+        prepare([(each, (progress, *arguments)) for each, arguments in calls.items()])
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Load a copy, with fewer threads where fewer are allowed, and arrays of its own.
