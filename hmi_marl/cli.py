@@ -147,10 +147,7 @@ def _parse(
 
 
 def _reason(
-    parsed: Callable[[list[str]], object],
-    prog: str,
-    arguments: list[str],
-    parts: Sequence[str],
+    parsed: Callable[[list[str]], object], prog: str, arguments: list[str], parts: Sequence[str]
 ) -> str:
     """Return in one line what is wrong with arguments that tyro refuses."""
     part = [argument for argument in arguments if argument in parts][-1:]

@@ -19,12 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.demonstrations.dataset import (
-    MISSING,
-    Demonstrations,
-    Observed,
-    Truth,
-)
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of, write_atomically

@@ -28,13 +28,7 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value
-from hmi_marl.training.protocols.settings import (
-    LEARNED,
-    OTHER_SEAT,
-    TEAM,
-    Phase,
-    TrainSettings,
-)
+from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phase, TrainSettings
 
 with needing("training"):
     import torch

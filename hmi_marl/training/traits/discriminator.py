@@ -126,9 +126,7 @@ class DiscriminatorLearner:
         z_imitated = z_experts.detach() + settings.weights.imitate * (
             z_experts - z_experts.detach()
         )
-        losses = {
-            "imitation": -log_likelihood(self._policy, experts, z_imitated).mean(),
-        }
+        losses = {"imitation": -log_likelihood(self._policy, experts, z_imitated).mean()}
         if labelled is not None and known is not None:
             losses["L3"] = contrastive_loss(
                 encoder.posterior(known, *units).sample(),

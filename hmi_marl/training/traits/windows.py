@@ -230,9 +230,7 @@ def make_labels(
 
 
 def _preferences(
-    demonstrations: Demonstrations,
-    marked: NDArray[np.bool_],
-    answers: Mapping[str, float] | None,
+    demonstrations: Demonstrations, marked: NDArray[np.bool_], answers: Mapping[str, float] | None
 ) -> NDArray[np.float64]:
     if answers is None:
         if demonstrations.truth is None:
