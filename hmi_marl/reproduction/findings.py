@@ -213,10 +213,7 @@ def _embedding(results: Results, setting: str) -> tuple[NDArray[np.float64], lis
 
 
 def share_apart(
-    means: NDArray[np.float64],
-    drivers: Sequence[str],
-    one: Sequence[str],
-    other: Sequence[str],
+    means: NDArray[np.float64], drivers: Sequence[str], one: Sequence[str], other: Sequence[str]
 ) -> float:
     """Share of pools whose nearest driver's centre is of their own kind.
 

@@ -244,11 +244,7 @@ class Adaptation(_Judged):
 
 
 def record_change(
-    path: Path,
-    driver_policy: str,
-    trained: Trained,
-    settings: AdaptSettings,
-    seed: int = CLIP_SEED,
+    path: Path, driver_policy: str, trained: Trained, settings: AdaptSettings, seed: int = CLIP_SEED
 ) -> None:
     """Write one trip in the middle of which Homer takes the wheel from Bart, as .gif or .mp4.
 

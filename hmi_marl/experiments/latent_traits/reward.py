@@ -138,10 +138,7 @@ def ways_to_drive(
     """
     config, rate, seeds = team_of(observed), alert_rate(observed), seeds_of(observed)
     recorded = recorded_actions(observed, config.horizon)
-    drives = {
-        DEMONSTRATED: replay(observed),
-        LEARNED: drive_policy(model, config, rate, z, seeds),
-    }
+    drives = {DEMONSTRATED: replay(observed), LEARNED: drive_policy(model, config, rate, z, seeds)}
     for share in NOISE:
         noisy = with_noise(recorded, share, mix(seeds, Stream.LEARNING, seed))
         drives[way_of(share)] = drive(config, following(noisy), rate, seeds)
