@@ -238,7 +238,7 @@ def record(
     per_step: int,
     progress: Callable[[clip.Pictures, int], clip.Pictures] = lambda pictures, _: pictures,
 ) -> str:
-    """Write the best part of the best of some episodes on highway-env itself; describe what it shows.
+    """Write the best part of the best of some episodes on highway-env itself, and describe it.
 
     Args:
         path: a .gif, or an .mp4 with the video extra.

@@ -351,7 +351,7 @@ def tasks(settings: AdaptSettings, driver_policy: str, trained: Trained) -> list
 def evaluate(
     plays: Sequence[Play], workers: int, progress: Callable[[int], object] = lambda plays: None
 ) -> list[Result]:
-    """Play :func:`tasks` and sum up, calling ``progress`` after each; the same for any ``workers``."""
+    """Play :func:`tasks`, calling ``progress`` after each, and sum up; the same for any workers."""
     played: dict[str, Trips] = {}
     found = []
     for task, trips in zip(plays, results(play, plays, workers), strict=True):

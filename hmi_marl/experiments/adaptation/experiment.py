@@ -251,8 +251,10 @@ def record_change(
 
     first, second = CLIP_DRIVERS
     config = replace(evaluation.TEAM, driver=first)
-    assumed = {"revealing": settings.revealing, "caution": settings.caution}
-    hmi = make_adaptive(ADAPTIVE[EXPECTED][0], config, trained=trained, **assumed)
+    kind = ADAPTIVE[EXPECTED][0]
+    hmi = make_adaptive(
+        kind, config, trained=trained, revealing=settings.revealing, caution=settings.caution
+    )
     driver = make_driver_policy(driver_policy, config)
     teaming = begin(config, driver, hmi, np.array([seed], np.uint64), "highway")
     change = config.horizon // 2, Traits.of([get_driver(second)])

@@ -206,7 +206,7 @@ def closed(
 
 
 def ratio(above: NDArray[np.float64], below: NDArray[np.float64], seed: int = 0) -> Estimate:
-    """Divide the means of values (E,), paired: ``above`` by the size of ``below``; NaN if it is 0."""
+    """Divide the mean of ``above`` (E,) by the size of ``below``'s, paired; NaN if that is 0."""
     weights = _resamples(len(above), seed)
     with np.errstate(divide="ignore", invalid="ignore"):
         return _interval(

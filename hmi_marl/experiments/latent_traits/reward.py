@@ -91,7 +91,7 @@ def reward_ranking(
 ) -> list[RewardRanking]:
     """Rank each driver's demonstrations, and worse driving, by the recovered reward given z (Z,).
 
-    The seed is that of random actions and resampling.
+    ``seed`` is that of random actions and resampling.
 
     Raises:
         ValueError: a driver without two demonstrations or more, a z of another size, a model for

@@ -343,7 +343,7 @@ def swap_figure(comparison: Comparison) -> Figure:
     for (row, column), value in np.ndenumerate(returns):
         colour = "white" if value < middle else "black"
         weight = "bold" if row == column else "normal"
-        how = {"ha": "center", "va": "center", "color": colour, "weight": weight}
+        how: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "weight": weight}
         axes.text(column, row, f"{value:.0f}", **how)
         if row == column:
             corner = (column - 0.48, row - 0.48)

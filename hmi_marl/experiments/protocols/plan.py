@@ -97,7 +97,8 @@ class ComparisonSettings:
     from the team's), or one for all but two-stage. (Joint learns from the sum of both agents'
     rewards.)"""
     crash_check: bool = True
-    """Train each protocol also with end_at_crash=False, once, to see whether crashing early pays."""
+    """Train every protocol also with end_at_crash=False, with the first seed, to see whether
+    crashing early pays."""
     num_teams: int = 512
     """Teams that train side by side."""
     duration: float = 20.0
