@@ -92,7 +92,7 @@ def write_report(
     command_line: str,
     clip: Clip | None = None,
 ) -> Path:
-    """Write report and table.csv, removing an earlier clip if there is none; return the page's path."""
+    """Write the report and table.csv, remove an earlier clip if there is none; return the page."""
     if clip is None:
         (folder / f"{CLIP}.gif").unlink(missing_ok=True)
     write_text(folder / "table.csv", as_csv(cells))
