@@ -117,12 +117,8 @@ def _parse(
 ) -> Any:
     """Parse arguments with tyro, and print an error in one line.
 
-    Args:
-        kind: dataclass to make.
-        prog: name of the program for help.
-        arguments: arguments to parse.
-        description: description for help in place of the dataclass's docstring.
-        parts: names of the subcommands of ``kind``.
+    ``description`` is shown in help in place of the docstring of the dataclass ``kind``; ``parts``
+    are the names of its subcommands.
     """
     import tyro
 
@@ -147,10 +143,7 @@ def _parse(
 
 
 def _reason(
-    parsed: Callable[[list[str]], object],
-    prog: str,
-    arguments: list[str],
-    parts: Sequence[str],
+    parsed: Callable[[list[str]], object], prog: str, arguments: list[str], parts: Sequence[str]
 ) -> str:
     """Return in one line what is wrong with arguments that tyro refuses."""
     part = [argument for argument in arguments if argument in parts][-1:]

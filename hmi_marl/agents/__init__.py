@@ -9,12 +9,7 @@ from hmi_marl.agents.adaptive.hmis import (
     make_adaptive,
 )
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
-from hmi_marl.agents.catalogue import (
-    DRIVER_POLICIES,
-    HMIS,
-    make_driver_policy,
-    make_hmi,
-)
+from hmi_marl.agents.catalogue import DRIVER_POLICIES, HMIS, make_driver_policy, make_hmi
 from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, load_policy, save_policy

@@ -40,9 +40,7 @@ def make_hmi(name: str, config: TeamConfig, sequential: bool = True) -> Policy:
     Args:
         name: one of ``HMIS``, where case does not matter, the folder of a training run, or
             ``trained:NAME``.
-        config: configuration of the teams.
-        sequential: False where both agents move simultaneously, so that the HMI sees a^H one step
-            late.
+        sequential: False where both agents move simultaneously: the HMI sees a^H one step late.
 
     Raises:
         ValueError: an unknown name (the message suggests the nearest), or an HMI that does not fit
@@ -60,10 +58,7 @@ def make_hmi(name: str, config: TeamConfig, sequential: bool = True) -> Policy:
 def make_driver_policy(name: str, config: TeamConfig) -> Policy:
     """Make the driver policy of this name for teams set up by ``config``.
 
-    Args:
-        name: one of ``DRIVER_POLICIES``, where case does not matter, the folder of a training run,
-            or ``trained:NAME``.
-        config: configuration of the teams.
+    The name is one of ``DRIVER_POLICIES``, else as for :func:`make_hmi`.
 
     Raises:
         ValueError: an unknown name; the message suggests the nearest.

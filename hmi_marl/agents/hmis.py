@@ -38,7 +38,6 @@ def strongest_alert(alerts: Alerts, *probability: float) -> NDArray[np.float64]:
     """Return alert probabilities for the oracle of a rule that gives only the strongest alert.
 
     Args:
-        alerts: the available alerts.
         probability: probability of that alert, one number, or one for d = 0 and one for d = 1.
 
     Returns:
@@ -52,12 +51,7 @@ def strongest_alert(alerts: Alerts, *probability: float) -> NDArray[np.float64]:
 
 
 class RandomAlert:
-    """Alert at a constant rate. Rate 0 never alerts, rate 1 always.
-
-    Args:
-        rate: probability of an alert in each step.
-        alerts: the available alerts, of which it gives the strongest.
-    """
+    """Alert in each step with probability ``rate``, in [0, 1], by the strongest of ``alerts``."""
 
     def __init__(self, rate: float, alerts: Alerts = PLAIN) -> None:
         if not 0.0 <= rate <= 1.0:
@@ -98,10 +92,7 @@ class AlertWhenDistracted(Memoryless):
 
 
 class OptimalAlert(Memoryless):
-    """Exact optimum of the alert problem for a driver model if attention is visible.
-
-    Several alert strengths and fatigue are taken into account.
-    """
+    """Exact optimum for a driver model, alert strengths and fatigue, if attention is visible."""
 
     def __init__(self, model: str | Driver, config: TeamConfig) -> None:
         self.model = get_driver(model)
@@ -143,10 +134,8 @@ class BeliefAlert:
 
     Args:
         model: driver model of the belief and the rule.
-        config: configuration of the teams.
         revealing: assumed share of steps in which a^H differs from the last applied action.
-        sequential: False where both agents move simultaneously, so that the AI sees a^H one step
-            late.
+        sequential: False where both agents move simultaneously: the AI sees a^H one step late.
     """
 
     def __init__(

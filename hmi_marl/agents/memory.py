@@ -1,4 +1,4 @@
-"""What policies remember from step to step: nothing, random draws, or beliefs over attention."""
+"""State that policies keep from step to step: nothing, random draws, or beliefs over attention."""
 
 from __future__ import annotations
 

@@ -41,10 +41,7 @@ class HandsOver(Observer):
     """
 
     def __init__(
-        self,
-        step: int,
-        traits: Traits,
-        notify: Callable[[Traits], object] = lambda traits: None,
+        self, step: int, traits: Traits, notify: Callable[[Traits], object] = lambda traits: None
     ) -> None:
         self._turns_left, self._traits, self._notify = step, traits, notify
 

@@ -37,8 +37,7 @@ class Subcommand:
     help: str
     """First line of its class's docstring."""
     where: str | type[Any]
-    """Its class, or MODULE:CLASS below ``hmi_marl``, or a function there that makes it of its
-    name."""
+    """Its class, or MODULE:CLASS below ``hmi_marl``, or a function there that makes it by name."""
     needs: tuple[str, ...] = ()
     """Modules of extras, without which it does not begin."""
     options: tuple[Option, ...] = ()
@@ -62,11 +61,7 @@ class Subcommand:
         return kind
 
     def check(self, command: Any, path: str = "") -> None:
-        """Check that the extras of a parsed command are installed.
-
-        Raises:
-            ModuleNotFoundError: one is not; the message names it.
-        """
+        """Raise ``ModuleNotFoundError`` if an extra that a parsed command needs is missing."""
         path = f"{path} {self.name}".lstrip()
         for part in self.parts:
             if type(getattr(command, self.choice)) is part.load():

@@ -239,8 +239,7 @@ class Demonstrations:
     def __post_init__(self) -> None:
         if self.truth is None:
             return
-        steps = self.observed.steps_taken
-        if not np.array_equal(self.truth.intended != MISSING, steps):
+        if not np.array_equal(self.truth.intended != MISSING, self.observed.steps_taken):
             raise ValueError("the truth is of other episodes than what was observed")
 
     def __len__(self) -> int:
@@ -271,12 +270,10 @@ class Recording:
 def from_recordings(
     recordings: Iterable[Recording], layout: Layout, about: Mapping[str, Any] | None = None
 ) -> Demonstrations:
-    """Make demonstrations without truth from recorded drives, which may differ in length.
+    """Make demonstrations without truth from drives, one each episode; lengths may differ.
 
-    Args:
-        recordings: one for each episode.
-        layout: layout of the states, from :func:`observed_layout` for the scene.
-        about: where the recordings come from, as JSON has it.
+    ``layout`` is that of :func:`observed_layout` for the scene; ``about`` says, as JSON has it,
+    where the recordings come from.
 
     Raises:
         ValueError: a part is missing, of another shape, or out of its range; the message names the
@@ -296,18 +293,10 @@ def from_recordings(
         states[number, : len(s)], actions[number, : len(s)], alerts[number, : len(s)] = s, v, a
     crashed = np.array([one.crashed for one in recordings], np.bool_)
     index = {name: place for place, name in enumerate(names)} | {None: MISSING}
-    observed = Observed(
-        layout,
-        states,
-        actions,
-        alerts,
-        length,
-        crash_step=np.where(crashed, length - 1, MISSING),
-        driver=np.array([index[one.driver] for one in recordings]),
-        names=names,
-        about=dict(about or {}),
-    )
-    return Demonstrations(observed)
+    crash_step = np.where(crashed, length - 1, MISSING)
+    driver = np.array([index[one.driver] for one in recordings])
+    arrays = (states, actions, alerts, length, crash_step, driver)
+    return Demonstrations(Observed(layout, *arrays, names, about=dict(about or {})))
 
 
 def alert_rate(observed: Observed) -> float:
@@ -368,8 +357,7 @@ def _check_names(names: Sequence[str]) -> None:
 
 def _check_no_traits(about: Any) -> None:
     if isinstance(about, Mapping):
-        found = [name for name in TRAIT_NAMES if name in about]
-        if found:
+        if found := [name for name in TRAIT_NAMES if name in about]:
             raise ValueError(f"about of observed data may hold no traits, but holds {found[0]}")
         for value in about.values():
             _check_no_traits(value)

@@ -40,8 +40,7 @@ def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     """Make a configuration from JSON, as :func:`hmi_marl.files.json_value` writes it.
 
     Args:
-        team: fields of :class:`TeamConfig` except ``driver``; ``scene`` and ``weights`` are
-            mappings.
+        team: fields of :class:`TeamConfig` but ``driver``; ``scene`` and ``weights`` are mappings.
         defaults: values of fields that ``team`` lacks.
 
     Raises:
@@ -79,13 +78,11 @@ def team_of(observed: Observed) -> TeamConfig:
 
 
 class DemonstratedDriver(MergeDriver):
-    """The driver's seat with the observations of demonstrations.
+    """The driver's seat with the observations of demonstrations; ``hmi`` names the partner.
 
     Args:
         team: see :func:`team_config`.
-        hmi: name of the HMI, which is the partner.
         drivers: names of known drivers to draw from evenly; without any, traits are drawn evenly.
-        world: which world the team drives in.
         render_mode: None, "rgb_array" or "human".
     """
 

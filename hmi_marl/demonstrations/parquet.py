@@ -19,12 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.demonstrations.dataset import (
-    MISSING,
-    Demonstrations,
-    Observed,
-    Truth,
-)
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of, write_atomically
@@ -48,18 +43,16 @@ OBSERVED, TRUTH = "observed.parquet", "truth.parquet"
 def write_demonstrations(
     folder: Path, demonstrations: Demonstrations | Iterable[Demonstrations]
 ) -> None:
-    """Write a dataset into ``folder`` and replace an existing one.
+    """Write a dataset, or its chunks, into ``folder`` and replace an existing one.
 
-    Args:
-        folder: folder of the dataset.
-        demonstrations: the whole dataset, or an iterable of chunks, which need not fit into memory
-            together.
+    An iterable of chunks need not fit into memory as a whole.
 
     Raises:
         ValueError: no chunks, chunks with different layouts or stamps, or truth in only some.
     """
-    several = [demonstrations] if isinstance(demonstrations, Demonstrations) else demonstrations
-    chunks = iter(several)
+    chunks = iter(
+        [demonstrations] if isinstance(demonstrations, Demonstrations) else demonstrations
+    )
     first = next(chunks, None)
     if first is None:
         raise ValueError("there are no demonstrations to write")
@@ -87,8 +80,7 @@ def _write(chunks: Iterator[Demonstrations], observed_path: Path, truth_path: Pa
                 schema = stamped(observed_schema(observed.layout), observed.about, layout)
                 observed_file = _open(files, observed_path, schema)
                 if truth_path is not None and truth is not None:
-                    schema = stamped(TRUTH_SCHEMA, truth.about, {})
-                    truth_file = _open(files, truth_path, schema)
+                    truth_file = _open(files, truth_path, stamped(TRUTH_SCHEMA, truth.about, {}))
             _check_goes_on(first, chunk)
             observed_file.write_table(_observed_rows(observed, start))
             if truth is not None:
@@ -199,9 +191,8 @@ def read_about(path: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError, ValueError: see :func:`read_observed`.
     """
-    file = StepFile(path, TRUTH_SCHEMA if path.name == TRUTH else None)
-    about: dict[str, Any] = file.stamp["about"]
-    return about
+    stamp: dict[str, Any] = StepFile(path, TRUTH_SCHEMA if path.name == TRUTH else None).stamp
+    return dict(stamp["about"])
 
 
 def read_observed(folder: Path) -> Observed:

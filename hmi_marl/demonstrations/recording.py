@@ -26,13 +26,7 @@ from hmi_marl.demonstrations.dataset import (
 )
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
-from hmi_marl.envs.drivers import (
-    PAPER_DRIVERS,
-    Driver,
-    TraitDistributions,
-    Traits,
-    get_driver,
-)
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, TraitDistributions, Traits, get_driver
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream, check_seed, episode_seed, mix
 from hmi_marl.envs.teaming import StepResult, Teaming
@@ -87,8 +81,7 @@ class CollectSettings(TeamSettings):
         need_plain(team.alerts, "a dataset of demonstrations")
         self.make_hmi(team)
         counts = Counter(driver.name for driver, _ in self.cast())
-        twice = [name for name, count in counts.items() if count > 1]
-        if twice:
+        if twice := [name for name, count in counts.items() if count > 1]:
             raise ValueError(f"two drivers have the name {twice[0]!r}; rename one")
 
     @property
@@ -101,11 +94,7 @@ class CollectSettings(TeamSettings):
         return make_hmi(self.hmi, config)
 
     def make_driver(self, config: TeamConfig) -> Policy:
-        """Make the driver policy.
-
-        Raises:
-            FileNotFoundError, ValueError: there is no such policy.
-        """
+        """Make the driver policy, or raise FileNotFoundError or ValueError if there is none."""
         policy = make_driver_policy(self.driver_policy, config)
         if isinstance(policy, LearnedPolicy):
             policy.greedy = self.greedy
@@ -164,7 +153,6 @@ def collect(
     """Play and record, chunk by chunk, the windows of one driver after another.
 
     Args:
-        settings: settings of the recording.
         progress: called with the number of steps that were recorded since the last call.
         command_line: the command, kept with the truth.
 
@@ -175,11 +163,8 @@ def collect(
     settings.make_driver(config)
     about = _about(settings, config)
     cast = [driver for driver, _ in settings.cast()]
-    hidden = about | {
-        "drivers": json_value(cast),
-        "settings": json_value(settings),
-        "command": command_line,
-    }
+    hidden = about | {"drivers": json_value(cast), "settings": json_value(settings)}
+    hidden["command"] = command_line
     who, seeds = settings.episodes()
 
     def chunks() -> Iterator[Demonstrations]:
@@ -221,29 +206,11 @@ def _play(
     teaming = begin(config, driver, hmi, seeds, "batched")
     recorder = _Recorder(config, teaming, progress)
     play(teaming, driver, hmi, [recorder])
-    names = tuple(driver.name for driver in cast)
-    length, crash_step = teaming.steps.copy(), recorder.crash_step
-    observed = Observed(
-        recorder.layout,
-        recorder.states,
-        recorder.applied,
-        recorder.alerts,
-        length,
-        crash_step,
-        who,
-        names,
-        seeds,
-        about[0],
-    )
-    truth = Truth(
-        recorder.distracted,
-        recorder.accepted,
-        recorder.counter,
-        recorder.intended,
-        traits.as_array(),
-        about[1],
-    )
-    return Demonstrations(observed, truth)
+    names, r = tuple(driver.name for driver in cast), recorder
+    steps = r.states, r.applied, r.alerts, teaming.steps.copy(), r.crash_step
+    observed = Observed(r.layout, *steps, who, names, seeds, about[0])
+    hidden = r.distracted, r.accepted, r.counter, r.intended
+    return Demonstrations(observed, Truth(*hidden, traits.as_array(), about[1]))
 
 
 class _Recorder(Observer):

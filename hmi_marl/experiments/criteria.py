@@ -1,8 +1,6 @@
-"""Thresholds by which experiments and the paper's claims are judged.
+"""Thresholds by which experiments and the paper's claims are judged, the same for both.
 
-Experiments and claims that ask for the same thing read the same number, so that they cannot
-contradict each other. Shares are in [0, 1]. What the paper prints is in
-:mod:`hmi_marl.paper.printed`.
+Shares are in [0, 1]. What the paper prints is in :mod:`hmi_marl.paper.printed`.
 """
 
 from __future__ import annotations
@@ -13,14 +11,12 @@ from types import MappingProxyType
 # HMIs that see attention.
 
 EXACT_TOLERANCE = 0.02
-"""Largest difference from an exact value that counts as agreement, as a share of it; a value within
-the 95 % interval agrees as well."""
+"""Largest difference from an exact value that agrees, as a share of it, or within the interval."""
 PAPER_TOLERANCE: Mapping[str, float] = MappingProxyType(
     {"distraction_return": 0.1, "speed_return": 0.03}
 )
-"""Largest difference of a figure that the paper prints from ours that counts as agreement, as a
-share of the paper's figure. Speed returns of all policies are close together, so theirs is
-smaller."""
+"""Largest difference of ours from a figure that the paper prints that agrees, as a share of that
+figure. Speed returns of all policies are close together, so theirs is smaller."""
 REACHABLE_LEAST, REACHABLE_MOST = 1.001, 0.94
 """Factors on the ends of the reachable distraction returns: the paper's episodes may have been a
 few steps shorter than ours."""
@@ -34,8 +30,7 @@ SAME_GAIN = 0.01
 AVERAGE_HMI_GAIN = 0.9
 """Least share of what the own HMI gains that AvgHMI gains if it does a good job."""
 MOST_SPARED_BY_IGNORING, LEAST_SPARED_BY_HEEDING = 0.1, 0.5
-"""Share of a driver's distraction that their own HMI spares: at most, if the driver ignores alerts;
-at least, if the driver is receptive."""
+"""Share of distraction spared by the own HMI: at most, by ignoring alerts; at least, by heeding."""
 
 # Drivers without distraction.
 
@@ -49,8 +44,7 @@ LEAST_HEADWAY_RATIO = 1.2
 # HMIs that do not see attention.
 
 BAYES_MARGIN = 0.01
-"""Largest shortfall against the Bayes filter of an HMI as good as it, as a share of the filter's
-return."""
+"""Largest shortfall of an HMI as good as the Bayes filter, as a share of the filter's return."""
 
 # Graded alerts.
 
@@ -60,8 +54,7 @@ GRADED_OPTIMUM_SHARE = 0.97
 # Latent traits.
 
 IDENTITY_MARGIN, PREFERENCE_MARGIN = 0.03, 0.02
-"""Largest difference of a supervised accuracy from the exact classifier's, for drivers and for
-preferences."""
+"""Largest gap of supervised accuracies to the exact classifier's: for drivers, for preferences."""
 ABOVE_CHANCE = 0.20
 """Least difference of the unsupervised accuracy from chance."""
 KL_FACTOR = 6.0
@@ -87,8 +80,7 @@ POPULATION_GAP_CLOSED = 0.80
 MOST_REGRET = 0.10
 """Largest regret 20 s after a change of driver, as a share of what the knowing HMI earns."""
 USEFUL, FULLY_USEFUL = 0.5, 0.9
-"""Share of that gap, closed after three trips, from which a representation counts as useful in
-part, and in full."""
+"""Share of that gap closed after three trips by a representation useful in part, and in full."""
 
 # Protocols.
 

@@ -60,27 +60,14 @@ class AlertQuality:
 
 
 class AlertJudge:
-    """Judge of the alerts that are given to one driver.
-
-    Args:
-        team: settings with a single driver.
-
-    Raises:
-        ValueError: the driver is drawn from a population.
-    """
+    """Judge of alerts to one driver; raises ``ValueError`` if it is drawn from a population."""
 
     def __init__(self, team: TeamConfig) -> None:
         self._losses = oracle.alert_losses(**exact_settings(team))
         self._strongest, self._wearies = team.alerts.strongest, team.fatigue is not None
 
     def judge(self, step: int, before: Attention, alerts: NDArray[np.int64]) -> AlertQuality:
-        """Judge one step of E teams, ``step`` steps after their start.
-
-        Args:
-            step: 0 for the first.
-            before: attention before the step.
-            alerts: a^A in the step, shape (E,).
-        """
+        """Judge alerts a^A (E,) in the step after ``step`` others, by the attention before it."""
         state = [before.distracted, before.accepted, before.counter]
         if self._wearies:
             state.append(before.fatigue)
@@ -243,10 +230,7 @@ def play_episodes(
 
 
 def play_named(team: TeamConfig, driver_policy: str, hmi: str, count: int) -> Episodes:
-    """Play the first ``count`` evaluation episodes in the batched world, policies by their names.
-
-    Every experiment plays the same ones, so that differences between policies are paired.
-    """
+    """Play the first ``count`` evaluation episodes, the same ones in every experiment (paired)."""
     seats = make_driver_policy(driver_policy, team), make_hmi(hmi, team)
     return play_episodes(team, *seats, evaluation_seeds(count), world="batched")
 

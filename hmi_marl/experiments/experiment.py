@@ -78,12 +78,7 @@ class Place:
 
     @contextmanager
     def playing(self, total: int, unit: str) -> Iterator[Callable[[int], object]]:
-        """Time the playing within and show its progress; yields what counts it on.
-
-        Args:
-            total: how much there is to play.
-            unit: what is counted: "episodes", "drivers", ...
-        """
+        """Time the playing within and show its progress; yields what counts it on, in ``unit``."""
         with (
             self.watch.timing("playing"),
             tqdm(total=total, unit=f" {unit}", desc="playing") as bar,
@@ -187,11 +182,7 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
 
 
 def with_seed(experiment: Experiment[Any], seed: int) -> Experiment[Any]:
-    """Return the same experiment from another seed.
-
-    Raises:
-        ValueError: the seed is out of range.
-    """
+    """Return the experiment from another seed, or raise ``ValueError`` if it is out of range."""
     return replace(experiment, seed=check_seed(seed))  # type: ignore[type-var]
 
 

@@ -83,11 +83,7 @@ class _Contestant:
 
 
 def bench(config: BenchConfig, progress: Callable[[int], Any] = id) -> list[Measured]:
-    """Measure all contestants in turns.
-
-    Args:
-        config: settings of the bench.
-        progress: called with 1 after each of :func:`measurements`.
+    """Measure all contestants in turns; ``progress`` is called after each of :func:`measurements`.
 
     Raises:
         ValueError: a number in ``config`` that is not positive, or more threads than there are.

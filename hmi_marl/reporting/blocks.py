@@ -233,11 +233,7 @@ class Verdicts(Block):
 
 
 def block_from(content: dict[str, Any]) -> Block:
-    """Read a block from its JSON content.
-
-    Raises:
-        ValueError: the content describes no block.
-    """
+    """Read a block from its JSON content, or raise ``ValueError`` if it describes no block."""
     given, kinds = dict(content), {block.kind: block for block in Block.__subclasses__()}
     kind = given.pop("kind", None)
     if kind not in kinds:

@@ -38,14 +38,7 @@ NO_HOLDS: Mapping[int, float] = MappingProxyType({})
 def episode(
     config: TeamConfig, hmi: str, driver_policy: str, seed: int, world: str = "highway"
 ) -> Iterator[tuple[Snapshot, TeamStatus]]:
-    """Play one episode sequentially; yields each moment, the first included.
-
-    Args:
-        config: settings of the team.
-        hmi: name in the catalogue.
-        driver_policy: name in the catalogue.
-        seed: seed of the episode.
-        world: world to drive in.
+    """Play one episode sequentially, policies by name; yields each moment, the first included.
 
     Raises:
         ValueError: an unknown name or a bad seed; at once, before the first moment.
@@ -60,10 +53,7 @@ def moments(
 ) -> Iterator[tuple[Snapshot, TeamStatus]]:
     """Play an episode of one team that has begun; see :func:`episode`.
 
-    Args:
-        teaming: the team.
-        driver, ai: policies in its seats.
-        hand_over: step before which another driver takes the wheel, and their traits.
+    In step ``hand_over[0]``, if given, a driver with these traits takes the wheel.
     """
     yield _moment(teaming, ai)
     for _ in turns(teaming, driver, ai, [] if hand_over is None else [HandsOver(*hand_over)]):
@@ -114,11 +104,10 @@ def record(
     progress: Callable[[Pictures], Pictures] = iter,
     holds: Mapping[int, float] = NO_HOLDS,
 ) -> None:
-    """Write an episode as a clip.
+    """Write an episode as a clip: a .gif, or an .mp4 with the video extra.
 
     Args:
-        path: a .gif, or an .mp4 with the video extra.
-        config: settings of the team.
+        path, config: file of the clip, and settings of the team.
         moments: from :func:`episode`.
         per_step: pictures for each policy step.
         perceived: draw the other objects' perceived sizes.
@@ -146,13 +135,9 @@ def check_suffix(path: Path) -> Path:
 def write_clip(
     path: Path, pictures: Pictures, frequency: float, holds: Mapping[int, float] = NO_HOLDS
 ) -> None:
-    """Write pictures of shape (height, width, 3) as GIF or MP4, by the file's suffix.
+    """Write one or more pictures (height, width, 3) as GIF or MP4, by suffix; frequency in Hz.
 
-    Args:
-        path: path of the file.
-        pictures: at least one.
-        frequency: pictures per second [Hz].
-        holds: duration for which a picture is shown instead [s], by its number from 0 on.
+    A picture is shown instead for the time in ``holds`` [s], by its number from 0 on.
     """
     write = _write_gif if check_suffix(path).suffix.lower() == ".gif" else _write_mp4
     write_atomically(path, partial(write, pictures=pictures, frequency=frequency, holds=holds))
@@ -178,9 +163,8 @@ def _write_mp4(
 
     first = next(pictures)
     height, width, _ = first.shape
-    writer = imageio_ffmpeg.write_frames(
-        str(path), (width, height), fps=frequency, macro_block_size=2
-    )
+    size = width, height
+    writer = imageio_ffmpeg.write_frames(str(path), size, fps=frequency, macro_block_size=2)
     with closing(writer):
         writer.send(None)
         for k, picture in enumerate(itertools.chain([first], pictures)):

@@ -117,11 +117,7 @@ class Highlight:
         return sum(beat.alert for beat in self.beats[self.since + 1 : self.step + 1])
 
     def rank(self, window: int) -> tuple[int, ...]:
-        """Quality of the step for a clip; higher is better.
-
-        Args:
-            window: steps for which an alert stays in effect.
-        """
+        """Quality of the step for a clip, higher is better; an alert lasts ``window`` steps."""
         return (
             self.complete,
             self.works,
@@ -143,13 +139,7 @@ def best_step(beats: Sequence[Beat], window: int) -> Highlight:
 
 
 def best_seed(config: TeamConfig, hmi: str, driver_policy: str, seeds: Sequence[int]) -> int:
-    """Find the episode that is best to show; the first of equals.
-
-    Args:
-        config: settings of the team.
-        hmi, driver_policy: names in the catalogue.
-        seeds: seeds of the episodes; the first ``MOST_SEEDS`` of them are searched.
-    """
+    """Find the best episode to show among the first ``MOST_SEEDS`` seeds; the first of equals."""
     wanted = np.array(seeds[:MOST_SEEDS], np.uint64)
     driver, ai = make_driver_policy(driver_policy, config), make_hmi(hmi, config)
     # One thread: with so few worlds, more of them slow the policies' matrix products down.
@@ -183,12 +173,7 @@ class _Beats(Observer):
 
 
 def cut(found: Highlight, frequency: float) -> range:
-    """Choose the moments of the clip: some seconds around the step, within the episode.
-
-    Args:
-        found: step to show.
-        frequency: steps per second [Hz].
-    """
+    """Choose the moments of the clip: some seconds (``frequency`` in Hz) around the step."""
     length = round((LEAD_IN + LEAD_OUT) * frequency)
     last = len(found.beats) - 1
     first = max(0, min(found.step - round(LEAD_IN * frequency), last - length))
@@ -203,11 +188,8 @@ def held_moments(found: Highlight) -> tuple[int, ...]:
 def caption(found: Highlight, who: str, seconds: Sequence[float], shown: range) -> str:
     """Describe in one sentence what the clip shows and when, by the clock in the picture.
 
-    Args:
-        found: step that is shown.
-        who: name of the driver.
-        seconds: time of every moment of the episode [s], as the picture shows it.
-        shown: moments that the clip shows.
+    The driver's name is ``who``, the time of every moment of the episode ``seconds`` [s], and the
+    moments that the clip shows ``shown``.
     """
     others = found.now.others
     cars = f"{others} other car{'' if others == 1 else 's'} in the picture"
@@ -256,7 +238,7 @@ def record(
     per_step: int,
     progress: Callable[[clip.Pictures, int], clip.Pictures] = lambda pictures, _: pictures,
 ) -> str:
-    """Write the best part of the best of some episodes as a clip, on highway-env itself.
+    """Write the best part of the best of some episodes on highway-env itself, and describe it.
 
     Args:
         path: a .gif, or an .mp4 with the video extra.
@@ -265,9 +247,6 @@ def record(
         seeds: seeds of the episodes; the first ``MOST_SEEDS`` of them are searched.
         per_step: pictures for each policy step.
         progress: receives the pictures and their number, and passes them on one by one.
-
-    Returns:
-        Description of what it shows and when.
     """
     searched = seeds[:MOST_SEEDS]
     seed = best_seed(config, hmi, driver_policy, searched)

@@ -85,11 +85,7 @@ class Report:
 """
 
     def write(self, folder: Path) -> Path:
-        """Write NAME.txt, NAME.json, every figure and clip, and index.html into ``folder``.
-
-        Returns:
-            Path of the page.
-        """
+        """Write NAME.txt, NAME.json, figures, clips and the page; return the path of the page."""
         write_text(folder / f"{self.name}.txt", self.text + "\n")
         about = {
             "hmi_marl_version": hmi_marl.__version__,

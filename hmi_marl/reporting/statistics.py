@@ -28,11 +28,7 @@ class Estimate:
         return {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
 
     def shown(self, form: str = "z.1f") -> str:
-        """Write as ``mean [low, high]``, as far as they are known.
-
-        Args:
-            form: format of each number.
-        """
+        """Write as ``mean [low, high]``, as far as they are known, each in this format."""
         if not math.isfinite(self.low):
             return number(self.mean, form)
         return f"{self.mean:{form}} [{self.low:{form}}, {self.high:{form}}]"
@@ -48,14 +44,10 @@ def number(value: float | None, form: str = "z.1f") -> str:
 
 
 def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
-    """Mean and Student's t interval of independent values, shape (E,).
+    """Mean and Student's t interval, cut off at ``lowest``, of independent values, shape (E,).
 
     Values that are not finite are left out (an episode without a vehicle ahead has no shortest
     headway). One value has no interval; no value has no mean.
-
-    Args:
-        values: shape (E,).
-        lowest: least possible value, at which the interval is cut off.
     """
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
@@ -86,11 +78,9 @@ def share(successes: int, trials: int) -> Estimate:
 
 
 def accuracy(right: NDArray[np.bool_], trials: int) -> Estimate:
-    """Share of right guesses, with the interval of fewer trials, rounded outwards.
+    """Share of right guesses (P,), with the interval of fewer trials, rounded outwards.
 
-    Args:
-        right: whether each guess was right, shape (P,).
-        trials: number of guesses that are independent, at most P.
+    ``trials`` is the number of guesses that are independent, at most P.
     """
     hits, count = int(right.sum()), len(right)
     low = share(hits * trials // count, trials).low

@@ -124,12 +124,7 @@ CLAIMS = (
         ("traits",),
         findings.scenario_hides,
     ),
-    Claim(
-        METRICS,
-        "The distraction returns that the table prints.",
-        (),
-        findings.reachable_cells,
-    ),
+    Claim(METRICS, "The distraction returns that the table prints.", (), findings.reachable_cells),
     Claim(
         METRICS,
         "Distraction is least with driver-specific HMIs: -101.2 on average against -283.0 with "
@@ -175,10 +170,7 @@ CLAIMS = (
         personalised_beats("average", SPEED),
     ),
     Claim(
-        METRICS,
-        "... and against 427 with no HMI.",
-        ("table",),
-        personalised_beats("none", SPEED),
+        METRICS, "... and against 427 with no HMI.", ("table",), personalised_beats("none", SPEED)
     ),
     Claim(
         METRICS,

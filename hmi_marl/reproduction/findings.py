@@ -8,6 +8,7 @@ which a run has one for each setting, are compared as they are. The thresholds a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -172,15 +173,11 @@ def personal_rewards(results: Results) -> Verdict:
     """Compare attention returns of own HMIs and AvgHMI: attention seen (both η), and hidden."""
     held, parts = [], []
     for variant, title in VARIANTS.items():
+        earned = partial(_cell, results, variant, metric="attention_return")
         better = [
             driver
             for driver in PAPER_DRIVERS
-            if _higher(
-                *(
-                    _cell(results, variant, hmi, driver, "attention_return")
-                    for hmi in (driver, AVERAGE)
-                )
-            )
+            if _higher(earned(driver, driver), earned(AVERAGE, driver))
         ]
         held += [driver in better for driver in PAPER_DRIVERS]
         parts.append(f"attention seen, {title}: better for {', '.join(better) or 'no driver'}")
@@ -197,11 +194,9 @@ def caution_keeps_distance(results: Results) -> Verdict:
     confident, cautious = results["driver"]["rows"][-2:]
     ratio = _share(cautious["time_headway"], confident["time_headway"])
     held = [ratio > 1.0, ratio >= criteria.LEAST_HEADWAY_RATIO]
-    seconds = f"{cautious['time_headway']:.2f} s against {confident['time_headway']:.2f} s"
-    return of_parts(
-        held,
-        f"median time headway {seconds}, {ratio:.2f} times (asked: {criteria.LEAST_HEADWAY_RATIO})",
-    )
+    reason = f"median time headway {cautious['time_headway']:.2f} s against "
+    reason += f"{confident['time_headway']:.2f} s, {ratio:.2f} times "
+    return of_parts(held, f"{reason}(asked: {criteria.LEAST_HEADWAY_RATIO})")
 
 
 # Latent traits.
@@ -213,18 +208,9 @@ def _embedding(results: Results, setting: str) -> tuple[NDArray[np.float64], lis
 
 
 def share_apart(
-    means: NDArray[np.float64],
-    drivers: Sequence[str],
-    one: Sequence[str],
-    other: Sequence[str],
+    means: NDArray[np.float64], drivers: Sequence[str], one: Sequence[str], other: Sequence[str]
 ) -> float:
-    """Share of pools whose nearest driver's centre is of their own kind.
-
-    Args:
-        means: of z, shape (P, Z).
-        drivers: of each pool.
-        one, other: the kinds; each counts by half.
-    """
+    """Share of pools, means (P, Z), nearest to a centre of their kind; either kind counts half."""
     who = np.asarray(drivers)
     names = [*one, *other]
     centres = np.stack([means[who == name].mean(axis=0) for name in names])
@@ -241,10 +227,9 @@ def kinds_apart(setting: str, one: Sequence[str], other: Sequence[str], title: s
 
     def check(results: Results) -> Verdict:
         share = share_apart(*_embedding(results, setting), one, other)
-        reason = (
-            f"{100 * share:.0f} % of pools lie next to their own kind ({title}; by chance 50 %)"
-        )
-        return of_parts([share >= criteria.PARTLY_APART, share >= criteria.APART], reason)
+        own = f"{100 * share:.0f} % of pools lie next to their own kind"
+        held = [share >= criteria.PARTLY_APART, share >= criteria.APART]
+        return of_parts(held, f"{own} ({title}; by chance 50 %)")
 
     return check
 
@@ -255,12 +240,9 @@ def supervision_counts(results: Results) -> Verdict:
     kl = {name: settings[name]["average_kl"]["mean"] for name in ("none", "id", "preference")}
     numbers = ", ".join(f"{value:.4g}" for value in kl.values())
     ratios = [kl[name] / max(kl["none"], criteria.SMALLEST_KL) for name in ("id", "preference")]
-    reason = (
-        f"average KL {numbers} nats; supervised {ratios[0]:.1f} and {ratios[1]:.1f} times as much"
-    )
-    return of_parts(
-        [ratio >= criteria.KL_INFLUENCE for ratio in ratios], f"{reason} (the paper: 11.4 and 6.6)"
-    )
+    reason = f"average KL {numbers} nats; supervised {ratios[0]:.1f} and {ratios[1]:.1f} times as "
+    reason += "much (the paper: 11.4 and 6.6)"
+    return of_parts([ratio >= criteria.KL_INFLUENCE for ratio in ratios], reason)
 
 
 def supervision_suffices(results: Results) -> Verdict:
@@ -319,10 +301,8 @@ def structure_uncovered(results: Results) -> Verdict:
     found = results["traits"]["supervisions"]["none"]["accuracy"]["mean"]
     chance = _pool(results, "none")["types"]["chance"]
     reason = f"without labels {100 * found:.0f} % of drivers are named right, by chance "
-    return of_parts(
-        [found >= chance + criteria.ABOVE_CHANCE, found >= criteria.APART],
-        f"{reason}{100 * chance:.0f} %",
-    )
+    held = [found >= chance + criteria.ABOVE_CHANCE, found >= criteria.APART]
+    return of_parts(held, f"{reason}{100 * chance:.0f} %")
 
 
 def more_is_clearer(results: Results) -> Verdict:
@@ -358,11 +338,7 @@ def representation_is_useful(results: Results) -> Verdict:
         who: found[who][EXPECTED]["3 trips"]["share"]["mean"] or 0.0 for who in criteria.GAP_DRIVERS
     }
     reason = ", ".join(f"{who} {100 * share:.0f} %" for who, share in shares.items())
-    held = [
-        share >= least
-        for share in shares.values()
-        for least in (criteria.USEFUL, criteria.FULLY_USEFUL)
-    ]
-    return of_parts(
-        held, f"of what knowing the driver is worth, earned after three trips: {reason}"
-    )
+    asked = criteria.USEFUL, criteria.FULLY_USEFUL
+    held = [share >= least for share in shares.values() for least in asked]
+    reason = f"of what knowing the driver is worth, earned after three trips: {reason}"
+    return of_parts(held, reason)

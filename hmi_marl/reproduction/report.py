@@ -44,12 +44,7 @@ __all__ = ["NUMBERS", "PAGE", "full_report"]
 
 
 def full_report(records: Sequence[Record], command_line: str) -> Report:
-    """Make the report of a reproduction.
-
-    Args:
-        records: its experiments.
-        command_line: command that makes it again.
-    """
+    """Make the report of a reproduction, from its experiments' records."""
     results = {record.experiment.name: record.numbers for record in records}
     settings = {record.experiment.name: record.experiment.settings() for record in records}
     verdicts, audited, made = judge(results), audit(), made_with()

@@ -47,11 +47,7 @@ class Record:
 
 
 def full_suite(quick: bool = False, seed: int = 0) -> Suite:
-    """Make all experiments of a reproduction, in the order in which they run.
-
-    Args:
-        quick: coarse versions, a quarter of an hour in all.
-        seed: seed of all of them.
+    """Make all experiments of a reproduction, in their order; quick: a quarter of an hour in all.
 
     Raises:
         ValueError: the seed is out of range.
@@ -77,11 +73,10 @@ def run_suite(
     command_line: str = "",
     line: Callable[[str], object] | None = None,
 ) -> list[Record]:
-    """Run the experiments that are not done yet, one after the other.
+    """Run the experiments that are not done yet, in their order, each in a folder of its own.
 
     Args:
-        suite: experiments in their order.
-        folder: of the reproduction; each experiment has a folder of its own in it.
+        suite, folder: experiments, and the folder of the reproduction.
         driver_run: see :class:`Place`.
         workers: processes at a time. Does not change results.
         command_line: command that was typed, kept with what is learned.
@@ -182,13 +177,9 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
     """Copy the agents of all experiments into ``out``, in place of what was there, and index them.
 
     Args:
-        suite: experiments of the reproduction.
-        run: its folder.
+        suite, run: experiments of the reproduction, and its folder.
         driver_run: run of the driver policy that they share.
         out: a folder of shipped agents, an empty folder, or a new one.
-
-    Returns:
-        Agents that were copied.
 
     Raises:
         ValueError: an experiment is not finished, or ``out`` holds something else.

@@ -92,8 +92,7 @@ class EvidenceCard(Checked):
             ValueError: a part that is not in the vehicle AI's observation.
         """
         layout = vehicle_ai_layout(config)
-        unknown = [name for name in names if name not in layout]
-        if unknown:
+        if unknown := [name for name in names if name not in layout]:
             raise ValueError(
                 f"no part {unknown[0]!r} to read; there are {', '.join(layout.slices)}"
             )
@@ -123,9 +122,7 @@ NAME = "evidence.json"
 class Turns:
     """Build the encoder's inputs for N trips from the vehicle AI's observations.
 
-    Args:
-        reads: names of the parts that are read unchanged.
-        layout: layout of the observations.
+    The parts named in ``reads`` are read unchanged.
     """
 
     def __init__(self, reads: Sequence[str], layout: Layout) -> None:
@@ -148,9 +145,7 @@ class Turns:
     ) -> NDArray[np.float32]:
         """Return the inputs of this turn, shape (N, columns read + DERIVED).
 
-        Args:
-            observations: shape (N, D).
-            new: whether each turn is new, shape (N,); others are not remembered.
+        Observations have shape (N, D). ``new``, shape (N,), marks the turns to remember.
         """
         layout = self._layout
         applied = layout.chosen(observations, "applied_action")
@@ -172,11 +167,7 @@ class Turns:
 
 
 class EvidenceModel:
-    """Learned encoder and network of latent vectors.
-
-    Args:
-        card: description of the model.
-        weights: arrays by the names in ``card.shapes``.
+    """Learned encoder and network of latent vectors; weights as in ``card.shapes``.
 
     Raises:
         ValueError: weights that do not fit the card.
@@ -184,8 +175,7 @@ class EvidenceModel:
 
     def __init__(self, card: EvidenceCard, weights: Weights) -> None:
         FORMAT.check(card, weights)
-        self.card = card
-        self.weights = weights
+        self.card, self.weights = card, weights
         self._place = Network(card.place, part_of(weights, "place"))
 
     @property
@@ -220,27 +210,17 @@ def save_evidence(folder: Path, card: EvidenceCard, weights: Weights) -> Path:
 
 
 def load_evidence(place: str | Path) -> EvidenceModel:
-    """Load the evidence model of a training run.
-
-    Args:
-        place: folder of the run, the ``.json`` itself, or ``trained:NAME``.
+    """Load an evidence model from the folder of a run, the ``.json`` itself, or ``trained:NAME``.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`find_card` and :meth:`CardFormat.read`.
     """
-    path = find_card(
-        place, "evidence", "evidence model", "; learn one with hmi-marl reproduce adapt"
-    )
-    return EvidenceModel(*FORMAT.read(path))
+    hint = "; learn one with hmi-marl reproduce adapt"
+    return EvidenceModel(*FORMAT.read(find_card(place, "evidence", "evidence model", hint)))
 
 
 class LearnedEvidence:
     """Evidence for K candidates by a learned model; see :class:`Evidence`.
-
-    Args:
-        model: the learned model.
-        drivers: the candidates.
-        config: configuration of the teams.
 
     Raises:
         ValueError: no candidates, or teams with other observations than the model reads.
@@ -251,14 +231,13 @@ class LearnedEvidence:
     ) -> None:
         self.drivers = check_candidates(drivers)
         self.model = model
-        layout = vehicle_ai_layout(config)
         names = [name for name, _ in model.card.reads]
         if EvidenceCard.for_team(config, names).reads != model.card.reads:
             raise ValueError(
                 "this evidence model reads other columns than these teams show; use the scene that "
                 "it was trained in"
             )
-        self._turns = Turns(names, layout)
+        self._turns = Turns(names, vehicle_ai_layout(config))
         self._encoder = model.encoder()
         self.places = model.places(Traits.of(self.drivers))
         """Vectors w of the candidates, shape (K, Z)."""

@@ -40,11 +40,7 @@ from deviating exceeds this many standard deviations of the gain."""
 
 
 class AdaptiveHMI:
-    """Base class of adaptive HMIs: an estimator observes every turn.
-
-    Args:
-        estimator: estimator of the driver's traits.
-    """
+    """Base class of adaptive HMIs: an estimator of the driver's traits observes every turn."""
 
     def __init__(self, estimator: TraitEstimator) -> None:
         self.estimator = estimator
@@ -71,11 +67,7 @@ class AdaptiveHMI:
 
 
 class ChoosingHMI(AdaptiveHMI):
-    """Act as the HMI of the likeliest candidate; the HMIs of all candidates observe.
-
-    Args:
-        estimator: estimator of the driver's traits.
-        hmis: one object for each of its candidates.
+    """Act as the HMI of the likeliest candidate; ``hmis``, one for each candidate, all observe.
 
     Raises:
         ValueError: another number of HMIs than candidates, the same object twice, or an HMI
@@ -107,12 +99,9 @@ class ChoosingHMI(AdaptiveHMI):
 
 
 class ConditionedHMI(AdaptiveHMI):
-    """One learned HMI conditioned on z, the expected latent vector under the belief.
+    """One learned HMI π(a^A | a^H, s, z), where z is the expected latent vector under the belief.
 
-    Args:
-        estimator: estimator of the driver's traits.
-        policy: π(a^A | a^H, s, z).
-        places: z of each candidate, shape (K, Z).
+    ``places`` holds z of each candidate, shape (K, Z).
 
     Raises:
         ValueError: places of another shape, or a policy that takes no such z.
@@ -128,8 +117,7 @@ class ConditionedHMI(AdaptiveHMI):
                 f"{wanted[0]} candidates and a policy that is conditioned on z of size {wanted[1]} "
                 f"need places of shape {wanted}, but got {places.shape}"
             )
-        self.policy = policy
-        self.places = places
+        self.policy, self.places = policy, places
 
     def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
         self.policy.reset(seeds, which)
@@ -155,8 +143,6 @@ class ExpectedValueHMI(AdaptiveHMI):
     :class:`BeliefAlert` for that driver, for any κ.
 
     Args:
-        estimator: estimator of the driver's traits.
-        config: configuration of the teams.
         revealing: assumed share of steps in which a^H differs from the last applied action.
         caution: κ.
         default: driver model of AvgHMI.
@@ -180,14 +166,8 @@ class ExpectedValueHMI(AdaptiveHMI):
         self.caution = float(caution)
         self._default = BeliefAlert(default, config, revealing)
         self._attention = AttentionWatch(drivers, config)
-        self._advantage = np.stack(
-            [
-                solve_belief(
-                    driver, config.alert_window, config.horizon, config.weights, revealing
-                ).advantage
-                for driver in drivers
-            ]
-        )
+        game = config.alert_window, config.horizon, config.weights, revealing
+        self._advantage = np.stack([solve_belief(driver, *game).advantage for driver in drivers])
         self._which = (alike[:, None] == np.arange(len(drivers))).astype(np.float64)
 
     def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
@@ -255,7 +235,6 @@ def make_adaptive(
 
     Args:
         kind: "expected", "choosing" (among the four types alone) or "conditioned".
-        config: configuration of the teams.
         exact: use the exact evidence of the attention chain instead of a learned model.
         candidates: the possible drivers.
         trained: places of the learned models; by default those that come with the package.
@@ -290,8 +269,7 @@ def make_adaptive(
                 f"{trained.conditioned} was trained with the latent space of another evidence "
                 f"model than {trained.evidence}; name the one that it was trained with"
             )
-        places = model.places(Traits.of(candidates))
-        return ConditionedHMI(estimator(candidates), policy, places)
+        return ConditionedHMI(estimator(candidates), policy, model.places(Traits.of(candidates)))
     raise ValueError(unknown("kind of adaptive HMI", kind, KINDS))
 
 

@@ -172,12 +172,9 @@ class CardFormat(Generic[C]):
                 raise ValueError(f"{name} is not finite everywhere")
 
     def save(self, path: Path, card: C, weights: Weights) -> Path:
-        """Write the card to ``path`` and the weights next to it; return ``path``.
+        """Write the card to ``path``, a ``.json``, and the weights next to it; return ``path``.
 
-        Args:
-            path: path of the card, a ``.json``.
-            card: description of the model.
-            weights: kept in single precision.
+        Weights are kept in single precision.
 
         Raises:
             ValueError: weights that do not fit the card.
@@ -187,8 +184,7 @@ class CardFormat(Generic[C]):
             {name: np.asarray(weights[name], np.float32, order="C") for name in card.shapes}
         )
         write_bytes(path.with_suffix(".safetensors"), content)
-        stamp = {"format": self.name, "sha256": sha256(content)}
-        write_json(path, stamp | asdict(card))
+        write_json(path, {"format": self.name, "sha256": sha256(content)} | asdict(card))
         return path
 
     def read(self, path: Path) -> tuple[C, dict[str, NDArray[np.float32]]]:
@@ -238,10 +234,7 @@ def checked_reads(reads: Iterable[tuple[str, int]], model: str) -> tuple[tuple[s
 
 
 def part_shapes(card: object, sizes: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, ...]]:
-    """Return names and shapes of the weights of a card's networks, by inputs and outputs of each.
-
-    A name is that of the network and that of :meth:`NetworkConfig.shapes`, ``part.NAME``.
-    """
+    """Return shapes by ``part.NAME`` of a card's networks, from inputs and outputs of each."""
     return {
         f"{part}.{name}": shape
         for part, (inputs, outputs) in sizes.items()

@@ -71,9 +71,7 @@ class NetworkConfig(Checked):
 class Network:
     """One network, with the recurrent state of N teams if it is recurrent.
 
-    Args:
-        config: sizes of the network.
-        weights: arrays by the names of :meth:`NetworkConfig.shapes`.
+    Weights have the names of :meth:`NetworkConfig.shapes`.
     """
 
     def __init__(self, config: NetworkConfig, weights: Weights) -> None:

@@ -47,12 +47,7 @@ _GRU = ("input_weight", "hidden_weight", "input_bias", "hidden_bias")
 
 
 def export_onnx(policy: LearnedPolicy | tuple[PolicyCard, Weights], path: Path) -> None:
-    """Write a policy to ``path`` as an ONNX model, atomically.
-
-    Args:
-        policy: the policy, or its card and weights from
-            :func:`hmi_marl.agents.learned.policy.read_policy`.
-        path: path of the new file, usually ``.onnx``.
+    """Write a policy, or what :func:`read_policy` returns, to ``path`` as ONNX, atomically.
 
     Raises:
         ValueError: weights that do not fit the card.
@@ -103,8 +98,8 @@ def _model(card: PolicyCard, weights: Weights) -> onnx.ModelProto:
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    about = {"observation": json.dumps(columns), "card": json.dumps(asdict(card))}
-    helper.set_model_props(model, about)
+    card_text = json.dumps(asdict(card))
+    helper.set_model_props(model, {"observation": json.dumps(columns), "card": card_text})
     return model
 
 

@@ -106,8 +106,7 @@ class PolicyCard:
             ValueError: this one does not read one of them; the message lists those it reads.
         """
         known = dict(self.reads)
-        unknown = [name for name in names if name not in known]
-        if unknown:
+        if unknown := [name for name in names if name not in known]:
             raise ValueError(f"no part {unknown[0]!r} to read; there are {', '.join(known)}")
         return replace(self, reads=tuple(read for read in self.reads if read[0] in names))
 
@@ -170,13 +169,9 @@ FORMAT = CardFormat("hmi-marl policy 2", "policy", PolicyCard)
 
 
 class LearnedPolicy:
-    """A learned policy.
+    """A learned policy; weights as in ``card.shapes``.
 
-    Args:
-        card: description of the policy.
-        weights: arrays by the names in ``card.shapes``.
-        config: configuration of the teams in which it acts.
-        greedy: take the likeliest action; otherwise draw it from the episode's seed and the step.
+    It takes the likeliest action if ``greedy``, else draws it from the episode's seed and the step.
 
     Raises:
         ValueError: weights that do not fit the card, or observations that lack what it reads.
@@ -191,9 +186,7 @@ class LearnedPolicy:
                 f"this vehicle_ai policy gives alerts of strengths {card.alert_strengths}, but "
                 f"here alert_strengths = {config.alert_strengths}"
             )
-        self.card = card
-        self.weights = weights
-        self.greedy = greedy
+        self.card, self.weights, self.greedy = card, weights, greedy
         self._layout = seat_layout(card.seat, config)
         self._columns = card.columns(self._layout)
         self._network = Network(card.network, weights)
@@ -289,13 +282,7 @@ def read_policy(path: Path) -> tuple[PolicyCard, dict[str, NDArray[np.float32]]]
 def load_policy(
     place: str | Path, seat: str, config: TeamConfig, greedy: bool = True
 ) -> LearnedPolicy:
-    """Load the policy that a training run learned for a seat.
-
-    Args:
-        place: folder of the run, a policy's ``.json``, or ``trained:NAME``.
-        seat: "driver" or "vehicle_ai".
-        config: configuration of the teams in which it acts.
-        greedy: take the likeliest action, else draw.
+    """Load a seat's policy from the folder of a run, a policy's ``.json``, or ``trained:NAME``.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`find_policy` and :meth:`CardFormat.read`; also a

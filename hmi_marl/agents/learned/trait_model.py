@@ -154,10 +154,7 @@ class TraitCard(Checked):
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Names and shapes of the weights.
-
-        The four gates of the encoder are stacked: input, forget, cell, output.
-        """
+        """Names and shapes of the weights; the encoder's gates: input, forget, cell, output."""
         gates = 4 * self.encoder_units
         shapes: dict[str, tuple[int, ...]] = {
             "state.centre": (self.state_size,),
@@ -180,29 +177,21 @@ NAME = "traits.json"
 
 
 class Latent(NamedTuple):
-    """q(z | τ) of P pools, a Gaussian with independent components."""
+    """q(z | τ) of P pools, a Gaussian with independent components: μ and σ², shape (P, Z)."""
 
     mean: NDArray[np.float64]
-    """μ, shape (P, Z)."""
     variance: NDArray[np.float64]
-    """σ², shape (P, Z)."""
 
 
 class EncoderState(NamedTuple):
-    """State of the encoder in N windows. Arrays have shape (N, H)."""
+    """Hidden and cell state of the encoder's LSTM in N windows, both of shape (N, H)."""
 
     hidden: NDArray[np.float64]
-    """Hidden state of the LSTM."""
     cell: NDArray[np.float64]
-    """Cell state of the LSTM."""
 
 
 class TraitModel:
-    """Learned encoder, reward and trait-conditioned policy.
-
-    Args:
-        card: description of the model.
-        weights: arrays by the names in ``card.shapes``.
+    """Learned encoder, reward and trait-conditioned policy; weights as in ``card.shapes``.
 
     Raises:
         ValueError: weights that do not fit the card.
@@ -317,10 +306,7 @@ def save_traits(folder: Path, card: TraitCard, weights: Weights) -> Path:
 
 
 def load_traits(place: str | Path) -> TraitModel:
-    """Load the trait model of a training run.
-
-    Args:
-        place: folder of the run, the ``.json`` itself, or ``trained:NAME``.
+    """Load a trait model from the folder of a run, the ``.json`` itself, or ``trained:NAME``.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`find_card` and :meth:`CardFormat.read`.

@@ -99,8 +99,7 @@ class AdaptSettings:
     revealing: float = 0.35
     """Share of steps in which a^H differs from the last applied action, as every HMI assumes it."""
     caution: float = CAUTION
-    """Caution of the HMI of expected value: standard deviations of doubt at which it acts as
-    AvgHMI."""
+    """Standard deviations of doubt at which the HMI of expected value acts as AvgHMI."""
     seed: int = 10**7
     """Seed of the trips."""
 
@@ -195,14 +194,8 @@ class Play:
 def play(task: Play) -> Trips:
     """Play the group's trips with the HMI."""
     group, settings = task.group, task.settings
-    hmis = Hmis(
-        TEAM,
-        task.trained,
-        group.all_drivers,
-        group.candidates,
-        settings.revealing,
-        settings.caution,
-    )
+    assumed = settings.revealing, settings.caution
+    hmis = Hmis(TEAM, task.trained, group.all_drivers, group.candidates, *assumed)
     hmi = hmis.make(task.hmi)
     teams = np.arange(group.teams, dtype=np.uint64)
     numbers = teams[:, None] * np.uint64(TRIPS) + np.arange(TRIPS, dtype=np.uint64)
@@ -320,9 +313,8 @@ def _truth(group: Group, trips: Trips) -> NDArray[np.float64]:
     place = np.array([TYPES.index(group.drivers[k]) for k in group.first_drivers])
     types = np.broadcast_to(place[:, None, None], trips.driving.shape).copy()
     if group.changes_to is not None:
-        new = TYPES.index(group.changes_to)
-        types[:, CHANGE_TRIP, CHANGE_STEP:] = new
-        types[:, CHANGE_TRIP + 1 :] = new
+        types[:, CHANGE_TRIP, CHANGE_STEP:] = TYPES.index(group.changes_to)
+        types[:, CHANGE_TRIP + 1 :] = TYPES.index(group.changes_to)
     return np.take_along_axis(trips.probabilities, types[..., None], axis=3)[..., 0]
 
 
@@ -348,13 +340,7 @@ def _exact_worth(group: Group, settings: AdaptSettings) -> float | None:
 
 
 def tasks(settings: AdaptSettings, driver_policy: str, trained: Trained) -> list[Play]:
-    """List all plays: every group with every HMI.
-
-    Args:
-        settings: sizes.
-        driver_policy: driver policy by name, or its run.
-        trained: trained models and policies.
-    """
+    """List all plays: every group with every HMI; the driver policy by name, or its run."""
     return [
         Play(group, hmi, settings, driver_policy, trained)
         for group in groups(settings)
@@ -365,13 +351,7 @@ def tasks(settings: AdaptSettings, driver_policy: str, trained: Trained) -> list
 def evaluate(
     plays: Sequence[Play], workers: int, progress: Callable[[int], object] = lambda plays: None
 ) -> list[Result]:
-    """Play every group with every HMI and sum up.
-
-    Args:
-        plays: see :func:`tasks`.
-        workers: processes. Does not change results.
-        progress: called after each play.
-    """
+    """Play :func:`tasks`, calling ``progress`` after each, and sum up; the same for any workers."""
     played: dict[str, Trips] = {}
     found = []
     for task, trips in zip(plays, results(play, plays, workers), strict=True):

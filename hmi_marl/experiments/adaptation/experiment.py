@@ -244,31 +244,16 @@ class Adaptation(_Judged):
 
 
 def record_change(
-    path: Path,
-    driver_policy: str,
-    trained: Trained,
-    settings: AdaptSettings,
-    seed: int = CLIP_SEED,
+    path: Path, driver_policy: str, trained: Trained, settings: AdaptSettings, seed: int = CLIP_SEED
 ) -> None:
-    """Write one trip in the middle of which Homer takes the wheel from Bart, as .gif or .mp4.
-
-    Args:
-        path: file of the clip.
-        driver_policy: driver policy by name, or its run.
-        trained: models and policies of the HMI.
-        settings: share of revealing steps and caution of the HMI.
-        seed: seed of the trip.
-    """
+    """Write one trip in the middle of which Homer takes the wheel from Bart, as .gif or .mp4."""
     from hmi_marl.reporting import clip  # draws, which takes a while to import
 
     first, second = CLIP_DRIVERS
     config = replace(evaluation.TEAM, driver=first)
+    kind = ADAPTIVE[EXPECTED][0]
     hmi = make_adaptive(
-        ADAPTIVE[EXPECTED][0],
-        config,
-        trained=trained,
-        revealing=settings.revealing,
-        caution=settings.caution,
+        kind, config, trained=trained, revealing=settings.revealing, caution=settings.caution
     )
     driver = make_driver_policy(driver_policy, config)
     teaming = begin(config, driver, hmi, np.array([seed], np.uint64), "highway")

@@ -31,11 +31,7 @@ ADAPTIVE = {
 
 
 class KnownDriver:
-    """Evidence that is certain of the driver, for an HMI that knows the driver.
-
-    Args:
-        drivers: all drivers who may drive.
-    """
+    """Evidence that is certain of the driver, one of ``drivers``, for an HMI that knows them."""
 
     def __init__(self, drivers: Sequence[Driver]) -> None:
         self.drivers = tuple(drivers)
@@ -43,11 +39,7 @@ class KnownDriver:
         self.reset(1)
 
     def set_drivers(self, traits: Traits) -> None:
-        """Set the N drivers from now on.
-
-        Raises:
-            ValueError: a driver is not among the candidates.
-        """
+        """Set the N drivers from now on; raises ``ValueError`` for one who is not a candidate."""
         same = (traits.as_array()[:, None] == self._table).all(axis=2)
         if not same.any(axis=1).all():
             raise ValueError("a driver is not among the candidates")

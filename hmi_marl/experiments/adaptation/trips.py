@@ -116,8 +116,7 @@ def play_trips(
 
     Args:
         config: settings of the teams; its driver is not read.
-        driver: policy of the driver's seat.
-        hmi: policy of the vehicle AI's seat.
+        driver, hmi: policies of the two seats.
         drivers: traits of E drivers.
         seeds: seeds of the trips, shape (E, J).
         hand_over: change of drivers on the way.
@@ -149,14 +148,9 @@ def play_trips(
 
 
 def by_turn(trips: Trips, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Order values by turns driven: turns after a crash are left out, later trips move up.
+    """Order values (E, J, T) by turns driven, shape (E, J T), with NaN after the last turn.
 
-    Args:
-        trips: E drivers, J trips of T steps.
-        values: value of each step, shape (E, J, T).
-
-    Returns:
-        Shape (E, J T), NaN after the last turn.
+    Turns after a crash are left out, and later trips move up.
     """
     driving = trips.driving.reshape(len(values), -1)
     flat = np.where(driving, values.reshape(len(values), -1), np.nan)
@@ -189,12 +183,9 @@ def closed(
     same_driver: NDArray[np.int64],
     seed: int = 0,
 ) -> Closed:
-    """Measure how much of the gap an HMI closes.
+    """Measure how much of the gap an HMI closes, by each HMI's reward from each of E drivers, (E,).
 
-    Args:
-        knowing, average, own: each HMI's reward from each of E drivers, shape (E,).
-        same_driver: number of the driver, shape (E,): trips of one driver are drawn together.
-        seed: seed of the bootstrap.
+    Trips with the same number in ``same_driver``, (E,), are drawn together in the bootstrap.
     """
     _, driver = np.unique(same_driver, return_inverse=True)
     drivers = int(driver.max()) + 1
@@ -215,10 +206,7 @@ def closed(
 
 
 def ratio(above: NDArray[np.float64], below: NDArray[np.float64], seed: int = 0) -> Estimate:
-    """Divide the mean of ``above`` by the size of the mean of ``below``, shape (E,), paired.
-
-    NaN where the latter is 0.
-    """
+    """Divide the mean of ``above`` (E,) by the size of ``below``'s, paired; NaN if that is 0."""
     weights = _resamples(len(above), seed)
     with np.errstate(divide="ignore", invalid="ignore"):
         return _interval(
@@ -229,10 +217,7 @@ def ratio(above: NDArray[np.float64], below: NDArray[np.float64], seed: int = 0)
 def by_second(
     trips: Trips, values: NDArray[np.float64], steps_per_second: int
 ) -> NDArray[np.float64]:
-    """Average values (E, J, T) over drivers, by whole seconds driven.
-
-    Seconds that fewer than half of the drivers reach are left out.
-    """
+    """Average values (E, J, T) over drivers, by whole seconds that half of them or more reach."""
     turns = by_turn(trips, values)
     enough = np.isfinite(turns).mean(axis=0) >= 0.5
     means = np.nanmean(turns[:, enough], axis=0)

@@ -135,12 +135,9 @@ class Split:
 
     @classmethod
     def of(cls, demonstrations: Demonstrations, share: float, most: int) -> Split:
-        """Split them as a run does that holds out ``share``.
+        """Split them as a run does that holds out ``share`` of each driver's windows, the last.
 
-        Args:
-            demonstrations: the dataset.
-            share: share of each driver's windows that is held out, the last ones.
-            most: windows of each driver kept on either side; more are left out.
+        At most ``most`` windows of each driver are kept on either side.
 
         Raises:
             ValueError: nothing was held out.
@@ -160,25 +157,15 @@ def encode(model: TraitModel, observed: Observed) -> NDArray[np.float64]:
 def mean_latents(
     model: TraitModel, states: NDArray[np.float64], pools: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the posterior mean of z given each pool, shape (P, Z).
-
-    Args:
-        model: trait model.
-        states: hidden states of E windows, shape (E, H); see :func:`encode`.
-        pools: indices of windows, shape (P, n).
-    """
+    """Return the mean of z, shape (P, Z), given states (E, H) and pools of indices (P, n)."""
     return model.latent(states[pools].mean(axis=1)).mean
 
 
 def disjoint_pools(driver: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     """Make pools of ``size`` windows of one known driver each, in order, no window in two.
 
-    Args:
-        driver: driver of each window, shape (E,); -1 if not known.
-        size: windows of a pool; windows that are left over are left out.
-
-    Returns:
-        Indices of windows, shape (P, size).
+    Windows have drivers (E,), -1 if not known. Returns indices of windows, shape (P, size); windows
+    that are left over are left out.
     """
     pools = [np.zeros((0, size), np.int64)]
     for who in np.unique(driver[driver != MISSING]):
@@ -192,12 +179,7 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
     """Choose from how many windows drivers are identified: ``WINDOWS``, and a model's own pool.
 
     Sizes are left out if some driver has too few pools on either side: a Gaussian in Z dimensions
-    takes Z + 2.
-
-    Args:
-        split: demonstrations.
-        pool: windows that a model pools.
-        latent: Z, the size of its z.
+    (``latent``) takes Z + 2.
 
     Raises:
         ValueError: too few windows for even the model's own pool, or fewer than two drivers.
@@ -238,8 +220,7 @@ def identify_drivers(
     """Measure accuracy by windows seen, and embed held-out pools of the model's own size.
 
     Args:
-        model: trait model.
-        split: demonstrations.
+        model, split: trait model and demonstrations.
         identification: the exact classifier's evidence of ``split.unseen``, candidates in the
             order of its names.
         windows: numbers of windows; see :func:`pool_sizes`.
@@ -313,13 +294,7 @@ def regress_traits(
 ) -> dict[str, TraitR2]:
     """Measure R² of each trait from z, over drivers that the model has not learned from.
 
-    One half of the drivers fits the regression, the other half is judged.
-
-    Args:
-        model: trait model.
-        population: windows of many drivers, with the truth.
-        size: windows pooled.
-        seed: seed of the bootstrap.
+    One half of the drivers, with pools of ``size`` windows, fits; the other half is judged.
 
     Raises:
         ValueError: see :func:`population_pools`.
@@ -347,18 +322,16 @@ def assess(
     whole: bool = True,
     embedding: Embedding | None = None,
 ) -> Assessment:
-    """Judge one model.
+    """Judge one model on the demonstrations that it learned from.
 
     Args:
-        model: trait model.
-        split: demonstrations that it learned from.
+        model, split: trait model and demonstrations.
         identification: the exact classifier's evidence of ``split.unseen``; None if there is none.
         population: drivers that it has not learned from, with the truth; None to leave that out.
         settings: sizes.
-        windows: numbers of windows to identify drivers from; see :func:`pool_sizes`.
+        windows, embedding: see :func:`identify_drivers`.
         progress: called ``PARTS`` times.
         whole: if not, only identification, which is averaged over seeds.
-        embedding: that of :func:`embed`, if it is there already.
 
     Raises:
         ValueError: demonstrations of another layout, too few of them, or of another version of the

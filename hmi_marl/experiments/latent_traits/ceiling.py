@@ -56,10 +56,7 @@ def likes_help(demonstrations: Demonstrations) -> NDArray[np.int64] | None:
 def driver_policy_of(observed: Observed, given: str | None, config: TeamConfig) -> LearnedPolicy:
     """Load the driver policy of the demonstrations, sampling or greedy as it was.
 
-    Args:
-        observed: demonstrations.
-        given: the run's folder or the policy's ``.json``; None: where it was when they were made.
-        config: their teams.
+    ``given`` is the run's folder or the policy's ``.json``; None: where it was when they were made.
 
     Raises:
         FileNotFoundError: it is not there.
@@ -93,15 +90,9 @@ def driver_policy_of(observed: Observed, given: str | None, config: TeamConfig) 
 def evidence(
     observed: Observed, policy_source: str | None, drivers: Sequence[str | Driver]
 ) -> Identification:
-    """Compute the exact evidence of each window for each candidate.
+    """Compute the exact log evidence of E windows for K candidates, shape (E, K).
 
-    Args:
-        observed: E demonstrations.
-        policy_source: as ``given`` of :func:`driver_policy_of`.
-        drivers: K candidates.
-
-    Returns:
-        log evidence of shape (E, K).
+    The policy's source is ``given`` of :func:`driver_policy_of`.
 
     Raises:
         FileNotFoundError: the driver policy is not there.

@@ -293,14 +293,9 @@ def drive_policy(
 def imitate(
     model: TraitModel, observed: Observed, z: Mapping[str, ArrayLike], episodes: int, seed: int
 ) -> dict[str, Drives]:
-    """Let the policy drive fresh episodes, the same ones with each driver's z.
+    """Let the policy drive fresh episodes, the same ones with each driver's z, shape (Z,).
 
-    Args:
-        model: trait model with the policy.
-        observed: demonstrations, for their teams' settings and their rate of alerts.
-        z: z of each driver, shape (Z,).
-        episodes: episodes with each z.
-        seed: seed of the episodes.
+    Teams' settings and their rate of alerts are those of the demonstrations.
 
     Raises:
         ValueError: no episodes, a z of another size, or a model for other states.
@@ -346,11 +341,7 @@ def by_driver(drives: Drives, labels: Sequence[str | None]) -> dict[str, Drives]
 def compare_driving(
     demonstrated: Mapping[str, Drives], imitated: Mapping[str, Drives], policy_frequency: int
 ) -> list[DrivingRow]:
-    """Compare each driver's driving with the policy's, given their z.
-
-    Args:
-        demonstrated, imitated: drives of each driver, the same drivers.
-        policy_frequency: steps per second.
+    """Compare each driver's driving with the policy's, given their z; ``policy_frequency`` in Hz.
 
     Raises:
         ValueError: the drivers differ.

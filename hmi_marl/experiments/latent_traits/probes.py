@@ -63,13 +63,7 @@ class Separability:
 
 
 def gaussian_kl(mean0: ArrayLike, cov0: ArrayLike, mean1: ArrayLike, cov1: ArrayLike) -> float:
-    """Return KL(N0 || N1) [nats]; the equation is in the module's docstring.
-
-    Args:
-        mean0: shape (Z,).
-        cov0: shape (Z, Z).
-        mean1: shape (Z,).
-        cov1: shape (Z, Z).
+    """Return KL(N0 || N1) [nats] of means (Z,), covariances (Z, Z); the module has the equation.
 
     Raises:
         ValueError: shapes that differ, or a covariance that is not symmetric positive definite.
@@ -99,22 +93,15 @@ def _cholesky(cov: ArrayLike, size: int) -> Array:
 
 
 def kl_matrix(means: ArrayLike, types: ArrayLike) -> Array:
-    """Return KL(row || column) between the types' Gaussians [nats], types in rising order.
+    """Return KL(row || column) [nats] between the Gaussians of C types, rising, shape (C, C).
 
     Axes of z on which all vectors agree hold no information and are left out. Where a cluster is
     singular (:data:`SMALLEST_SPREAD`), SMALLEST_SPREAD² of each axis' variance over all vectors is
     added to the diagonal of its covariance; the KL is then large, and depends on that number.
 
-    Args:
-        means: shape (P, Z).
-        types: integers, shape (P,).
-
-    Returns:
-        Shape (C, C) for C types.
-
     Raises:
-        ValueError: vectors that are not finite or do not fit the types, fewer than two types, or a
-            type with fewer than Z + 2 vectors.
+        ValueError: vectors (P, Z) that are not finite or do not fit the types (P,), fewer than two
+            types, or a type with fewer than Z + 2 vectors.
     """
     vectors, labels = checked_vectors(means, types)
     kinds, counts = np.unique(labels, return_counts=True)
@@ -155,16 +142,14 @@ def separability(
     groups: ArrayLike | None = None,
     seed: int = 0,
 ) -> Separability:
-    """Measure how well held-out vectors separate driver types.
+    """Measure how well held-out vectors (P, Z) separate driver types.
 
     The linear probe standardises by the training vectors. All other measures take distances in z
     as they are, since its prior N(0, I) gives them a scale.
 
     Args:
-        train_means: shape (P', Z).
-        train_types: integers, shape (P',).
-        means: held-out vectors, shape (P, Z).
-        types: their types, shape (P,).
+        train_means, train_types: shapes (P', Z) and (P',).
+        means, types: held-out vectors, shape (P, Z), and their types, integers, shape (P,).
         groups: labels of any kind, shape (P,), equal for held-out vectors that are not independent
             (of the same episodes). The Wilson intervals then count groups, not vectors, as trials:
             as wide as if the members of a group always agreed. None: all are independent.
@@ -241,10 +226,8 @@ def trait_r2(
     explode; nearest neighbours are too coarse and trees too jagged for a smooth trait.
 
     Args:
-        train_means: shape (P', Z).
-        train_traits: shape (P', T). Vectors with equal traits count as the same driver's.
-        means: held-out vectors, shape (P, Z).
-        traits: their traits, shape (P, T).
+        train_means, train_traits: shapes (P', Z) and (P', T); equal traits: the same driver.
+        means, traits: held-out vectors, shape (P, Z), and their traits, shape (P, T).
         names: names of the T traits.
         seed: seed of folds, landmarks and resampling.
 

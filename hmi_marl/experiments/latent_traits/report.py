@@ -46,13 +46,7 @@ class TraitResults:
         return next(iter(self.first.values())).identified
 
     def accuracy(self, setting: str, size: int, of: str = "types") -> Estimate:
-        """Average the linear probe's accuracy over seeds; for one seed the interval is over pools.
-
-        Args:
-            setting: supervision.
-            size: windows seen.
-            of: "types" or "preferences".
-        """
+        """Average the probe's accuracy on "types" or "preferences"; 1 seed: interval over pools."""
         probes = [getattr(o.at_pool(size), of).linear_probe for o in self.assessments[setting]]
         if len(probes) == 1:
             return probes[0]

@@ -89,13 +89,9 @@ class RewardRanking:
 def reward_ranking(
     model: TraitModel, observed: Observed, z: Mapping[str, ArrayLike], seed: int = 0
 ) -> list[RewardRanking]:
-    """Rank each driver's demonstrations, and worse driving, by the recovered reward.
+    """Rank each driver's demonstrations, and worse driving, by the recovered reward given z (Z,).
 
-    Args:
-        model: reward and policy.
-        observed: demonstrations that can be replayed.
-        z: z of each driver to judge, shape (Z,).
-        seed: seed of random actions and resampling.
+    ``seed`` is that of random actions and resampling.
 
     Raises:
         ValueError: a driver without two demonstrations or more, a z of another size, a model for
@@ -138,10 +134,7 @@ def ways_to_drive(
     """
     config, rate, seeds = team_of(observed), alert_rate(observed), seeds_of(observed)
     recorded = recorded_actions(observed, config.horizon)
-    drives = {
-        DEMONSTRATED: replay(observed),
-        LEARNED: drive_policy(model, config, rate, z, seeds),
-    }
+    drives = {DEMONSTRATED: replay(observed), LEARNED: drive_policy(model, config, rate, z, seeds)}
     for share in NOISE:
         noisy = with_noise(recorded, share, mix(seeds, Stream.LEARNING, seed))
         drives[way_of(share)] = drive(config, following(noisy), rate, seeds)
@@ -191,17 +184,10 @@ def _ranks(several: Sequence[Returns], seed: int) -> Ranks:
 def rank_correlation(
     one: NDArray[np.float64], other: NDArray[np.float64], seed: int = 0
 ) -> Estimate:
-    """Correlate two arrays of shape (W, E) by Spearman, all W x E pairs of numbers together.
+    """Correlate two arrays of shape (W, E) by Spearman, all W x E pairs together; NaN if constant.
 
     The interval is of percentiles over resampled columns, which are episodes: W ways to drive in
     the same traffic are not independent.
-
-    Args:
-        one, other: shape (W, E).
-        seed: seed of resampling.
-
-    Returns:
-        NaN where one of the two is constant.
     """
     found = float(_spearman(one.reshape(1, -1), other.reshape(1, -1))[0])
     if math.isnan(found):

@@ -16,12 +16,8 @@ from hmi_marl.experiments.criteria import OPTIMAL_SHARE, SAME_GAIN
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig
 from hmi_marl.reporting.blocks import Text
 
-LEARNED, ALIKE, DIFFER, NEXT = (
-    "What was learned",
-    "Why rows are alike",
-    "How the rows differ",
-    "What to try next",
-)
+LEARNED, ALIKE = "What was learned", "Why rows are alike"
+DIFFER, NEXT = "How the rows differ", "What to try next"
 _ROUNDING = 1e-6
 """Shortfall of a rule, in attention return, that is due to rounding."""
 _MANY = 6
@@ -72,12 +68,8 @@ class Row:
     @property
     def missed(self) -> list[str]:
         """Drivers for whom it is not optimal."""
-        return [
-            cell.driver
-            for cell in self.cells
-            if _share(cell)
-            < OPTIMAL_SHARE  # where nothing can be gained, no needless alerts are asked for
-        ]
+        # Where nothing can be gained, no needless alerts are asked for.
+        return [cell.driver for cell in self.cells if _share(cell) < OPTIMAL_SHARE]
 
     @property
     def follows(self) -> bool:

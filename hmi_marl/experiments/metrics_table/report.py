@@ -65,14 +65,7 @@ NOTE = (
 def make_report(
     config: TableConfig, cells: Sequence[Cell], command_line: str, clip: Clip | None = None
 ) -> Report:
-    """Make the report of a table: remarks, clip, figure and a table for each metric.
-
-    Args:
-        config: settings of the table.
-        cells: all of them.
-        command_line: command that makes it again.
-        clip: part of an episode, if there is one.
-    """
+    """Make the report of a table: remarks, clip (if any), figure and a table for each metric."""
     remarks = in_short(config, cells)
     wide, narrow = (table_figure(config, cells, narrow) for narrow in (False, True))
     described = f"{len(cells)} cells of {config.episodes} episodes each. {NOTE}"
@@ -99,11 +92,7 @@ def write_report(
     command_line: str,
     clip: Clip | None = None,
 ) -> Path:
-    """Write the report and table.csv; without a clip, remove that of an earlier table.
-
-    Returns:
-        Path of the page.
-    """
+    """Write the report and table.csv, remove an earlier clip if there is none; return the page."""
     if clip is None:
         (folder / f"{CLIP}.gif").unlink(missing_ok=True)
     write_text(folder / "table.csv", as_csv(cells))
@@ -160,13 +149,7 @@ def as_csv(cells: Sequence[Cell]) -> str:
 
 
 def table_figure(config: TableConfig, cells: Sequence[Cell], narrow: bool = False) -> bytes:
-    """Draw bars with 95 % intervals for each driver and HMI, the exact values marked. A PNG.
-
-    Args:
-        config: settings of the table.
-        cells: all of them.
-        narrow: for a telephone: panels one below the other, and larger type.
-    """
+    """Draw bars with 95 % intervals and exact values, as PNG; narrow: for a telephone."""
     from matplotlib import rc_context
 
     size, shape, columns = ((5.4, 12), (4, 1), 2) if narrow else ((11, 6.4), (2, 2), 6)
@@ -192,15 +175,8 @@ def _bars(axes: Axes, config: TableConfig, cells: Sequence[Cell], name: str) -> 
         errors = np.nan_to_num(np.abs(ends - means))
         at = places + (row + 0.5) * width - 0.4
         colour = COLOURS[row % len(COLOURS)]
-        axes.bar(
-            at,
-            means,
-            width * 0.92,
-            yerr=errors,
-            color=colour,
-            label=hmi,
-            error_kw={"elinewidth": 1, "ecolor": "#333"},
-        )
+        line = {"elinewidth": 1, "ecolor": "#333"}
+        axes.bar(at, means, width * 0.92, yerr=errors, color=colour, label=hmi, error_kw=line)
         if name == "distraction_return":
             exact = [own[driver].exact_distraction_return_same_steps for driver in config.drivers]
             marks = [math.nan if value is None else value for value in exact]

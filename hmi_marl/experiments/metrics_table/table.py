@@ -47,8 +47,7 @@ class TableSettings(TeamSettings):
     """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     hmis: tuple[str, ...] = PAPER_HMIS
     """Rows: NoHMI (or never), always, random[:RATE], when-distracted, AvgHMI (or average), own (or
-    optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or
-    trained:NAME."""
+    optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or trained:NAME."""
     driver_policy: str = "rule"
     """Driver policy: rule, random, the folder of a trained run, or trained:NAME."""
     episodes: int = 16
@@ -145,9 +144,8 @@ class Cell:
             content[name] = value
             if name in ("alerts", "crash_rate"):
                 content |= {name: value["mean"], f"{name}_interval": [value["low"], value["high"]]}
-        return content | {
-            "reachable_distraction_return": self.reachable_distraction_return._asdict()
-        }
+        reachable = self.reachable_distraction_return._asdict()
+        return content | {"reachable_distraction_return": reachable}
 
 
 def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:
@@ -228,15 +226,11 @@ def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episo
 def make_table(
     config: TableConfig, workers: int | None = None, progress: Callable[[int], Any] = id
 ) -> list[Cell]:
-    """Play every cell and add it up, row by row. The result does not depend on ``workers``.
+    """Play every cell and add it up, row by row; the result does not depend on ``workers``.
 
-    Workers begin by importing the script that started them: unless ``workers`` is 1, a script
-    that calls this needs an ``if __name__ == "__main__":`` around what it does.
-
-    Args:
-        config: settings of the table.
-        workers: processes to share the episodes among; the number of cores by default.
-        progress: called with the number of episodes that have just been finished.
+    Workers (by default as many as cores) begin by importing the script that started them: unless
+    there is 1, a script that calls this needs an ``if __name__ == "__main__":`` around what it
+    does. ``progress`` is called with the number of episodes that have just been finished.
 
     Raises:
         ValueError: workers < 1.

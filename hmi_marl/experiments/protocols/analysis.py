@@ -167,13 +167,9 @@ def seed_matrix(comparison: Comparison, protocol: Protocol) -> NDArray[np.float6
 
 
 def dependences(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Average own pairs minus swapped pairs of each run over all other runs.
+    """Average own minus swapped pairs of each run over all other runs, shape (n,); NaN if none.
 
-    Args:
-        matrix: returns, shape (n, n), rows by driver, columns by HMI.
-
-    Returns:
-        Shape (n,); NaN if there is no other run.
+    Returns in ``matrix`` (n, n) are by driver (rows) and HMI (columns).
     """
     own = np.diag(matrix)
     gains = (own[:, None] + own[None, :] - matrix - matrix.T) / 2.0
@@ -245,8 +241,7 @@ class Gaming:
     worth_of_a_step: float
     """Mean reward of a step that the driver learns from, without the collision term."""
     crash_rate_if_trained_standing: Estimate
-    """Crash rate of the first seed's run trained with ``end_at_crash=False``; a crash ends the
-    episode now."""
+    """Crash rate of the first run trained with ``end_at_crash=False``; a crash ends it now."""
     crash_rate_standing: Estimate
     """Crash rate of the same run in its own setting: the crashed car stands until the end.
     Deterministic policies crash in the same episodes."""

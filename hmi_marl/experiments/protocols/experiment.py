@@ -251,9 +251,8 @@ def dependence_table(comparison: Comparison) -> Table:
         "pairs across seeds": lambda row: row.other_seeds.shown(),
         "dependence on seed": lambda row: row.on_seed.shown("+z.1f"),
     }
-    return Table.of(
-        "How much partners depend on each other", dependence_of(comparison), columns, note
-    )
+    title = "How much partners depend on each other"
+    return Table.of(title, dependence_of(comparison), columns, note)
 
 
 def gaming_table(comparison: Comparison) -> Table:
@@ -344,9 +343,8 @@ def swap_figure(comparison: Comparison) -> Figure:
     for (row, column), value in np.ndenumerate(returns):
         colour = "white" if value < middle else "black"
         weight = "bold" if row == column else "normal"
-        axes.text(
-            column, row, f"{value:.0f}", ha="center", va="center", color=colour, weight=weight
-        )
+        how: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "weight": weight}
+        axes.text(column, row, f"{value:.0f}", **how)
         if row == column:
             corner = (column - 0.48, row - 0.48)
             axes.add_patch(Rectangle(corner, 0.96, 0.96, fill=False, edgecolor="red", linewidth=2))

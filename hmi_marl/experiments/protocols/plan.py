@@ -283,16 +283,12 @@ class Sums:
     def join(cls, several: Iterable[Sums]) -> Sums:
         """Join one or more sums into one."""
         parts = list(several)
-        known = [part for part in parts if math.isfinite(part.time_headway)]
-        weights = [part.episodes for part in known]
+        known = [p for p in parts if math.isfinite(p.time_headway)]
+        headways, weights = [p.time_headway for p in known], [p.episodes for p in known]
         counts = ("episodes", "crashes", "steps", "minutes", "alerts")
         return cls(
             **{name: sum(getattr(part, name) for part in parts) for name in counts},
-            time_headway=(
-                float(np.average([part.time_headway for part in known], weights=weights))
-                if known
-                else math.nan
-            ),
+            time_headway=float(np.average(headways, weights=weights)) if known else math.nan,
             terms={name: sum(part.terms[name] for part in parts) for name in parts[0].terms},
         )
 
@@ -344,13 +340,9 @@ def play_pair(settings: ComparisonSettings, folder: Path, pair: Pair) -> dict[st
 def play_all(
     settings: ComparisonSettings, folder: Path, workers: int, progress: Callable[[int], object] = id
 ) -> Played:
-    """Play every pair; the result does not depend on ``workers``.
+    """Play every pair of the runs in ``folder``; the result does not depend on ``workers``.
 
-    Args:
-        settings: the comparison.
-        folder: folder of the runs.
-        workers: pairs at a time.
-        progress: called with the number of episodes that have just finished.
+    ``progress`` is called with the number of episodes that have just finished.
     """
     pairs, play_one = settings.pairs(), partial(play_pair, settings, folder)
     played: dict[Pair, Mapping[str, Sums]] = {}

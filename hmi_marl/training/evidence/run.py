@@ -81,16 +81,13 @@ def drive_all(
 ) -> Drives:
     """Drive many episodes, each HMI with an equal share of the drivers.
 
-    Args:
-        settings: number of drives, policies and population.
-        progress: called with the number of drives done since the last call.
+    ``progress`` is called with the number of drives done since the last call.
 
     Raises:
         ValueError: an unknown HMI or driver policy.
     """
     team = replace(settings.team, driver=MixedPopulation(settings.known))
-    number = np.arange(settings.drives, dtype=np.uint64)
-    seeds = mix(settings.seed, Stream.TRAINING, number)
+    seeds = mix(settings.seed, Stream.TRAINING, np.arange(settings.drives, dtype=np.uint64))
     parts = []
     for name, chosen in zip(settings.hmis, np.array_split(seeds, len(settings.hmis)), strict=True):
         for start in range(0, len(chosen), _AT_ONCE):
@@ -146,12 +143,7 @@ def learn_evidence(
     command_line: str = "",
     line: int = 0,
 ) -> None:
-    """Learn in ``folder``, resuming a run that was interrupted there.
-
-    Args:
-        settings: settings of the drives and of the learning.
-        folder: folder of the run.
-        quiet, command_line, line: see :class:`Run`.
+    """Learn in ``folder``, resuming a run that was interrupted there; arguments: :class:`Run`.
 
     Raises:
         ValueError: the folder holds another run, or the settings name an unknown HMI or driver.
@@ -184,8 +176,8 @@ class _Run(Run):
         temperature = self._temperature(drives)
         self._model.settle(temperature, self._shown(drives))
         training = self.about | {"temperature": temperature, "command": self.command_line}
-        card = replace(self._model.card, training=training)
-        save_evidence(self.folder, card, self._model.weights())
+        model = self._model
+        save_evidence(self.folder, replace(model.card, training=training), model.weights())
         self.finish_phase()
 
     def tensors(self) -> Tensors:
@@ -266,11 +258,7 @@ class _Run(Run):
         self._model.scale.copy_(torch.from_numpy(np.where(spread > 1e-3, spread, 1.0)))
 
     def _turns(self, drives: Drives, which: NDArray[np.int64]) -> tuple[torch.Tensor, torch.Tensor]:
-        """Turns of B drives, padded to whole segments, and which of them are real.
-
-        Returns:
-            Shapes (B, T, columns) and (B, T).
-        """
+        """Turns of B drives, padded to segments: (B, T, columns); which are real: (B, T)."""
         missing = -drives.turns.shape[1] % self._settings.segment
         turns = np.pad(drives.turns[which], ((0, 0), (0, missing), (0, 0)))
         driving = np.pad(drives.driving[which], ((0, 0), (0, missing)))

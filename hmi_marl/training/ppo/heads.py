@@ -141,9 +141,8 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
         return divergence(old_params[0], new_params[0]) + (old_params[0].exp() * of_alert).sum(-1)
 
     def _split(self, logits: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return logits[..., :INTENTS], torch.unflatten(
-            logits[..., INTENTS:], -1, (INTENTS, self.alerts)
-        )
+        alerts = torch.unflatten(logits[..., INTENTS:], -1, (INTENTS, self.alerts))
+        return logits[..., :INTENTS], alerts
 
 
 class LikeliestAction(torch.nn.Module):
@@ -159,8 +158,7 @@ class LikeliestPair(torch.nn.Module):
 
     def __init__(self, intents: int, alerts: int) -> None:
         super().__init__()
-        self.intents = intents
-        self.alerts = alerts
+        self.intents, self.alerts = intents, alerts
 
     def forward(self, logits: torch.Tensor) -> torch.Tensor:
         """Return indices as floats, (..., 2), for logits of shape (..., intents + intents A)."""

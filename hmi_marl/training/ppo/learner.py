@@ -40,11 +40,7 @@ class Learner(Protocol):
         """Record what the environment returned for the last actions."""
 
     def learn(self, observations: TensorDict) -> dict[str, float]:
-        """Learn from the batch and return losses by name.
-
-        Args:
-            observations: those that follow the batch's last step.
-        """
+        """Learn from the batch, whose last step ``observations`` follow; return losses by name."""
         ...
 
 
@@ -70,8 +66,6 @@ class PPOLearner:
         sample: observations that give the shapes.
         steps: steps in a batch.
         columns: columns of the actions.
-        settings: settings of the algorithm.
-        device: device to learn on.
         processes: processes that share the gradients.
     """
 
@@ -87,8 +81,7 @@ class PPOLearner:
         device: str,
         processes: Processes,
     ) -> None:
-        self.view = view
-        self.settings = settings
+        self.view, self.settings = view, settings
         seen = view(sample)
         storage = ShuffledOnce("rl", len(seen), steps, seen, [columns], device)
         self.ppo = PPO(
@@ -119,9 +112,8 @@ class PPOLearner:
     def begin(self, progress: float) -> None:
         """See :meth:`Learner.begin`."""
         settings = self.settings
-        self.ppo.entropy_coef = _between(
-            settings.entropy_coef, settings.final_entropy_coef, progress
-        )
+        start, end = settings.entropy_coef, settings.final_entropy_coef
+        self.ppo.entropy_coef = _between(start, end, progress)
         rate = _between(settings.learning_rate, settings.final_learning_rate, progress)
         self.ppo.learning_rate = rate
         for group in self.ppo.optimizer.param_groups:
@@ -155,10 +147,8 @@ class PPOLearner:
     ) -> dict[str, float]:
         """See :meth:`Learner.learn`.
 
-        Args:
-            observations: those that follow the batch's last step.
-            rewards: rewards that replace the recorded ones, if they are only known after the
-                batch, as in adversarial IRL; shape (T, N).
+        ``rewards``, shape (T, N), replace the recorded ones if they are only known after the batch,
+        as in adversarial IRL.
         """
         if rewards is not None:
             self.ppo.storage.rewards.copy_((rewards * self.settings.reward_scale)[..., None])
@@ -187,23 +177,15 @@ class PPOLearner:
         return tensors | flat_moments(saved["optimizer_state_dict"])
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Restore what :meth:`tensors` returned.
-
-        Raises:
-            RuntimeError: the tensors belong to other networks.
-        """
+        """Restore what :meth:`tensors` returned; RuntimeError if it is of other networks."""
         models: dict[str, dict[str, torch.Tensor]] = {"actor": {}, "critic": {}}
         for full_name, value in tensors.items():
             kind, name = full_name.split(".", 1)
             if kind != OPTIMIZER:
                 models[kind][name] = value
         optimizer = with_moments(self.ppo.optimizer.state_dict(), tensors)
-        self.ppo.load(
-            {f"{name}_state_dict": values for name, values in models.items()}
-            | {"optimizer_state_dict": optimizer},
-            None,
-            strict=True,
-        )
+        state: dict[str, Any] = {f"{name}_state_dict": values for name, values in models.items()}
+        self.ppo.load(state | {"optimizer_state_dict": optimizer}, None, strict=True)
 
 
 class TwoLearners:
@@ -212,17 +194,13 @@ class TwoLearners:
     A transition of each agent reaches from its turn to its next turn, so its reward is that of the
     whole step.
 
-    Args:
-        driver, vehicle_ai: learners of the two seats.
-        intent_shown: shows a^H_t to the vehicle AI; None for simultaneous moves.
+    ``intent_shown`` shows a^H_t to the vehicle AI; None for simultaneous moves.
     """
 
     def __init__(
         self, driver: PPOLearner, vehicle_ai: PPOLearner, intent_shown: IntentShown | None
     ) -> None:
-        self.driver = driver
-        self.vehicle_ai = vehicle_ai
-        self._intent_shown = intent_shown
+        self.driver, self.vehicle_ai, self._intent_shown = driver, vehicle_ai, intent_shown
 
     def begin(self, progress: float) -> None:
         """See :meth:`Learner.begin`."""
@@ -264,7 +242,7 @@ def play_batch(env: TeamVecEnv, learner: Learner, seed: int) -> dict[str, float]
     Args:
         env: environment, which is reset.
         learner: acts and records.
-        seed: seed of the first team; team k gets the series of episodes of ``seed + k``.
+        seed: team k gets the series of episodes of ``seed + k``.
 
     Returns:
         Means over the teams' first episodes, which are all complete: the seat's ``return``,

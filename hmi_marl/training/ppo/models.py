@@ -49,7 +49,6 @@ class SeatView:
     """:class:`View` of one seat, or of both seats of a composite policy.
 
     Args:
-        env: environment that gives the observations.
         cards: cards of the seats, whose inputs are concatenated for the actor.
         centralised: the critic reads the team's whole state, else the actor's inputs.
         context: gives z, if the policies are conditioned on it.
@@ -77,8 +76,7 @@ class SeatView:
         read = []
         for seat, columns in self._columns.items():
             read.append(observations[seat].index_select(1, columns))
-            context = self._context[seat]
-            if context is not None:
+            if (context := self._context[seat]) is not None:
                 read.append(context(observations["traits"]))
         actor = read[0] if len(read) == 1 else torch.cat(read, dim=1)
         critic = observations["critic"] if self._centralised else actor
@@ -117,11 +115,9 @@ def make_actor(card: PolicyCard) -> MLPModel:
     head = {"class_name": OneAction, "choices": card.actions}
     template = _template("actor", card.inputs)
     sizes = (template, GROUPS, "actor", 1, network.hidden_dims, network.activation)
-    if not network.rnn_hidden_dim:
+    if not (units := network.rnn_hidden_dim):
         return MLPModel(*sizes, distribution_cfg=head)
-    return MemoryModel(
-        *sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=network.rnn_hidden_dim
-    )
+    return MemoryModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=units)
 
 
 class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types

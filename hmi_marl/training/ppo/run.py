@@ -28,13 +28,7 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value
-from hmi_marl.training.protocols.settings import (
-    LEARNED,
-    OTHER_SEAT,
-    TEAM,
-    Phase,
-    TrainSettings,
-)
+from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phase, TrainSettings
 
 with needing("training"):
     import torch
@@ -69,7 +63,6 @@ def train(
 
     Args:
         settings: a protocol with its settings.
-        folder: folder of the run.
         context: gives a vector z for each driver, which the vehicle AI observes instead of the
             traits. (The driver observes its own traits.)
         quiet, command_line, line: see :class:`Run`.
@@ -101,8 +94,7 @@ class _Run(Run):
         if context is not None:
             about[CONTEXT_OF] = context.digest
         super().__init__(settings, folder, about, processes, **shown)
-        self._settings = settings
-        self._context = context
+        self._settings, self._context = settings, context
         self._device = processes.device(settings.device)
         self._phases = [_in_context(phase, context) for phase in settings.phases()]
         self.phases = len(self._phases)
@@ -139,16 +131,14 @@ class _Run(Run):
         state, iterations, steps = self.state, self._iterations(phase), self._steps(phase)
         env = self._make_env(phase)
         learner = self._make_learner(phase, env)
-        start, end = phase.progress
-        wanted = self._settings.snapshots
+        (start, end), wanted = phase.progress, self._settings.snapshots
         while state.iteration < iterations:
             began = time.monotonic()
             seed = self._seed_batch()
             learner.begin(start + (end - start) * state.iteration / iterations)
             row = play_batch(env, learner, seed)
             played = time.monotonic()
-            row |= learner.learn(env.get_observations())
-            row = self.processes.mean(row)
+            row = self.processes.mean(row | learner.learn(env.get_observations()))
             learning = time.monotonic() - played
             row |= self.count(began, steps)
             row["share_of_time_learning"] = learning * row["steps_per_second"] / steps
@@ -224,11 +214,8 @@ class _Run(Run):
         if not self.processes.is_first:
             self.processes.wait()
             return
-        training = self.about | {
-            "team": json_value(phase.team),
-            "steps": self.state.steps,
-            "command": self.command_line,
-        }
+        training = self.about | {"team": json_value(phase.team), "steps": self.state.steps}
+        training["command"] = self.command_line
         for card, weights in self._learned(phase):
             save_policy(folder, replace(card, training=training), weights)
         self.processes.wait()

@@ -178,11 +178,9 @@ class TrainSettings(Checked, TeamSettings):
 
     @classmethod
     def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
-        """Settings that use up a budget, to be compared with other protocols.
+        """Settings whose phases use up ``budget.steps``, to be compared with other protocols.
 
-        Args:
-            budget: steps and reward. The steps of all phases make ``budget.steps``.
-            shared: settings that all protocols have, or one of :attr:`variants`.
+        ``shared`` are settings that all protocols have, or one of :attr:`variants`.
         """
         raise NotImplementedError("a protocol says how it uses a budget")
 

@@ -29,11 +29,7 @@ class Processes:
         """Return rsl_rl's ``multi_gpu_cfg``; None for a single process."""
         if self.count == 1:
             return None
-        return {
-            "global_rank": self.rank,
-            "local_rank": self.local_rank,
-            "world_size": self.count,
-        }
+        return {"global_rank": self.rank, "local_rank": self.local_rank, "world_size": self.count}
 
     def device(self, wanted: str) -> str:
         """Return the device to learn on: ``auto`` is this process's GPU if there is one.

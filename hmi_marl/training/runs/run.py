@@ -109,12 +109,7 @@ def flat_moments(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
 
 
 def with_moments(state: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> dict[str, Any]:
-    """Return an optimizer's state dict with the moments that :func:`flat_moments` returned.
-
-    Args:
-        state: state dict of the optimizer.
-        tensors: tensors by flat names; those of no optimizer are ignored.
-    """
+    """Return the state dict with the moments that :func:`flat_moments` returned, among others."""
     moments: dict[int, dict[str, torch.Tensor]] = {}
     for full_name, value in tensors.items():
         kind, name = full_name.split(".", 1)
@@ -135,11 +130,8 @@ class Progress:
     """Show the progress of a run.
 
     Args:
-        name: name of the run.
         total: steps of the whole run.
         done: steps taken before; TensorBoard's points beyond them are dropped.
-        unit: name of the steps.
-        quiet: show nothing.
         line: line of the terminal for the bar, counted from the current one.
         board: folder for TensorBoard's files; None for none.
     """
@@ -222,8 +214,6 @@ class Run(ABC):
     """One run in its folder. Same seed, same weights, however often it was interrupted.
 
     Args:
-        settings: settings of the run.
-        folder: folder of the run.
         about: more facts that must be the same when the run is resumed.
         processes: processes that learn together; the first one writes.
         command_line: command that started it, kept with the results.
@@ -244,8 +234,7 @@ class Run(ABC):
         quiet: bool = False,
         line: int = 0,
     ) -> None:
-        self.folder, self.processes = folder, processes
-        self.command_line = command_line
+        self.folder, self.processes, self.command_line = folder, processes, command_line
         self.state = Checkpoint()
         self.about: dict[str, Any] = {
             "version": hmi_marl.__version__,
@@ -269,11 +258,7 @@ class Run(ABC):
         """Restore what :meth:`tensors` returned when the run was interrupted."""
 
     def check(self, before: dict[str, Any]) -> None:
-        """Check that the run in the folder, begun with ``before``, is this one.
-
-        Raises:
-            ValueError: it is another.
-        """
+        """Raise ``ValueError`` unless the run in the folder, begun with ``before``, is this one."""
         check_same(before, self.about, self.folder)
 
     def go(self) -> None:
@@ -312,14 +297,9 @@ class Run(ABC):
         return Progress(name, total, done, unit, self._quiet, self._line, board)
 
     def count(self, began: float, steps: int = 0) -> dict[str, float]:
-        """Count one iteration.
+        """Count an iteration of ``steps`` that began at ``began`` by ``time.monotonic()``.
 
-        Args:
-            began: time at which it began, by ``time.monotonic()``.
-            steps: environment steps taken in it.
-
-        Returns:
-            Seconds of the whole run so far and, if there are ``steps``, their number per second.
+        Return the seconds of the whole run and, if there are ``steps``, their number per second.
         """
         spent = time.monotonic() - began
         self.state.iteration += 1

@@ -45,11 +45,9 @@ class DiscriminatorLearner:
     """Learn the discriminator: the context encoder and the reward, against a fixed policy.
 
     Args:
-        card: card of the model.
         settings: weights of the losses and learning rates.
         policy: π(a | s, z). It learns here too, but only by imitation; to the discriminator its
             log π is a constant.
-        device: device to learn on.
     """
 
     def __init__(
@@ -123,12 +121,9 @@ class DiscriminatorLearner:
         posterior = encoder.posterior(read, *units)
         z_experts = posterior.sample()
         # The policy learns from the whole gradient, the encoder from a share of it.
-        z_imitated = z_experts.detach() + settings.weights.imitate * (
-            z_experts - z_experts.detach()
-        )
-        losses = {
-            "imitation": -log_likelihood(self._policy, experts, z_imitated).mean(),
-        }
+        fixed = z_experts.detach()
+        z_imitated = fixed + settings.weights.imitate * (z_experts - fixed)
+        losses = {"imitation": -log_likelihood(self._policy, experts, z_imitated).mean()}
         if labelled is not None and known is not None:
             losses["L3"] = contrastive_loss(
                 encoder.posterior(known, *units).sample(),
@@ -169,10 +164,9 @@ class DiscriminatorLearner:
         """Return the reward f of every driven step but the last, shape (P, n, T - 1)."""
         steps = transitions(driven)
         with torch.no_grad():
-            f: torch.Tensor = self.model.reward(
-                steps.before, steps.actions, steps.after, z[steps.pool]
-            )
-        return f.reshape(*driven.length.shape, -1)
+            f = self.model.reward(steps.before, steps.actions, steps.after, z[steps.pool])
+        rewards: torch.Tensor = f.reshape(*driven.length.shape, -1)
+        return rewards
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Weights and the optimizer's state, by flat names."""
@@ -180,16 +174,8 @@ class DiscriminatorLearner:
         return tensors | flat_moments(self._optimizer.state_dict())
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Restore what :meth:`tensors` returned.
-
-        Raises:
-            RuntimeError: the tensors belong to another model.
-        """
-        self.model.load_state_dict(
-            {
-                name.removeprefix(_MODEL): value
-                for name, value in tensors.items()
-                if name.startswith(_MODEL)
-            }
-        )
+        """Restore what :meth:`tensors` returned; RuntimeError if it is of another model."""
+        mine = {name: value for name, value in tensors.items() if name.startswith(_MODEL)}
+        model = {name.removeprefix(_MODEL): value for name, value in mine.items()}
+        self.model.load_state_dict(model)
         self._optimizer.load_state_dict(with_moments(self._optimizer.state_dict(), tensors))

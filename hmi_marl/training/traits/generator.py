@@ -23,12 +23,9 @@ class Generator:
     """The policy π(a | s, z) with its driving and its PPO.
 
     Args:
-        card: card of the trait model.
         settings: number of cars, and settings of PPO.
         config: configuration of the teams that gave the demonstrations.
         alert_rate: share of steps with an alert.
-        units: units of the states.
-        device: device to learn on.
     """
 
     def __init__(
@@ -42,9 +39,8 @@ class Generator:
     ) -> None:
         self._settings, self._config, self._alert_rate = settings, config, alert_rate
         self._units, self._device = units, device
-        sample = _observations(
-            torch.zeros(settings.num_teams, card.inputs("policy"), device=device)
-        )
+        inputs = torch.zeros(settings.num_teams, card.inputs("policy"), device=device)
+        sample = _observations(inputs)
         self.learner = PPOLearner(
             make_policy(card),
             make_value(card),
@@ -73,12 +69,7 @@ class Generator:
         self.learner.begin(progress)
 
     def drive(self, z: torch.Tensor, seeds: NDArray[np.uint64]) -> tuple[Drives, Batch]:
-        """Drive one window with each car and record it for learning.
-
-        Args:
-            z: latent vectors of the pools of cars, shape (P, Z).
-            seeds: seeds of the cars' episodes, shape (N,).
-        """
+        """Drive one window with each car, z (P, Z) of its pool and seed (N,); record to learn."""
         cars = z.repeat_interleave(self._settings.pool, dim=0)
         learner, step = self.learner, 0
         learner.discard()

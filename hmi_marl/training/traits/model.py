@@ -31,12 +31,10 @@ FORGETTING = 0.05
 
 
 class Posterior(NamedTuple):
-    """q(z | τ) of P pools."""
+    """q(z | τ) of P pools; both of shape (P, Z)."""
 
     mean: torch.Tensor
-    """Shape (P, Z)."""
     log_variance: torch.Tensor
-    """Shape (P, Z)."""
 
     def sample(self) -> torch.Tensor:
         """Draw z by reparametrisation, so that gradients pass; shape (P, Z)."""

@@ -59,10 +59,8 @@ def learn_traits(
     """Learn from a dataset in ``folder``, resuming a run that was interrupted there.
 
     Args:
-        settings: settings of the learning.
         demonstrations: folder of the dataset. Its truth is read for one thing alone: η of the
             labelled windows, in the preference-supervised setting without ``preferences``.
-        folder: folder of the run.
         preferences: people's answers by name, for the preference-supervised setting.
         quiet, command_line, line: see :class:`Run`.
 
@@ -140,8 +138,7 @@ class _Run(Run):
             progress.phase(name)
             while state.iteration < self._rounds:
                 began = time.monotonic()
-                row = self._round()
-                row |= self.count(began, per_round)
+                row = self._round() | self.count(began, per_round)
                 state.curve.append({"steps": state.steps} | row)
                 progress.advance(per_round, row)
                 self.save_if_due()
@@ -179,10 +176,8 @@ class _Run(Run):
         f = self._discriminator.rewards(driven, z)
         if iteration >= settings.settling * self._rounds:
             row |= self._generator.learn(driven, z, f)
-        return row | {
-            "speed": float(drives.speed.mean()),
-            "crash_rate": float(drives.crashed.mean()),
-        }
+        row["speed"], row["crash_rate"] = float(drives.speed.mean()), float(drives.crashed.mean())
+        return row
 
     def _demonstrated(self, rng: np.random.Generator) -> tuple[Batch, Labelled | None]:
         """A batch of demonstrations, and one of labelled ones if there are labels."""
@@ -203,10 +198,8 @@ class _Run(Run):
 
     def tensors(self) -> Tensors:
         """See :meth:`Run.tensors`."""
-        return {
-            DISCRIMINATOR: self._discriminator.tensors(),
-            GENERATOR: self._generator.learner.tensors(),
-        }
+        d, g = self._discriminator, self._generator
+        return {DISCRIMINATOR: d.tensors(), GENERATOR: g.learner.tensors()}
 
     def restore(self, tensors: Tensors) -> None:
         """See :meth:`Run.restore`."""

@@ -54,13 +54,9 @@ def transitions(batch: Batch) -> Transitions:
     pools, windows, steps, _ = batch.situations.shape
     later = torch.arange(1, steps, device=batch.length.device) < batch.length[..., None]
     pool = torch.arange(pools, device=batch.length.device)[:, None, None]
-    pool = pool.expand(pools, windows, steps - 1)
-    return Transitions(
-        batch.situations[:, :, :-1][later],
-        batch.actions[:, :, :-1][later],
-        batch.situations[:, :, 1:][later],
-        pool[later],
-    )
+    pool = pool.expand(pools, windows, steps - 1)[later]
+    x, actions = batch.situations, batch.actions
+    return Transitions(x[:, :, :-1][later], actions[:, :, :-1][later], x[:, :, 1:][later], pool)
 
 
 class Units(NamedTuple):
@@ -165,11 +161,8 @@ def draw_pools(
     No window is drawn twice for a pool, unless its driver has fewer than ``size`` of them.
 
     Args:
-        rng: random generator.
         driver: driver of each window, shape (E,).
         among: windows to draw from, shape (E,).
-        count: number of pools.
-        size: windows in each.
 
     Returns:
         Indices of windows, shape (count, size).
@@ -184,12 +177,9 @@ def draw_pools(
 def choose_labelled(
     driver: NDArray[np.int64], share: float, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Mark a share of every known driver's windows, at least one, drawn by ``rng``.
+    """Mark a share in (0, 1] of every known driver's windows, at least one, drawn by ``rng``.
 
-    Args:
-        driver: driver of each window, shape (E,); -1 if not known.
-        share: share of the windows, in (0, 1].
-        rng: random generator.
+    ``driver`` is that of each window, shape (E,); -1 if not known.
     """
     marked = np.zeros(len(driver), np.bool_)
     for number in np.unique(driver[driver != MISSING]):
@@ -208,10 +198,7 @@ def make_labels(
     """Return labels of all windows, shape (E,), NaN where there is none.
 
     Args:
-        demonstrations: the windows.
-        supervision: "none", "id" or "preference".
-        share: share of each driver's windows that is labelled.
-        rng: random generator that chooses them.
+        share: share of each driver's windows that is labelled; ``rng`` chooses them.
         preferences: people's answers by name, in [0, 1]; not needed for simulated drivers.
 
     Raises:
@@ -230,9 +217,7 @@ def make_labels(
 
 
 def _preferences(
-    demonstrations: Demonstrations,
-    marked: NDArray[np.bool_],
-    answers: Mapping[str, float] | None,
+    demonstrations: Demonstrations, marked: NDArray[np.bool_], answers: Mapping[str, float] | None
 ) -> NDArray[np.float64]:
     if answers is None:
         if demonstrations.truth is None:
@@ -243,8 +228,7 @@ def _preferences(
         return demonstrations.truth.traits[marked, TRAIT_NAMES.index("eta")]
     observed = demonstrations.observed
     asked = [observed.names[number] for number in observed.driver[marked]]
-    missing = sorted(set(asked) - set(answers))
-    if missing:
+    if missing := sorted(set(asked) - set(answers)):
         raise ValueError(f"the preferences lack {', '.join(missing)}; add them to the file")
     values = np.array([float(answers[name]) for name in asked])
     inside = (values >= 0) & (values <= 1)
