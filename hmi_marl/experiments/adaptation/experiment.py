@@ -110,13 +110,13 @@ class _Judged(Experiment[list[Result]]):
         ):
             share = by_group[group].shares[EXPECTED][when].share
             claim = f"{group}: {100 * least:.0f} % of the gap closed after {when}"
-            verdicts.append(Verdict.of_parts(claim, [share.mean >= least], f"{_percent(share)} %"))
+            verdicts.append(Verdict.of_parts(claim, [share.mean >= least], _percent(share, " %")))
         for result in results:
             if result.after_change:
                 regret, most = result.after_change[EXPECTED], criteria.MOST_REGRET
                 claim = f"{result.group}: within {100 * most:.0f} % of knowing after 20 s"
-                reason = f"regret {_percent(regret)} %"
-                verdicts.append(Verdict.of_parts(claim, [regret.mean <= most], reason))
+                reason = _percent(regret, " %")
+                verdicts.append(Verdict.of_parts(claim, [regret.mean <= most], f"regret {reason}"))
             else:
                 gain = result.first_seconds[EXPECTED]
                 claim = f"{result.group}: first 5 s not worse than AvgHMI by more than the interval"
@@ -368,5 +368,5 @@ def _closed(shares: Mapping[str, Closed]) -> list[str]:
     return [_percent(shares[when].share) for when in WHEN]
 
 
-def _percent(estimate: Estimate) -> str:
-    return "no gap" if math.isnan(estimate.mean) else estimate.percent(".1f")
+def _percent(estimate: Estimate, unit: str = "") -> str:
+    return "no gap" if math.isnan(estimate.mean) else f"{estimate.percent('.1f')}{unit}"

@@ -138,6 +138,12 @@ def test_where_there_is_no_gap_no_share_is_given():
     assert json.loads(content)["results"][-1]["shares"][EXPECTED]["10 s"]["share"]["mean"] is None
 
 
+def test_a_verdict_without_a_gap_gives_no_percentage():
+    judged = AdaptEvaluation().judge(results(lisa=without_gap("lisa")))
+    reasons = [verdict.reason for verdict in judged if verdict.claim.startswith("lisa: 9")]
+    assert reasons == ["no gap", "no gap"]
+
+
 def test_tables_are_whole():
     for table in tables(results()):
         assert table.rows
