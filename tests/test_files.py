@@ -3,9 +3,11 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hmi_marl.files import (
+    json_value,
     make_folder,
     sha256,
     sha256_of,
@@ -145,3 +147,8 @@ def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
         make_folder(tmp_path / "file")
     with pytest.raises(OSError, match=r"cannot write to .*below: Not a directory"):
         make_folder(tmp_path / "file" / "below")
+
+
+def test_arrays_become_lists_and_unknown_numbers_none() -> None:
+    values = {"a": np.array([1.0, np.nan]), "b": math.inf, "c": np.float64("nan"), "d": (1, 2.5)}
+    assert json_value(values) == {"a": [1.0, None], "b": None, "c": None, "d": [1, 2.5]}
