@@ -10,15 +10,18 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, SupportsIndex, get_args, get_origin, get_type_hints
 
 
 def check_count(name: str, value: int, least: int = 1) -> int:
     """Return a number of things.
 
     Raises:
+        TypeError: it is no whole number.
         ValueError: it is below ``least``.
     """
+    if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+        raise TypeError(f"{name} is a whole number, not {value!r}")
     if value < least:
         raise ValueError(f"{name} is at least {least}, but got {value}")
     return value

@@ -43,5 +43,11 @@ def test_fields_are_checked_by_their_annotations_inherited_ones_too(changed, mes
         Settings(**changed)
 
 
+@pytest.mark.parametrize("value", [True, 2.0, float("nan"), "3", None], ids=str)
+def test_a_count_is_a_whole_number(value):
+    with pytest.raises(TypeError, match="count is a whole number, not"):
+        Settings(count=value)
+
+
 def test_values_within_their_ranges_are_kept():
     assert Settings(3, 2, -5.0, 1.0, 0.5, 0.0, 7, "id").count == 3

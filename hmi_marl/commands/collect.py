@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.demonstrations.recording import CollectSettings, Summary, collect
+from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.files import make_folder, write_json
 
 
@@ -22,7 +23,7 @@ class Collect:
     """
 
     record: tyro.conf.OmitArgPrefixes[CollectSettings] = field(default_factory=CollectSettings)
-    """What to record."""
+    """Settings of the recording."""
     minari: bool = False
     """Also write the observed data as a Minari dataset, into MINARI_DATASETS_PATH if that is set,
     else into the folder."""
@@ -44,6 +45,7 @@ class Collect:
             from hmi_marl.demonstrations.minari import export_minari, minari_place
 
             minari_place(self.out)  # better known now than after the work
+        self.record.make_driver(self.record.team(PAPER_DRIVERS))  # refused before the bar begins
         summary = Summary(self.record)
         with tqdm(total=self.record.total_steps, unit=" steps", unit_scale=True) as bar:
             bar.set_description("collect")

@@ -73,7 +73,7 @@ class ReproduceOne:
         use_quiet_threads()
         experiment, workers = self.settings, check_workers(self.workers)
         if self.quick:
-            kind, seed = type(experiment), experiment.seed  # type: ignore[attr-defined]
+            kind, seed = type(experiment), getattr(experiment, "seed", 0)
             if experiment != with_seed(kind(), seed):
                 raise ValueError("--quick sets the sizes itself; leave it out to choose them")
             experiment = with_seed(kind.quick(), seed)
@@ -138,7 +138,7 @@ class Reproduce:
 
 def experiment_command(name: str) -> type[ReproduceOne]:
     """Make the subcommand of a registered experiment: its settings, and where to run it."""
-    return _command_of(name, EXPERIMENTS[name].value.load())
+    return _command_of(name, EXPERIMENTS[name].value.load(name))
 
 
 @cache

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.dataset import (
     MISSING,
     Demonstrations,
@@ -70,11 +71,7 @@ class CollectSettings(TeamSettings):
         object.__setattr__(self, "seed", check_seed(self.seed))
         _check_names(self.drivers)
         for name, least in (("steps", 1), ("population", 0), ("windows", 1), ("num_teams", 1)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int):
-                raise TypeError(f"{name} is a whole number, not {value!r}")
-            if value < least:
-                raise ValueError(f"{name} is at least {least}, but got {value}")
+            check_count(name, getattr(self, name), least)
         if not self.drivers and not self.population:
             raise ValueError("there is no driver: name drivers, or set population")
         team = self.team(PAPER_DRIVERS)

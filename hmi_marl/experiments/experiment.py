@@ -122,6 +122,8 @@ class Experiment(ABC, Generic[R]):
     def __post_init__(self) -> None:
         for name in self.counts:
             check_count(name, getattr(self, name))
+        if hasattr(self, "seed"):
+            check_seed(self.seed)
 
     @classmethod
     @abstractmethod
@@ -182,8 +184,12 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
 
 
 def with_seed(experiment: Experiment[Any], seed: int) -> Experiment[Any]:
-    """Return the experiment from another seed, or raise ``ValueError`` if it is out of range."""
-    return replace(experiment, seed=check_seed(seed))  # type: ignore[type-var]
+    """Return the experiment from another seed, or raise ``ValueError`` if it is out of range.
+
+    An experiment without a field ``seed`` stays as it is.
+    """
+    seed = check_seed(seed)
+    return replace(experiment, seed=seed) if hasattr(experiment, "seed") else experiment  # type: ignore[type-var]
 
 
 def learned_in(folder: Path) -> list[Path]:

@@ -30,10 +30,16 @@ class Where:
     in_suite: bool = True
     """Whether a whole reproduction of the paper runs it."""
 
-    def load(self) -> type[Experiment[Any]]:
-        """Import the class."""
+    def load(self, registered: str) -> type[Experiment[Any]]:
+        """Import the class of the experiment ``registered`` under this name.
+
+        Raises:
+            ValueError: the class calls it something else; its files would get the wrong name.
+        """
         module, _, name = self.path.partition(":")
         kind: type[Experiment[Any]] = getattr(importlib.import_module(module), name)
+        if (own := getattr(kind, "name", None)) != registered:
+            raise ValueError(f"set {name}.name = {registered!r}, as it is registered, not {own!r}")
         return kind
 
 

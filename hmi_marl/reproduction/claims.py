@@ -120,7 +120,7 @@ CLAIMS = (
     ),
     Claim(
         DISTINGUISH,
-        "That levels of confidence are not told apart among the attentive is due to the scenario.",
+        "That levels of confidence are not distinguished among the attentive is due to the scenario.",
         ("traits",),
         findings.scenario_hides,
     ),
@@ -174,7 +174,7 @@ CLAIMS = (
     ),
     Claim(
         METRICS,
-        "Without assistance everybody but Lisa is slower.",
+        "Without assistance all but Lisa are slower.",
         ("table",),
         findings.no_help_costs_speed,
     ),

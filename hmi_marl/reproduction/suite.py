@@ -52,7 +52,7 @@ def full_suite(quick: bool = False, seed: int = 0) -> Suite:
     Raises:
         ValueError: the seed is out of range.
     """
-    kinds = [entry.value.load() for entry in EXPERIMENTS.values() if entry.value.in_suite]
+    kinds = [entry.value.load(name) for name, entry in EXPERIMENTS.items() if entry.value.in_suite]
     return [with_seed(kind.quick() if quick else kind(), seed) for kind in kinds]
 
 

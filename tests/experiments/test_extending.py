@@ -14,7 +14,7 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.episodes import play_episodes
-from hmi_marl.experiments.experiment import Experiment, Place
+from hmi_marl.experiments.experiment import Experiment, Place, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS, Where
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Figure, Table, png
@@ -128,3 +128,32 @@ def test_what_is_not_registered_is_not_known(capsys) -> None:
         main(["reproduce", "alerting"])
     assert "unknown subcommand of reproduce 'alerting'" in capsys.readouterr().err
     assert "alerting" not in [experiment.name for experiment in full_suite()]
+
+
+def test_an_experiment_is_refused_under_another_name(registered: None, capsys) -> None:
+    EXPERIMENTS.register("other", HELP, Where(f"{__name__}:Alerting", needs=()))
+    assert main(["reproduce", "other", "--quick"]) == 2
+    assert "set Alerting.name = 'other', as it is registered" in capsys.readouterr().err
+
+
+def test_one_without_a_seed_runs_as_it_is() -> None:
+    @dataclass(frozen=True)
+    class Plain(Experiment[int]):
+        episodes: int = 3
+        name = "plain"
+        title = "Plain"
+
+        @classmethod
+        def quick(cls) -> "Plain":
+            return cls(1)
+
+        def run(self, place: Place) -> int:
+            return self.episodes
+
+        def numbers(self, results: int) -> dict[str, Any]:
+            return {"episodes": results}
+
+        def blocks(self, results: int) -> Sequence[Block]:
+            return ()
+
+    assert with_seed(Plain(), 7) == Plain()

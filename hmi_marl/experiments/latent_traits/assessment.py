@@ -18,6 +18,7 @@ from hmi_marl.checks import check_count
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth, held_out
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.envs.streams import check_seed
 from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings, ceilings, likes_help
 from hmi_marl.experiments.latent_traits.imitation import (
@@ -62,6 +63,7 @@ class AssessSettings:
     def __post_init__(self) -> None:
         for name in ("windows", "episodes", "ranked"):
             check_count(name, getattr(self, name))
+        check_seed(self.seed)
         if self.ranked < 2:
             raise ValueError("ranking takes two windows: ranked is at least 2, but got 1")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,6 @@ from hmi_marl.experiments.protocols.analysis import (
 )
 from hmi_marl.experiments.protocols.plan import (
     ALL_DRIVERS,
-    PROTOCOLS,
     TWO_STAGE,
     ComparisonSettings,
     Sums,
@@ -41,12 +39,11 @@ from hmi_marl.reporting.blocks import Block, Figure, Table, Text, canvas, png
 from hmi_marl.reporting.statistics import number
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 from hmi_marl.training.jobs import train_all
+from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.runs.folder import read_curve
 
-COLOURS = dict(
-    zip(PROTOCOLS, cycle(("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c")), strict=False)
-)
-"""Colours of the protocols."""
+COLOURS = ("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c")
+"""Colours of the protocols, in the order in which they are registered."""
 CURVE_TITLES = {
     "team_return": "team return",
     "speed_reward": "speed return",
@@ -296,6 +293,11 @@ def time_table(comparison: Comparison) -> Table:
     return Table("Wall time", head, rows, note)
 
 
+def colour_of(protocol: str) -> str:
+    """Return a protocol's colour in all figures."""
+    return COLOURS[list(compared()).index(protocol) % len(COLOURS)]
+
+
 def curves_figure(comparison: Comparison) -> Figure:
     """Draw learning curves: mean over seeds with the 95 % band, over environment steps.
 
@@ -306,7 +308,7 @@ def curves_figure(comparison: Comparison) -> Figure:
     panels = dict(zip(CURVES, figure.subplots(2, 2).flat, strict=True))
     for protocol in comparison.settings.protocols:
         for name, curve in curves_of(comparison, protocol).items():
-            axes, colour = panels[name], COLOURS[protocol]
+            axes, colour = panels[name], colour_of(protocol)
             million = curve.steps / 1e6
             axes.plot(million, curve.mean, color=colour, linewidth=1.4, label=protocol)
             if comparison.settings.seeds > 2:
@@ -325,7 +327,7 @@ def curves_figure(comparison: Comparison) -> Figure:
         axes.set_xlabel("environment steps [million]")
         axes.spines[["top", "right"]].set_visible(False)
     lines = panels[CURVES[0]].get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=len(PROTOCOLS))
+    figure.legend(*lines, loc="outside lower center", ncols=len(compared()))
     return Figure("curves", "Learning curves", png(figure))
 
 
@@ -365,12 +367,12 @@ def terms_figure(comparison: Comparison) -> Figure:
             pairs = comparison.own_pairs(protocol)
             mean = over_seeds(comparison.played, pairs, term).mean
             seeds = [comparison.played[p][ALL_DRIVERS].per_episode([term]) for p in pairs]
-            axes.bar(place, mean, 0.8, color=COLOURS[protocol], alpha=0.75, label=protocol)
+            axes.bar(place, mean, 0.8, color=colour_of(protocol), alpha=0.75, label=protocol)
             axes.plot([place] * len(seeds), seeds, "k.", markersize=5)
         axes.axhline(0, color="#333", linewidth=0.8)
         axes.set_xticks([])
         axes.set_title(term)
         axes.spines[["top", "right"]].set_visible(False)
     bars = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*bars, loc="outside lower center", ncols=len(PROTOCOLS))
+    figure.legend(*bars, loc="outside lower center", ncols=len(compared()))
     return Figure("terms", "The eight reward terms", png(figure))

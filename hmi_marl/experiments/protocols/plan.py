@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import permutations, product
 from pathlib import Path
@@ -33,7 +33,6 @@ from hmi_marl.workers import results
 
 Protocol = str
 """Name of a protocol or of a variant, as :func:`compared` lists them."""
-PROTOCOLS: tuple[Protocol, ...] = tuple(compared())
 TWO_STAGE: Protocol = "two-stage"
 ALL_DRIVERS = "all"
 """In place of a driver's name: all drivers of the population together."""
@@ -75,7 +74,7 @@ class ComparisonSettings:
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
-    protocols: tuple[Protocol, ...] = PROTOCOLS
+    protocols: tuple[Protocol, ...] = field(default_factory=lambda: tuple(compared()))
     """Protocols to compare; two-stage is the reference."""
     steps: int = 3_000_000
     """Environment steps of each run in all, rounded to batches, the same for every protocol."""
@@ -238,12 +237,12 @@ class ComparisonSettings:
 
 
 def _check_protocols(protocols: Sequence[str]) -> None:
-    known = ", ".join(PROTOCOLS)
+    known = ", ".join(compared())
     if isinstance(protocols, str) or not protocols:
         raise ValueError(f"protocols is a tuple of at least one of {known}; got {protocols!r}")
     for name, times in Counter(protocols).items():
-        if name not in PROTOCOLS:
-            raise ValueError(unknown("protocol", name, PROTOCOLS, "hmi-marl compare --help"))
+        if name not in compared():
+            raise ValueError(unknown("protocol", name, compared(), "hmi-marl compare --help"))
         if times > 1:
             raise ValueError(f"protocols names {name!r} twice")
 

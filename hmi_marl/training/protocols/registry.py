@@ -1,7 +1,7 @@
 """The protocols by name: one line registers one. ``train``, ``compare`` and the docs read them.
 
-A protocol of your own is a frozen dataclass derived from :class:`TrainSettings` with ``phases()``
-and ``for_comparison()``, registered before the command runs.
+A protocol of your own is a frozen dataclass derived from :class:`TrainSettings` with ``phases()``,
+registered before the command runs; with ``for_comparison()`` it can be compared with the others.
 """
 
 from __future__ import annotations
@@ -46,4 +46,5 @@ def compared() -> dict[str, tuple[type[TrainSettings], Mapping[str, Any]]]:
         name + suffix: (entry.value, settings)
         for name, entry in PROTOCOLS.items()
         for suffix, settings in entry.value.variants.items()
+        if entry.value.for_comparison.__func__ is not TrainSettings.for_comparison.__func__  # type: ignore[attr-defined]
     }

@@ -84,7 +84,7 @@ class TraitSettings(Checked):
     """Size of z."""
     pool: Count = 8
     """Windows of one driver that are pooled."""
-    encoder_units: int = 128
+    encoder_units: Count = 128
     """Recurrent units of the context encoder."""
     imitation_updates: CountOrZero = 600
     """Updates before the policy drives, in which the policy learns by imitation and the encoder

@@ -14,7 +14,6 @@ from hmi_marl.experiments.episodes import EVALUATION_SEED, Episodes, play_episod
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.plan import (
     ALL_DRIVERS,
-    PROTOCOLS,
     Pair,
     Run,
     Sums,
@@ -22,6 +21,9 @@ from hmi_marl.experiments.protocols.plan import (
     play_pair,
 )
 from hmi_marl.training.jobs import train_all
+from hmi_marl.training.protocols.registry import compared
+
+PROTOCOLS = tuple(compared())
 
 TINY = ProtocolComparison(
     steps=160,  # of 80 in a batch: two for the driver, one for the HMI

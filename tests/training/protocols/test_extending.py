@@ -96,6 +96,14 @@ def test_it_is_compared_with_the_others(command, tmp_path: Path) -> None:
     assert steps[0] == steps[1]
 
 
+def test_one_without_a_budget_is_trained_but_not_compared(command, tmp_path: Path) -> None:
+    without = NEW_FILE.partition("    @classmethod")[0]
+    (tmp_path / "new_protocol.py").write_text(without)
+    assert "reversed" in command("train --help")
+    assert "two-stage" in command("compare --help")
+    assert "unknown protocol 'reversed'" in command("compare --protocols reversed", status=2)
+
+
 def test_the_terms_of_its_driver_follow_from_its_phases() -> None:
     space: dict = {}
     exec(NEW_FILE, space)
