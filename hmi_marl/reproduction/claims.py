@@ -120,7 +120,8 @@ CLAIMS = (
     ),
     Claim(
         DISTINGUISH,
-        "That levels of confidence are not distinguished among the attentive is due to the scenario.",
+        "That levels of confidence are not distinguished among the attentive is due to the "
+        "scenario.",
         ("traits",),
         findings.scenario_hides,
     ),
