@@ -101,17 +101,17 @@ from pathlib import Path
 import h5py, minari, safetensors.torch, sklearn.cluster, tqdm, tyro
 import torch.utils.tensorboard
 from hmi_marl.commands.collect import Collect
-from hmi_marl.commands.table import Table
+from hmi_marl.commands.table import TableCommand
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.experiments.metrics_table.table import TableSettings
 
 FOLDER = Path(sys.argv[1])
 before = marks()
 few = TableSettings(drivers=("homer",), hmis=("NoHMI", "own"), episodes=2, duration=1.0)
-Table(few, workers=1, out=FOLDER / "table").run("")  # figures, a page and a clip
+TableCommand(few, workers=1, out=FOLDER / "table").run("")  # figures, a page and a clip
 assert (FOLDER / "table" / "clip.gif").exists() and (FOLDER / "table" / "table.png").exists()
 check("table")
-Table(few, workers=2, clip=False, out=FOLDER / "again").run("")
+TableCommand(few, workers=2, clip=False, out=FOLDER / "again").run("")
 check("table of two processes")
 demonstrations = CollectSettings(drivers=("homer", "lisa"), steps=20, duration=1.0)
 Collect(demonstrations, minari=True, out=FOLDER / "data").run("")

@@ -154,7 +154,7 @@ SUBCOMMANDS = (
     Subcommand(
         "table",
         "Compare HMIs (rows) for drivers (columns) over seeded episodes.",
-        "commands.table:Table",
+        "commands.table:TableCommand",
     ),
     Subcommand(
         "train",
@@ -166,7 +166,7 @@ SUBCOMMANDS = (
     Subcommand(
         "traits",
         "Learn latent driver traits from driving alone, and judge them.",
-        "commands.traits:Traits",
+        "commands.traits:TraitsCommand",
         choices=(
             Subcommand(
                 "train",

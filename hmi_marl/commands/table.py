@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Table:
+class TableCommand:
     """Compare HMIs (rows) for drivers (columns) over seeded episodes.
 
     On highway-env by default. Writes text, CSV, JSON and an HTML page with a figure and a clip.

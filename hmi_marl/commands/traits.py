@@ -82,7 +82,7 @@ class EvaluateTraits:
 
 
 @dataclass(frozen=True)
-class Traits:
+class TraitsCommand:
     """Learn latent driver traits from driving alone, and judge them."""
 
     what: Annotated[

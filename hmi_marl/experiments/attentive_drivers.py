@@ -32,7 +32,7 @@ CAUTIOUS = Driver("cautious", beta=0.0, alpha=1.0, eta=0.0, inflation=9.0)
 
 
 @dataclass(frozen=True)
-class Driving:
+class DriverRow:
     """Driving of one driver after some learning."""
 
     driver: str
@@ -46,7 +46,7 @@ class Driving:
 
 
 @dataclass(frozen=True)
-class AttentiveDrivers(Experiment[list[Driving]]):
+class AttentiveDrivers(Experiment[list[DriverRow]]):
     """Learn to drive without distraction: speed, crashes and headway by steps.
 
     Raises:
@@ -92,7 +92,7 @@ class AttentiveDrivers(Experiment[list[Driving]]):
         )
         return Job(settings, folder)
 
-    def run(self, place: Place) -> list[Driving]:
+    def run(self, place: Place) -> list[DriverRow]:
         """Learn, and let both drivers drive with the policy of each snapshot."""
         place.train([self.job(place.folder)])
         return [
@@ -101,11 +101,11 @@ class AttentiveDrivers(Experiment[list[Driving]]):
             for driver in (CONFIDENT, CAUTIOUS)
         ]
 
-    def numbers(self, results: list[Driving]) -> dict[str, Any]:
+    def numbers(self, results: list[DriverRow]) -> dict[str, Any]:
         """JSON content."""
         return {"rows": json_value(results)}
 
-    def judge(self, results: list[Driving]) -> list[Verdict]:
+    def judge(self, results: list[DriverRow]) -> list[Verdict]:
         """Judge the drivers after all learning."""
         confident, cautious = results[-2:]
         ratio = cautious.time_headway / confident.time_headway
@@ -132,9 +132,9 @@ class AttentiveDrivers(Experiment[list[Driving]]):
             ),
         ]
 
-    def blocks(self, results: list[Driving]) -> Sequence[Block]:
+    def blocks(self, results: list[DriverRow]) -> Sequence[Block]:
         """Table of both drivers at every snapshot."""
-        columns: dict[str, Callable[[Driving], str]] = {
+        columns: dict[str, Callable[[DriverRow], str]] = {
             "million steps": lambda row: f"{row.steps / 1e6:.2f}",
             "driver": lambda row: row.driver,
             "speed return": lambda row: row.speed_return.shown(),
@@ -149,11 +149,11 @@ class AttentiveDrivers(Experiment[list[Driving]]):
         return [Agent("attentive-driver", find_policy(place.folder, DRIVER), what)]
 
 
-def assess(policy: Path, steps: int, driver: Driver, episodes: int) -> Driving:
+def assess(policy: Path, steps: int, driver: Driver, episodes: int) -> DriverRow:
     """Let a driver drive with a learned policy, without alerts."""
     played = play_named(TeamConfig(driver=driver), str(policy), "never", episodes)
     headways = played.median_time_headway
-    return Driving(
+    return DriverRow(
         driver=driver.name,
         steps=steps,
         speed_return=statistics.mean(played.returns["speed_reward"]),

@@ -3,13 +3,13 @@ import json
 import pytest
 
 from hmi_marl.cli import main
-from hmi_marl.experiments.attentive_drivers import CAUTIOUS, CONFIDENT, AttentiveDrivers, Driving
+from hmi_marl.experiments.attentive_drivers import CAUTIOUS, CONFIDENT, AttentiveDrivers, DriverRow
 from hmi_marl.reporting.blocks import Verdicts
 from hmi_marl.reporting.statistics import Estimate
 
 
 def driving(who, speed, crashes, headway):
-    return Driving(
+    return DriverRow(
         who.name,
         1_000_000,
         Estimate(speed, speed - 1, speed + 1),

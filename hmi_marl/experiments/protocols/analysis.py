@@ -39,9 +39,9 @@ from hmi_marl.experiments.protocols.plan import (
     TWO_STAGE,
     ComparisonSettings,
     Pair,
+    PlannedRun,
     Played,
     Protocol,
-    Run,
     Sums,
 )
 from hmi_marl.reporting import statistics
@@ -69,7 +69,7 @@ class Comparison:
     workers: int = 1
     """Runs that were trained side by side."""
 
-    def runs(self, protocol: Protocol) -> list[Run]:
+    def runs(self, protocol: Protocol) -> list[PlannedRun]:
         """List a protocol's runs, a seed each."""
         return [run for run in self.settings.main_runs if run.protocol == protocol]
 
@@ -82,7 +82,7 @@ class Comparison:
         own = {protocol: self.own_pairs(protocol) for protocol in self.settings.protocols}
         return own | self.settings.baselines()
 
-    def seconds(self, run: Run) -> float:
+    def seconds(self, run: PlannedRun) -> float:
         """Return the duration of a training [s]."""
         return float(self.curves[run.name][-1]["seconds"])
 
@@ -147,7 +147,7 @@ def curves_of(comparison: Comparison, protocol: Protocol) -> dict[str, Curve]:
     return {name: common_curve(rows, name) for name in CURVES}
 
 
-def _team_return(played: Played, driver: Run, hmi: Run) -> float:
+def _team_return(played: Played, driver: PlannedRun, hmi: PlannedRun) -> float:
     return played[Pair(driver.name, hmi.name)][ALL_DRIVERS].per_episode()
 
 

@@ -41,7 +41,7 @@ QUICK = {"steps": 300_000, "seeds": 2, "episodes": 200, "num_teams": 128}
 
 
 @dataclass(frozen=True)
-class Run:
+class PlannedRun:
     """One training run."""
 
     protocol: Protocol
@@ -156,20 +156,22 @@ class ComparisonSettings:
         return sum(self.steps_apart)
 
     @property
-    def main_runs(self) -> tuple[Run, ...]:
+    def main_runs(self) -> tuple[PlannedRun, ...]:
         """Runs of every protocol with every seed."""
         return tuple(
-            Run(protocol, self.seed + k) for protocol in self.protocols for k in range(self.seeds)
+            PlannedRun(protocol, self.seed + k)
+            for protocol in self.protocols
+            for k in range(self.seeds)
         )
 
     @property
-    def standing_runs(self) -> tuple[Run, ...]:
+    def standing_runs(self) -> tuple[PlannedRun, ...]:
         """Runs in which a crash does not end the episode."""
         wanted = self.protocols if self.crash_check else ()
-        return tuple(Run(protocol, self.seed, standing=True) for protocol in wanted)
+        return tuple(PlannedRun(protocol, self.seed, standing=True) for protocol in wanted)
 
     @property
-    def runs(self) -> tuple[Run, ...]:
+    def runs(self) -> tuple[PlannedRun, ...]:
         """All runs."""
         return self.main_runs + self.standing_runs
 
@@ -177,7 +179,7 @@ class ComparisonSettings:
         """Training of all runs, a folder for each."""
         return [Job(self._training(run), folder / run.name) for run in self.runs]
 
-    def _training(self, run: Run) -> TrainSettings:
+    def _training(self, run: PlannedRun) -> TrainSettings:
         driver_steps, hmi_steps = self.steps_apart
         reward = None if self.reward == "default" else self.reward
         shared: dict[str, Any] = {
@@ -194,7 +196,7 @@ class ComparisonSettings:
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
         """Reward terms that the driver learns from."""
-        return self._training(Run(protocol, self.seed)).driver_terms
+        return self._training(PlannedRun(protocol, self.seed)).driver_terms
 
     def pairs(self) -> list[Pair]:
         """List every pair that plays, each once."""

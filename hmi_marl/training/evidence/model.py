@@ -15,7 +15,7 @@ LOSS_EVERY = 5
 """Turns between those that enter the loss, as neighbouring turns carry almost the same evidence."""
 
 
-class Evidence(torch.nn.Module):
+class EvidenceNetwork(torch.nn.Module):
     """Networks of :class:`EvidenceModel`, from turns to e_t and from traits to w.
 
     Args:

@@ -32,7 +32,7 @@ from hmi_marl.training.evidence.settings import EvidenceSettings
 with needing("training"):
     import torch
 
-    from hmi_marl.training.evidence.model import Evidence
+    from hmi_marl.training.evidence.model import EvidenceNetwork
     from hmi_marl.training.runs.run import (
         Progress,
         Run,
@@ -65,7 +65,7 @@ class MixedPopulation:
 
 
 @dataclass(frozen=True, eq=False)
-class Drives:
+class RecordedDrives:
     """M drives of at most T turns."""
 
     turns: NDArray[np.float32]
@@ -78,7 +78,7 @@ class Drives:
 
 def drive_all(
     settings: EvidenceSettings, progress: Callable[[int], object] = lambda drives: None
-) -> Drives:
+) -> RecordedDrives:
     """Drive many episodes, each HMI with an equal share of the drivers.
 
     ``progress`` is called with the number of drives done since the last call.
@@ -94,7 +94,7 @@ def drive_all(
             part = chosen[start : start + _AT_ONCE]
             parts.append(_drive(team, settings, name, part))
             progress(len(part))
-    return Drives(
+    return RecordedDrives(
         np.concatenate([part.turns for part in parts]),
         np.concatenate([part.driving for part in parts]),
         Traits.from_array(np.concatenate([part.traits.as_array() for part in parts])),
@@ -103,14 +103,14 @@ def drive_all(
 
 def _drive(
     team: TeamConfig, settings: EvidenceSettings, hmi_name: str, seeds: NDArray[np.uint64]
-) -> Drives:
+) -> RecordedDrives:
     driver, hmi = make_driver_policy(settings.driver_policy, team), make_hmi(hmi_name, team)
     world = make_world("batched", team.scene, len(seeds), settings.threads)
     teaming = begin(team, driver, hmi, seeds, world)
     recorder = _Recorder(Turns(settings.reads, teaming.layouts[VEHICLE_AI]), teaming)
     play(teaming, driver, hmi, [recorder], steps=team.horizon)
     turns, driving = np.stack(recorder.turns, axis=1), np.stack(recorder.driving, axis=1)
-    return Drives(turns, driving, teaming.traits)
+    return RecordedDrives(turns, driving, teaming.traits)
 
 
 class _Recorder(Observer):
@@ -157,7 +157,7 @@ class _Run(Run):
         super().__init__(settings, folder, {"protocol": "evidence"}, **shown)
         self._settings = settings
         torch.manual_seed(self.draw(Stream.LEARNING, 0))
-        self._model = Evidence(settings.card(settings.team))
+        self._model = EvidenceNetwork(settings.card(settings.team))
         self._optimizer = torch.optim.AdamW(
             self._model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay
         )
@@ -191,7 +191,7 @@ class _Run(Run):
         moments = with_moments(self._optimizer.state_dict(), tensors["learner"])
         self._optimizer.load_state_dict(moments)
 
-    def _update(self, drives: Drives, progress: Progress) -> None:
+    def _update(self, drives: RecordedDrives, progress: Progress) -> None:
         state, settings, shown = self.state, self._settings, self._shown(drives)
         learned, held_out = self._split()
         held_out = held_out[: settings.batch]
@@ -224,7 +224,7 @@ class _Run(Run):
             self.save_if_due()
 
     @staticmethod
-    def _shown(drives: Drives) -> torch.Tensor:
+    def _shown(drives: RecordedDrives) -> torch.Tensor:
         """Traits of the drivers as networks observe them, shape (M, 4)."""
         return torch.from_numpy(traits_part(drives.traits).astype(np.float32))
 
@@ -235,7 +235,7 @@ class _Run(Run):
         learned, held_out = np.split(mixed, [self._settings.learned])
         return learned, held_out
 
-    def _temperature(self, drives: Drives) -> float:
+    def _temperature(self, drives: RecordedDrives) -> float:
         """Calibrate the softmax temperature on held-out drives.
 
         The learned evidence is overconfident, the more so the more of it is added up.
@@ -250,14 +250,16 @@ class _Run(Run):
                 total += len(part) * losses
         return float(_TEMPERATURES[int(total.argmin())])
 
-    def _take_units(self, drives: Drives) -> None:
+    def _take_units(self, drives: RecordedDrives) -> None:
         """Take the encoder's units from the drives."""
         read = drives.turns[drives.driving][:, : self._model.card.read_size]
         self._model.centre.copy_(torch.from_numpy(read.mean(axis=0)))
         spread = read.std(axis=0)
         self._model.scale.copy_(torch.from_numpy(np.where(spread > 1e-3, spread, 1.0)))
 
-    def _turns(self, drives: Drives, which: NDArray[np.int64]) -> tuple[torch.Tensor, torch.Tensor]:
+    def _turns(
+        self, drives: RecordedDrives, which: NDArray[np.int64]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Turns of B drives, padded to segments: (B, T, columns); which are real: (B, T)."""
         missing = -drives.turns.shape[1] % self._settings.segment
         turns = np.pad(drives.turns[which], ((0, 0), (0, missing), (0, 0)))

@@ -15,7 +15,7 @@ from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.plan import (
     ALL_DRIVERS,
     Pair,
-    Run,
+    PlannedRun,
     Sums,
     play_all,
     play_pair,
@@ -253,7 +253,7 @@ def test_runs_are_trained_as_their_protocols_say(folder: Path) -> None:
         assert card.sequential == (run.protocol != "simultaneous-moves")
         assert card.by_intent == (run.protocol == "joint")
         assert card.training["steps"] == TINY.steps_each
-    standing = read_policy(folder / Run("joint", 0, standing=True).name / "driver.json")[0]
+    standing = read_policy(folder / PlannedRun("joint", 0, standing=True).name / "driver.json")[0]
     assert standing.training["team"]["end_at_crash"] is False
 
 

@@ -14,7 +14,7 @@ from hmi_marl.agents.adaptive.evidence_model import (
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.envs.observations import traits_part
-from hmi_marl.training.evidence.model import LOSS_EVERY, Evidence
+from hmi_marl.training.evidence.model import LOSS_EVERY, EvidenceNetwork
 
 FIVE = list(DRIVERS.values())
 
@@ -22,7 +22,7 @@ FIVE = list(DRIVERS.values())
 def random_module(card, seed=0):
     """Weights as torch draws them, units that are none of 0 and 1."""
     torch.manual_seed(seed)
-    module = Evidence(card)
+    module = EvidenceNetwork(card)
     module.centre.normal_()
     module.scale.uniform_(0.5, 2.0)
     return module

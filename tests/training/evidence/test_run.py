@@ -9,7 +9,7 @@ from hmi_marl.agents.adaptive.evidence_model import load_evidence
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.training.evidence import run
-from hmi_marl.training.evidence.run import Drives, drive_all, learn_evidence
+from hmi_marl.training.evidence.run import RecordedDrives, drive_all, learn_evidence
 from hmi_marl.training.evidence.settings import EvidenceSettings
 from hmi_marl.training.runs.run import Checkpoint
 
@@ -104,13 +104,13 @@ def with_traits(driven, k):
     """The same drives, of which drive k is said to be another driver's."""
     traits = driven.traits.as_array().copy()
     traits[k] = traits[k] * 0.5 + [0.3, 0.1, 0.2, 1]
-    return Drives(driven.turns, driven.driving, Traits.from_array(traits))
+    return RecordedDrives(driven.turns, driven.driving, Traits.from_array(traits))
 
 
 def test_held_out_drives_are_not_learned_from(tmp_path, driven, monkeypatch):
     settings = replace(TINY, batch=16, updates=1)  # all that there are to learn from
     assert settings.learned == 16
-    monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)  # about which they are asked
+    monkeypatch.setattr(run.EvidenceNetwork, "settle", lambda *_: None)  # about which they are asked
     whole, same = learned(tmp_path / "whole", settings)[FILES[0]], []
     for k in range(TINY.drives):
         other = with_traits(driven, k)
@@ -120,7 +120,7 @@ def test_held_out_drives_are_not_learned_from(tmp_path, driven, monkeypatch):
 
 
 def test_each_update_learns_from_drives_of_its_own(tmp_path, driven, monkeypatch):
-    monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)
+    monkeypatch.setattr(run.EvidenceNetwork, "settle", lambda *_: None)
     whole, changed = learned(tmp_path / "whole")[FILES[0]], []
     for k in range(TINY.drives):
         other = with_traits(driven, k)
@@ -133,15 +133,15 @@ def test_evidence_is_toned_down_as_suits_drives_that_were_not_learned_from(
     tmp_path, driven, monkeypatch
 ):
     settled = learned(tmp_path / "settled")
-    asked, loss_at_end = [], run.Evidence.loss_at_end
+    asked, loss_at_end = [], run.EvidenceNetwork.loss_at_end
 
     def told(self, turns, driving, shown, temperatures):
         losses = loss_at_end(self, turns, driving, shown, temperatures)
         asked.append((len(turns), temperatures.numpy(), losses.numpy()))
         return losses
 
-    monkeypatch.setattr(run.Evidence, "loss_at_end", told)
-    monkeypatch.setattr(run.Evidence, "settle", lambda *_: None)
+    monkeypatch.setattr(run.EvidenceNetwork, "loss_at_end", told)
+    monkeypatch.setattr(run.EvidenceNetwork, "settle", lambda *_: None)
     assert learned(tmp_path / "plain")[FILES[0]] != settled[FILES[0]]
     ((count, tried, losses),) = asked
     assert count == TINY.drives - TINY.learned
