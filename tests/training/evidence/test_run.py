@@ -110,7 +110,7 @@ def with_traits(driven, k):
 def test_held_out_drives_are_not_learned_from(tmp_path, driven, monkeypatch):
     settings = replace(TINY, batch=16, updates=1)  # all that there are to learn from
     assert settings.learned == 16
-    monkeypatch.setattr(run.EvidenceNetwork, "settle", lambda *_: None)  # about which they are asked
+    monkeypatch.setattr(run.EvidenceNetwork, "settle", lambda *_: None)  # which asks as well
     whole, same = learned(tmp_path / "whole", settings)[FILES[0]], []
     for k in range(TINY.drives):
         other = with_traits(driven, k)
