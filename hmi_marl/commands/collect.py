@@ -8,7 +8,6 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.demonstrations.recording import CollectSettings, Summary, collect
-from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.files import make_folder, write_json
 
 
@@ -45,11 +44,11 @@ class Collect:
             from hmi_marl.demonstrations.minari import export_minari, minari_place
 
             minari_place(self.out)  # better known now than after the work
-        self.record.make_driver(self.record.team(PAPER_DRIVERS))  # refused before the bar begins
+        # No such driver is refused here, before the bar begins.
+        chunks = collect(self.record, lambda steps: bar.update(steps), command_line)
         summary = Summary(self.record)
         with tqdm(total=self.record.total_steps, unit=" steps", unit_scale=True) as bar:
             bar.set_description("collect")
-            chunks = collect(self.record, bar.update, command_line)
             make_folder(self.out)
             write_demonstrations(self.out, summary.counting(chunks))
         write_json(

@@ -157,8 +157,7 @@ def collect(
         FileNotFoundError, ValueError: there is no such driver policy; raised before any step.
     """
     config = settings.team(PAPER_DRIVERS)
-    settings.make_driver(config)
-    about = _about(settings, config)
+    about = _about(settings, config, settings.make_driver(config))
     cast = [driver for driver, _ in settings.cast()]
     hidden = about | {"drivers": json_value(cast), "settings": json_value(settings)}
     hidden["command"] = command_line
@@ -172,10 +171,10 @@ def collect(
     return chunks()
 
 
-def _about(settings: CollectSettings, config: TeamConfig) -> dict[str, Any]:
+def _about(settings: CollectSettings, config: TeamConfig, driver: Policy) -> dict[str, Any]:
     """Describe how the data are made, without traits."""
     policy: dict[str, Any] = {"name": settings.driver_policy, "greedy": settings.greedy}
-    if isinstance(settings.make_driver(config), LearnedPolicy):
+    if isinstance(driver, LearnedPolicy):
         weights = find_policy(Path(settings.driver_policy), DRIVER).with_suffix(".safetensors")
         policy["sha256"] = sha256_of(weights)
     team = {name: value for name, value in json_value(config).items() if name != "driver"}
