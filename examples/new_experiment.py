@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from hmi_marl import TeamConfig, make_driver_policy, make_hmi, oracle
+from hmi_marl.checks import Count
 from hmi_marl.cli import main
+from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.episodes import play_episodes
 from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.registry import EXPERIMENTS, Where
@@ -31,9 +33,9 @@ class WindowLength(Experiment):
     """Drivers."""
     windows: tuple[int, ...] = (1, 3, 7, 11)
     """Numbers of steps that an alert stays in effect."""
-    episodes: int = 500
+    episodes: Count = 500
     """Episodes played for each driver and window."""
-    seed: int = 0
+    seed: Seed = 0
     """First seed of the episodes."""
 
     name = "window"

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.checks import Count
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.episodes import play_named
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, spec
@@ -53,15 +55,15 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
         ValueError: no steps, snapshots or episodes.
     """
 
-    steps: int = 18_000_000
+    steps: Count = 18_000_000
     """Environment steps to learn from."""
-    snapshots: int = 6
+    snapshots: Count = 6
     """Number of points on the way at which the policy is evaluated."""
-    episodes: int = 2000
+    episodes: Count = 2000
     """Episodes of each driver at each point."""
     num_teams: int = 512
     """Teams that train side by side."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the training."""
 
     name = "driver"
@@ -73,7 +75,6 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
         "confident driver (inflation 3) and a cautious one (9), neither ever distracted, as it "
         "learns."
     )
-    counts = ("steps", "snapshots", "episodes")
 
     @classmethod
     def quick(cls) -> AttentiveDrivers:

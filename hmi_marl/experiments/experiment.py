@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 from tqdm import tqdm
 
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import check_count
+from hmi_marl.checks import Checked
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.streams import check_seed
@@ -103,8 +103,11 @@ class Agent:
     """Description in one line."""
 
 
-class Experiment(ABC, Generic[R]):
-    """One experiment; see the module."""
+class Experiment(Checked, ABC, Generic[R]):
+    """One experiment; see the module.
+
+    Its settings are checked by their annotations, such as :data:`~hmi_marl.checks.Count`.
+    """
 
     name: ClassVar[str]
     """Name in the registry, and of its folder in a reproduction."""
@@ -116,14 +119,6 @@ class Experiment(ABC, Generic[R]):
     """Text on what the paper shows of it, and how ours corresponds to it."""
     uses_driver: ClassVar[bool] = False
     """Whether it plays with the driver policy that the experiments of a reproduction share."""
-    counts: ClassVar[tuple[str, ...]] = ()
-    """Settings that are whole numbers from 1 on."""
-
-    def __post_init__(self) -> None:
-        for name in self.counts:
-            check_count(name, getattr(self, name))
-        if hasattr(self, "seed"):
-            check_seed(self.seed)
 
     @classmethod
     @abstractmethod

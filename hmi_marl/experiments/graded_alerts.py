@@ -15,7 +15,9 @@ from typing import Any
 
 from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.checks import Count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
+from hmi_marl.envs.streams import Seed
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.criteria import GRADED_OPTIMUM_SHARE
 from hmi_marl.experiments.episodes import exact_settings, play_named
@@ -134,13 +136,13 @@ class GradedAlerts(Experiment[list[GradedRow]]):
         ValueError: no steps, episodes or teams.
     """
 
-    hmi_steps: int = 800_000
+    hmi_steps: Count = 800_000
     """Environment steps in which each HMI learns."""
-    episodes: int = 2000
+    episodes: Count = 2000
     """Episodes that each of them plays."""
-    num_teams: int = 128
+    num_teams: Count = 128
     """Teams that train side by side."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of all training."""
 
     name = "graded"
@@ -150,7 +152,6 @@ class GradedAlerts(Experiment[list[GradedRow]]):
         "(Sec. IV). Below an alert has one of several strengths, and alerts that pile up may lose "
         "their effect. The optimum is exact here too."
     )
-    counts = ("hmi_steps", "episodes", "num_teams")
 
     @classmethod
     def quick(cls) -> GradedAlerts:

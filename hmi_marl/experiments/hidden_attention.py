@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.checks import Count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
+from hmi_marl.envs.streams import Seed
 from hmi_marl.envs.teaming import StepResult, Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
@@ -86,17 +88,17 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
         ValueError: no steps or no episodes.
     """
 
-    driver_steps: int = 12_000_000
+    driver_steps: Count = 12_000_000
     """Environment steps in which the driver learns, unless one is given."""
-    hmi_steps: int = 4_000_000
+    hmi_steps: Count = 4_000_000
     """Environment steps in which each HMI learns."""
-    rnn_hidden_dim: int = 32
+    rnn_hidden_dim: Count = 32
     """Units of the HMIs' recurrent layer."""
-    episodes: int = 2000
+    episodes: Count = 2000
     """Episodes of each driver with each HMI."""
     num_teams: int = 512
     """Teams that train side by side."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of all training."""
 
     name = HIDDEN_EXPERIMENT
@@ -108,7 +110,6 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
         "something. The Bayes filter, which knows the traits, is the ceiling."
     )
     uses_driver = True
-    counts = ("driver_steps", "hmi_steps", "rnn_hidden_dim", "episodes")
 
     @classmethod
     def quick(cls) -> HiddenAttention:

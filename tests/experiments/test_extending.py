@@ -11,8 +11,10 @@ import pytest
 from matplotlib.figure import Figure as Drawing
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.checks import Count
 from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.episodes import play_episodes
 from hmi_marl.experiments.experiment import Experiment, Place, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS, Where
@@ -31,9 +33,9 @@ class Alerting(Experiment[dict[str, Estimate]]):
 
     driver: str = "homer"
     """Driver at the wheel."""
-    episodes: int = 64
+    episodes: Count = 64
     """Episodes with each HMI."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first episode."""
 
     name = "alerting"

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive.hmis import CAUTION, TYPES, Trained
 from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.checks import check_count
+from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions, Traits, get_driver
-from hmi_marl.envs.streams import Stream, check_seed, mix
+from hmi_marl.envs.streams import Seed, Stream, mix
 from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
@@ -79,7 +79,7 @@ WHEN: Mapping[str, Callable[[Trips], NDArray[np.float64]]] = {
 
 
 @dataclass(frozen=True)
-class AdaptSettings:
+class AdaptSettings(Checked):
     """Size of an evaluation of adaptive HMIs.
 
     Raises:
@@ -90,9 +90,9 @@ class AdaptSettings:
     """Drivers of each of the four types."""
     population: int = 128
     """Drivers of the continuous population, all different."""
-    repeats: int = 4
+    repeats: Count = 4
     """Times that each of them takes their trips."""
-    candidates: int = 128
+    candidates: Count = 128
     """Other drivers of that population, which an estimator considers."""
     changes: int = 400
     """Changes of driver in mid-trip, to each of the four types."""
@@ -100,13 +100,11 @@ class AdaptSettings:
     """Share of steps in which a^H differs from the last applied action, as every HMI assumes it."""
     caution: float = CAUTION
     """Standard deviations of doubt at which the HMI of expected value acts as AvgHMI."""
-    seed: int = 10**7
+    seed: Seed = 10**7
     """Seed of the trips."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", check_seed(self.seed))
-        for name in ("repeats", "candidates"):
-            check_count(name, getattr(self, name))
+        super().__post_init__()
         for name in ("drivers", "population", "changes"):
             if getattr(self, name) < 2:
                 raise ValueError(

@@ -15,8 +15,10 @@ from hmi_marl.agents.adaptive.hmis import Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import begin
+from hmi_marl.checks import Count
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.drivers import Traits, get_driver
+from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.adaptation import evaluation
 from hmi_marl.experiments.adaptation.evaluation import (
@@ -164,17 +166,17 @@ class Adaptation(_Judged):
         ValueError: no drives, updates or steps.
     """
 
-    drives: int = EvidenceSettings.drives
+    drives: Count = EvidenceSettings.drives
     """Drives that the encoder learns from."""
-    updates: int = EvidenceSettings.updates
+    updates: Count = EvidenceSettings.updates
     """Gradient steps of the encoder."""
-    hmi_steps: int = 8_000_000
+    hmi_steps: Count = 8_000_000
     """Environment steps in which the HMI conditioned on z learns."""
-    rnn_hidden_dim: int = 32
+    rnn_hidden_dim: Count = 32
     """Units of its recurrent layer."""
     num_teams: int = 512
     """Teams that train side by side."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of all training."""
     evaluation: AdaptSettings = field(default_factory=AdaptSettings)
     """Size of the evaluation."""
@@ -189,7 +191,6 @@ class Adaptation(_Judged):
         "an encoder reads every step, and the HMI adapts. It is compared with what the exact Bayes "
         "posterior would earn, and with an HMI that knows the driver."
     )
-    counts = ("drives", "updates", "hmi_steps", "rnn_hidden_dim")
 
     @classmethod
     def quick(cls) -> Adaptation:

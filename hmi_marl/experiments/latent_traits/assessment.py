@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.checks import check_count
+from hmi_marl.checks import Checked, Count
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth, held_out
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.drivers import TRAIT_NAMES
-from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.streams import Seed
 from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings, ceilings, likes_help
 from hmi_marl.experiments.latent_traits.imitation import (
@@ -44,26 +44,24 @@ MIN_UNSEEN_DRIVERS = 4
 
 
 @dataclass(frozen=True)
-class AssessSettings:
+class AssessSettings(Checked):
     """Size of the evaluation of each model.
 
     Raises:
         ValueError: a size below its least.
     """
 
-    windows: int = 800
+    windows: Count = 800
     """Most windows of each driver, learned from or held out, that are encoded."""
-    episodes: int = 200
+    episodes: Count = 200
     """Episodes that the policy drives with each driver's z."""
-    ranked: int = 100
+    ranked: Count = 100
     """Held-out windows of each driver by which the recovered reward is judged."""
-    seed: int = 1_000_000
+    seed: Seed = 1_000_000
     """Seed of those episodes and of all other draws."""
 
     def __post_init__(self) -> None:
-        for name in ("windows", "episodes", "ranked"):
-            check_count(name, getattr(self, name))
-        check_seed(self.seed)
+        super().__post_init__()
         if self.ranked < 2:
             raise ValueError("ranking takes two windows: ranked is at least 2, but got 1")
 

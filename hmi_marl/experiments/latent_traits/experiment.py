@@ -11,10 +11,10 @@ from typing import Any
 from tqdm import tqdm
 
 from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
-from hmi_marl.checks import check_count
+from hmi_marl.checks import Count
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
-from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
 from hmi_marl.experiments.latent_traits import assessment, ceiling
 from hmi_marl.experiments.latent_traits.assessment import (
@@ -130,17 +130,17 @@ class LatentTraits(TraitReport):
         ValueError: a size below its least, or a setting that the experiment sets itself.
     """
 
-    driver_steps: int = 4_000_000
+    driver_steps: Count = 4_000_000
     """Environment steps in which the driver learns, unless one is given."""
-    demonstrated: int = 300_000
+    demonstrated: Count = 300_000
     """Steps demonstrated by each driver."""
-    population: int = 200
+    population: Count = 200
     """Unseen drivers, over whom traits are regressed."""
     learn: TraitSettings = field(default_factory=TraitSettings)
     """Settings of each learning; supervision and seed are set for each."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the driver, the demonstrations and the first learning of each setting."""
-    seeds: int = 1
+    seeds: Count = 1
     """Times that each setting is learned."""
     evaluation: AssessSettings = field(default_factory=AssessSettings)
     """Size of the evaluation of each model."""
@@ -155,9 +155,7 @@ class LatentTraits(TraitReport):
     )
 
     def __post_init__(self) -> None:
-        for name in ("driver_steps", "demonstrated", "population", "seeds"):
-            check_count(name, getattr(self, name))
-        object.__setattr__(self, "seed", check_seed(self.seed))
+        super().__post_init__()
         if (self.learn.supervision, self.learn.seed) != ("none", 0):
             raise ValueError(
                 "every supervision is learned, from --seed on: leave out "

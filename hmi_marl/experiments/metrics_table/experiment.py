@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.checks import Count
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
+from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.criteria import EXACT_TOLERANCE
 from hmi_marl.experiments.episodes import EVALUATION_SEED
 from hmi_marl.experiments.experiment import DRIVER_RUN, Agent, Experiment, Place, driver_job, spec
@@ -56,15 +58,15 @@ class MetricsTable(Experiment[list[PaperTable]]):
         ValueError: no steps or no episodes.
     """
 
-    driver_steps: int = 12_000_000
+    driver_steps: Count = 12_000_000
     """Environment steps in which the driver learns."""
-    hmi_steps: int = 1_500_000
+    hmi_steps: Count = 1_500_000
     """Environment steps in which each HMI learns."""
-    episodes: int = 2000
+    episodes: Count = 2000
     """Episodes in each cell."""
     num_teams: int = 512
     """Teams that train side by side."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of all training."""
 
     name = "table"
@@ -76,7 +78,6 @@ class MetricsTable(Experiment[list[PaperTable]]):
         "and the paper's figure; entries that the paper leaves as * are filled in. Twice: with η "
         "as printed and with η = 1 for all drivers."
     )
-    counts = ("driver_steps", "hmi_steps", "episodes")
 
     @classmethod
     def quick(cls) -> MetricsTable:

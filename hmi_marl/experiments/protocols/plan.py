@@ -13,17 +13,17 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import permutations, product
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.checks import check_choice, check_count, check_share
+from hmi_marl.checks import Check, Checked, Count, check_share
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
-from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.streams import Seed, check_seed
 from hmi_marl.experiments.episodes import Episodes, play_named
 from hmi_marl.registry import unknown
 from hmi_marl.training.jobs import Job
@@ -67,7 +67,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class ComparisonSettings:
+class ComparisonSettings(Checked):
     """Settings of a comparison of protocols: its runs, and the pairs that play.
 
     Raises:
@@ -76,17 +76,17 @@ class ComparisonSettings:
 
     protocols: tuple[Protocol, ...] = field(default_factory=lambda: tuple(compared()))
     """Protocols to compare; two-stage is the reference."""
-    steps: int = 3_000_000
+    steps: Count = 3_000_000
     """Environment steps of each run in all, rounded to batches, the same for every protocol."""
-    driver_share: float = 0.8
+    driver_share: Annotated[float, Check(partial(check_share, zero=False, one=False))] = 0.8
     """Share of the steps of two-stage and alternating in which the driver learns."""
-    rounds: int = 4
+    rounds: Count = 4
     """Rounds of alternating."""
-    seeds: int = 3
+    seeds: Count = 3
     """Runs of each protocol."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the first run; the others count up from it."""
-    episodes: int = 1000
+    episodes: Count = 1000
     """Episodes that each pair of driver and HMI plays."""
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
@@ -98,7 +98,7 @@ class ComparisonSettings:
     crash_check: bool = True
     """Train every protocol also with end_at_crash=False, with the first seed, to see whether
     crashing early pays."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     duration: float = 20.0
     """Length of an episode [s]."""
@@ -107,11 +107,7 @@ class ComparisonSettings:
 
     def __post_init__(self) -> None:
         _check_protocols(self.protocols)
-        for name in ("steps", "rounds", "seeds", "episodes", "num_teams"):
-            check_count(name, getattr(self, name))
-        check_share("driver_share", self.driver_share, zero=False, one=False)
-        check_choice("reward", self.reward, ("default", "team", "individual"))
-        object.__setattr__(self, "seed", check_seed(self.seed))
+        super().__post_init__()
         check_seed(self.seed + self.seeds - 1)
         if not isinstance(self.drivers, tuple) or not self.drivers:
             raise ValueError(f"drivers is a tuple of at least one name, not {self.drivers!r}")
