@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
@@ -10,7 +10,7 @@ import tyro
 from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.adaptation.evaluation import QUICK, AdaptSettings
-from hmi_marl.reporting.report import PAGE
+from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
 
 
@@ -45,13 +45,9 @@ class Adapt:
         """Play, write and print."""
         use_quiet_threads()
         from hmi_marl.experiments.adaptation.experiment import AdaptEvaluation, record_change
-        from hmi_marl.experiments.experiment import Place, conduct
+        from hmi_marl.experiments.experiment import Place, coarse, conduct
 
-        size = self.size
-        if self.quick:
-            if replace(size, seed=0) != AdaptSettings(seed=0):
-                raise ValueError("--quick sets the sizes itself; leave it out to choose them")
-            size = replace(QUICK, seed=size.seed)
+        size = coarse(self.size, QUICK) if self.quick else self.size
         workers = check_workers(self.workers)
         out = self.out or Path("runs") / ("adapt-quick" if self.quick else "adapt")
         place = Place(out, Path(self.driver_policy), workers, command_line)
@@ -59,4 +55,4 @@ class Adapt:
         if self.clip:
             record_change(out / "adapt.gif", self.driver_policy, self.trained, size)
             print(f"\nthe clip: {out / 'adapt.gif'}")
-        print(f"\nthe page: {(out / PAGE).resolve().as_uri()}")
+        print_page(out / PAGE)

@@ -10,7 +10,7 @@ import tyro
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
-from hmi_marl.reporting.report import PAGE
+from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
 
 
@@ -43,4 +43,4 @@ class Compare:
         out = self.out or Path("runs") / ("compare-quick" if self.quick else "compare")
         place = Place(out, out, check_workers(self.workers), command_line)
         print(conduct(settings, place).text)
-        print(f"\nthe page: {(out / PAGE).resolve().as_uri()}")
+        print_page(out / PAGE)

@@ -12,9 +12,10 @@ from typing import Annotated, Any, ClassVar, Union
 import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.experiments.experiment import Experiment, Place, conduct, with_seed
+from hmi_marl.experiments.experiment import Experiment, Place, coarse, conduct
 from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.files import make_folder, write_bytes
+from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
 
 RUNS = Path("runs/reproduce")
@@ -51,7 +52,7 @@ class ReproduceAll:
         again = ["hmi-marl", "reproduce", *["--quick"] * self.quick]
         again += ["--seed", str(self.seed)] if self.seed else []
         records = run_suite(suite, out, shared_driver(suite, out), workers, command_line)
-        _print_page(full_report(records, shlex.join(again)).write(out))
+        print_page(full_report(records, shlex.join(again)).write(out))
 
 
 @dataclass(frozen=True)
@@ -73,17 +74,14 @@ class ReproduceOne:
         use_quiet_threads()
         experiment, workers = self.settings, check_workers(self.workers)
         if self.quick:
-            kind, seed = type(experiment), getattr(experiment, "seed", 0)
-            if experiment != with_seed(kind(), seed):
-                raise ValueError("--quick sets the sizes itself; leave it out to choose them")
-            experiment = with_seed(kind.quick(), seed)
+            experiment = coarse(experiment, experiment.quick())
         out = self.out or RUNS / (experiment.name + "-quick" * self.quick)
         driver_run = self.driver_run
         if driver_run is None and experiment.uses_driver:
             driver_run = _learn_driver(experiment, out, command_line)
         place = Place(out, driver_run or out, workers, command_line)
         print(conduct(experiment, place).text)
-        _print_page(out / "index.html")
+        print_page(out / PAGE)
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ class ReproduceShip:
 
     def run(self, command_line: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
-        from hmi_marl.reproduction.report import NUMBERS, PAGE
+        from hmi_marl.reproduction.report import NUMBERS
         from hmi_marl.reproduction.suite import full_suite, shared_driver, ship
 
         suite = full_suite()
@@ -181,7 +179,3 @@ def _learn_driver(experiment: Experiment[Any], folder: Path, command_line: str) 
     make_folder(job.folder)
     Place(folder, job.folder, 1, command_line).train([job])
     return job.folder
-
-
-def _print_page(page: Path) -> None:
-    print(f"\nthe page: {page.resolve().as_uri()}")

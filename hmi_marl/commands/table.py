@@ -12,6 +12,7 @@ from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
 from hmi_marl.experiments.metrics_table.table import TableConfig, TableSettings, make_table
 from hmi_marl.files import make_folder
 from hmi_marl.reporting.blocks import Clip, Text, as_text
+from hmi_marl.reporting.report import print_page
 from hmi_marl.workers import check_workers
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class TableCommand:
         page = write_report(self.out, config, cells, command_line, clip)
         remarks = in_short(config, cells)
         print(as_text([*metric_tables(config, cells), Text(NOTE), *remarks]))
-        print(f"\nthe page: {page.resolve().as_uri()}")
+        print_page(page)
         if clip:
             print(f"the clip: {self.out / 'clip.gif'}\n  {clip.caption}")
 

@@ -11,7 +11,7 @@ import tyro
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
-from hmi_marl.reporting.report import PAGE
+from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.training.traits.settings import TraitSettings
 
 
@@ -78,7 +78,7 @@ class EvaluateTraits:
             self.runs, self.demonstrations, self.population, self.driver_policy, self.size
         )
         print(conduct(evaluation, Place(self.out, self.out, command_line=command_line)).text)
-        print(f"\nthe page: {(self.out / PAGE).resolve().as_uri()}")
+        print_page(self.out / PAGE)
 
 
 @dataclass(frozen=True)

@@ -178,13 +178,25 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
     return report
 
 
-def with_seed(experiment: Experiment[Any], seed: int) -> Experiment[Any]:
-    """Return the experiment from another seed, or raise ``ValueError`` if it is out of range.
+def with_seed(settings: T, seed: int) -> T:
+    """Return the settings with another seed, or raise ``ValueError`` if it is out of range.
 
-    An experiment without a field ``seed`` stays as it is.
+    Settings without a field ``seed`` stay as they are.
     """
     seed = check_seed(seed)
-    return replace(experiment, seed=seed) if hasattr(experiment, "seed") else experiment  # type: ignore[type-var]
+    return replace(settings, seed=seed) if hasattr(settings, "seed") else settings  # type: ignore[type-var]
+
+
+def coarse(chosen: T, quick: T) -> T:
+    """Return the coarse settings ``quick`` with the seed of ``chosen``.
+
+    Raises:
+        ValueError: more than the seed was chosen.
+    """
+    seed = getattr(chosen, "seed", 0)
+    if chosen != with_seed(type(chosen)(), seed):
+        raise ValueError("--quick sets the sizes itself; leave it out to choose them")
+    return with_seed(quick, seed)
 
 
 def learned_in(folder: Path) -> list[Path]:

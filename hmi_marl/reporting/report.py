@@ -113,6 +113,11 @@ class Report:
         return f"<ul>{links}</ul>\n" if links else ""
 
 
+def print_page(page: Path) -> None:
+    """Print where a page can be opened."""
+    print(f"\nthe page: {page.resolve().as_uri()}")
+
+
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Settings by name, those of a group as GROUP.NAME."""
     for name, value in settings.items():
