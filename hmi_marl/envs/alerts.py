@@ -29,6 +29,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,6 +70,31 @@ class Fatigue:
 
     def __str__(self) -> str:
         return f"{self.per_alert} of {self.levels} levels per alert, which take {self.effect:g} η"
+
+
+class Effects(NamedTuple):
+    """Effects of alerts as numbers, for :func:`help_share` and :func:`next_level`."""
+
+    strengths: NDArray[np.float64]
+    """Strength of each a^A, 0 .. k."""
+    changes: NDArray[np.int64]
+    """Change of the level of fatigue by each a^A."""
+    levels: int
+    """F, 0 without fatigue."""
+    loss: float
+    """ε, 0 without fatigue."""
+    scale: int
+    """F, 1 without fatigue."""
+
+
+def help_share(effects: Effects, accepted: Any, fatigue: Any) -> Any:
+    """Share of η that helps in step t, in [0, 1], from i_t and f_{t-1}."""
+    return effects.strengths[accepted] * (1.0 - effects.loss * (fatigue / effects.scale))
+
+
+def next_level(effects: Effects, fatigue: Any, alert: Any) -> Any:
+    """f_t from f_{t-1} and a^A_t."""
+    return np.minimum(np.maximum(fatigue + effects.changes[alert], 0), effects.levels)
 
 
 @dataclass(frozen=True)
@@ -116,40 +142,35 @@ class Alerts:
 
     def strength(self, alert: ArrayLike) -> NDArray[np.float64]:
         """The strength s of every a^A or i, integers 0 .. k of any shape."""
-        return self._strengths[np.asarray(alert)]
+        return self.effects.strengths[np.asarray(alert)]
 
     def nearest(self, strength: ArrayLike) -> NDArray[np.int64]:
         """The a^A or i, 0 .. k, nearest in strength: the inverse of :meth:`strength`.
 
         Strengths may be rounded to single precision, as observations show them.
         """
-        middle = (self._strengths[1:] + self._strengths[:-1]) / 2
+        strengths = self.effects.strengths
+        middle = (strengths[1:] + strengths[:-1]) / 2
         return np.searchsorted(middle, np.asarray(strength)).astype(np.int64)
 
     def help(self, accepted: ArrayLike, fatigue: ArrayLike) -> NDArray[np.float64]:
         """The share of η that helps in step t, in [0, 1], from i_t and f_{t-1}, broadcast."""
-        if self.fatigue is None:
-            return self.strength(accepted)
-        share = np.asarray(fatigue) / self.levels
-        return self.strength(accepted) * (1.0 - self.fatigue.effect * share)
+        return help_share(self.effects, np.asarray(accepted), np.asarray(fatigue))
 
     def next_fatigue(self, fatigue: ArrayLike, alert: ArrayLike) -> NDArray[np.int64]:
         """f_t from f_{t-1} and a^A_t, broadcast; stays as it is without fatigue."""
-        before, alert = np.broadcast_arrays(np.asarray(fatigue, np.int64), alert)
-        return np.clip(before + self._changes[alert], 0, self.levels)
+        return next_level(self.effects, np.asarray(fatigue, np.int64), np.asarray(alert))
 
     @cached_property
-    def _strengths(self) -> NDArray[np.float64]:
-        return np.array((0.0, *self.strengths))
-
-    @cached_property
-    def _changes(self) -> NDArray[np.int64]:
-        """Change of the level by each a^A."""
+    def effects(self) -> Effects:
+        """The effects of each a^A as numbers."""
+        strengths = np.array((0.0, *self.strengths))
         if self.fatigue is None:
-            return np.zeros(self.choices, np.int64)
+            return Effects(strengths, np.zeros(self.choices, np.int64), 0, 0.0, 1)
         # Rounded first, so that 100 x 0.07 = 7.000000000000001 is 7 levels and not 8.
         rises = [math.ceil(round(self.fatigue.per_alert * s, 9)) for s in self.strengths]
-        return np.array([-1, *(max(1, rise) for rise in rises)])
+        changes = np.array([-1, *(max(1, rise) for rise in rises)])
+        return Effects(strengths, changes, self.levels, self.fatigue.effect, self.levels)
 
 
 def check_strengths(strengths: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:

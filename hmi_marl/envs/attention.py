@@ -11,19 +11,21 @@ Where alerts have several strengths, or cause fatigue, i is the number of the al
 fourth number f the level of fatigue, and η 1(i_t = 1) becomes the η_t of
 :mod:`hmi_marl.envs.alerts`; f is updated last.
 
-All functions are pure, element by element, and know nothing of roads or agents.
+All functions are pure, element by element, and know nothing of roads or agents. The compiled loops
+over teams run the same functions; see :mod:`hmi_marl.envs.elementwise`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from hmi_marl.envs.alerts import PLAIN, Alerts
+from hmi_marl.envs.alerts import PLAIN, Alerts, Effects, help_share, next_level
 from hmi_marl.envs.drivers import Driver, Traits
+from hmi_marl.envs.elementwise import choose, elementwise
 from hmi_marl.envs.streams import check_whole
 
 
@@ -63,8 +65,9 @@ def check_window(window: int) -> int:
     return check_steps("alert_window", window)
 
 
+@elementwise
 def next_acceptance(
-    accepted: ArrayLike, counter: ArrayLike, alert: ArrayLike, window: int
+    accepted: Any, counter: Any, alert: Any, window: Any
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """i_t and c_t from i_{t-1}, c_{t-1} and a^A_t (the paper's three relations).
 
@@ -80,15 +83,13 @@ def next_acceptance(
     Returns:
         (i_t, c_t), int64 arrays of the broadcast shape.
     """
-    accepted, counter, alert = np.broadcast_arrays(accepted, counter, alert)
     goes_on = (accepted > alert) & (counter < window - 1)
-    next_accepted = np.where(goes_on, accepted, alert).astype(np.int64)
-    next_counter = np.where(goes_on, counter + 1, 0).astype(np.int64)
-    return next_accepted, next_counter
+    return choose(goes_on, accepted, alert), choose(goes_on, counter + 1, 0)
 
 
+@elementwise
 def distraction_probability(
-    distracted: ArrayLike, helped: ArrayLike, beta: ArrayLike, alpha: ArrayLike, eta: ArrayLike
+    distracted: Any, helped: Any, beta: Any, alpha: Any, eta: Any
 ) -> NDArray[np.float64]:
     """p(d_t = 1 | d_{t-1}, i_t), the paper's two equations for d.
 
@@ -98,10 +99,34 @@ def distraction_probability(
             update; with others see :meth:`Alerts.help`.
         beta, alpha, eta: traits. All five are broadcast against each other.
     """
-    help_given = np.asarray(eta) * np.asarray(helped)
-    becomes_distracted = np.maximum(0.0, np.asarray(beta) - help_given)
-    becomes_attentive = np.minimum(1.0, np.asarray(alpha) + help_given)
-    return np.where(np.asarray(distracted) == 1, 1.0 - becomes_attentive, becomes_distracted)
+    help_given = eta * helped
+    becomes_distracted = np.maximum(0.0, beta - help_given)
+    becomes_attentive = np.minimum(1.0, alpha + help_given)
+    return choose(distracted == 1, 1.0 - becomes_attentive, becomes_distracted)
+
+
+def next_attention(
+    distracted: Any,
+    accepted: Any,
+    counter: Any,
+    fatigue: Any,
+    alert: Any,
+    beta: Any,
+    alpha: Any,
+    eta: Any,
+    draw: Any,
+    window: int,
+    effects: Effects,
+) -> tuple[Any, Any, Any, Any]:
+    """(d_t, i_t, c_t, f_t) from those of step t - 1 and a^A_t: c, then i, then d, then f.
+
+    ``draw`` is uniform in [0, 1); d_t = 1 where it is below its probability.
+    """
+    next_accepted, next_counter = next_acceptance(accepted, counter, alert, window)
+    helped = help_share(effects, next_accepted, fatigue)
+    probability = distraction_probability(distracted, helped, beta, alpha, eta)
+    next_distracted = choose(draw < probability, 1, 0)
+    return next_distracted, next_accepted, next_counter, next_level(effects, fatigue, alert)
 
 
 def step(
@@ -122,13 +147,9 @@ def step(
         draws: uniform in [0, 1), shape (N,); d_t = 1 where the draw is below its probability.
         alerts: what a^A means.
     """
-    accepted, counter = next_acceptance(attention.accepted, attention.counter, alert, window)
-    helped = alerts.help(accepted, attention.fatigue)
-    probability = distraction_probability(
-        attention.distracted, helped, traits.beta, traits.alpha, traits.eta
-    )
-    fatigue = alerts.next_fatigue(attention.fatigue, alert)
-    return Attention((draws < probability).astype(np.int64), accepted, counter, fatigue)
+    now, (beta, alpha, eta) = vars(attention).values(), (traits.beta, traits.alpha, traits.eta)
+    after = next_attention(*now, alert, beta, alpha, eta, draws, window, alerts.effects)
+    return Attention(*after)
 
 
 class Successors(NamedTuple):

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits
 from hmi_marl.envs.scene import LANE_WIDTH, Scene
-from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego
+from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS
 
 FASTEST = 40.0
 """Speed above which highway-env brakes every vehicle [m/s]; scales all speeds."""
@@ -87,15 +86,8 @@ class Layout:
         one_hot = self.get(observation, name)
         return np.where(one_hot.any(axis=-1), one_hot.argmax(axis=-1), -1)
 
-    def join(self, parts: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """Put parts of shape (N, part's size) together, kept within the bounds: (N, size)."""
-        joined = np.empty((len(parts[self.parts[0].name]), self.size), np.float32)
-        for part in self.parts:
-            joined[:, self[part.name]] = parts[part.name]
-        return np.clip(joined, *self._bounds, out=joined)
-
     @cached_property
-    def _bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Least and largest value of each column."""
         bounds = np.array([(part.low, part.high) for part in self.parts], np.float32).T
         low, high = np.repeat(bounds, [part.size for part in self.parts], axis=1)
@@ -103,7 +95,7 @@ class Layout:
 
     def space(self) -> spaces.Box:
         """The box of all observations."""
-        return spaces.Box(*self._bounds, dtype=np.float32)
+        return spaces.Box(*self.bounds, dtype=np.float32)
 
     def table(self) -> str:
         """The layout as text, a line for each part."""
@@ -181,28 +173,11 @@ def state_layout(config: TeamConfig) -> Layout:
     )
 
 
-def motion_parts(ego: Ego, scene: Scene) -> dict[str, NDArray[np.float64]]:
-    """The parts about the car's own motion, each of shape (N, part's size)."""
-    return {
-        "speed": ego.speed[:, None] / FASTEST,
-        "target_speed": ego.target_speed[:, None] / FASTEST,
-        "heading": ego.heading[:, None] / np.pi,
-        "lateral": ego.lateral[:, None] / LANE_WIDTH,
-        "lane": one_hot(ego.lane, scene.lanes + 1),
-        "position": ego.x[:, None] / scene.length,
-    }
-
-
 def traits_part(traits: Traits) -> NDArray[np.float64]:
     """Traits of N drivers as observed: shape (N, 4), inflation over its maximum."""
     shown = traits.as_array()
     shown[:, TRAIT_NAMES.index("inflation")] /= MAX_INFLATION
     return shown
-
-
-def lidar_part(grid: NDArray[np.float32], scene: Scene) -> NDArray[np.float32]:
-    """Lidar of shape (N, cells, 2) as highway-env normalises it, flat: (N, 2 cells)."""
-    return (grid / np.float32(scene.lidar_range)).reshape(len(grid), -1)
 
 
 def one_hot(index: NDArray[np.int64], size: int) -> NDArray[np.float64]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import reduce
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.envs.elementwise import choose
 from hmi_marl.envs.streams import check_number
 
 DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
@@ -20,6 +20,20 @@ ATTENTION_TERMS = ("distraction", *ALERT_TERMS)
 TERMS = (*DRIVER_TERMS, *ALERT_TERMS)
 
 Sharing = Literal["team", "individual", "driving", "attention"]
+
+
+class Weights(NamedTuple):
+    """The fields of :class:`RewardWeights` as numbers."""
+
+    collision: float
+    speed_reward: float
+    right_lane: float
+    merging: float
+    lane_change: float
+    distraction: float
+    alert: float
+    accept_alert: float
+    max_speed: float
 
 
 @dataclass(frozen=True)
@@ -59,6 +73,41 @@ class RewardWeights:
         if self.max_speed <= 0:
             raise ValueError(f"max_speed is positive, but got {self.max_speed}")
 
+    @property
+    def numbers(self) -> Weights:
+        """The coefficients for :func:`driving_values` and :func:`attention_values`."""
+        return Weights(*(getattr(self, name) for name in Weights._fields))
+
+
+def driving_values(
+    weights: Weights,
+    crashed: Any,
+    speed: Any,
+    in_right_lane: Any,
+    merging_slowness: Any,
+    changes_lane: Any,
+) -> tuple[Any, Any, Any, Any, Any]:
+    """The five terms about the world, in the order of ``DRIVING_TERMS``; see driving_terms."""
+    return (
+        choose(crashed, weights.collision, 0.0),
+        weights.speed_reward * speed / weights.max_speed,
+        choose(in_right_lane, weights.right_lane, 0.0),
+        weights.merging * merging_slowness + 0.0,  # no -0.0
+        choose(changes_lane, weights.lane_change, 0.0),
+    )
+
+
+def attention_values(
+    weights: Weights, alert: Any, distracted_before: Any, distracted: Any
+) -> tuple[Any, Any, Any]:
+    """The three terms about attention, in the order of ``ATTENTION_TERMS``; see attention_terms."""
+    helps = (alert > 0) & (distracted_before == 1) & (distracted == 0)
+    return (
+        choose(distracted == 1, weights.distraction, 0.0),
+        choose(distracted_before == 0, weights.alert * (1.0 - alert), 0.0) + 0.0,  # no -0.0
+        choose(helps, weights.accept_alert, 0.0),
+    )
+
 
 def driving_terms(
     weights: RewardWeights,
@@ -82,13 +131,10 @@ def driving_terms(
     Returns:
         One array of shape (N,) for each of ``DRIVING_TERMS``.
     """
-    return {
-        "collision": np.where(crashed, weights.collision, 0.0),
-        "speed_reward": weights.speed_reward * speed / weights.max_speed,
-        "right_lane": np.where(in_right_lane, weights.right_lane, 0.0),
-        "merging": weights.merging * merging_slowness + 0.0,  # no -0.0
-        "lane_change": np.where(changes_lane, weights.lane_change, 0.0),
-    }
+    values = driving_values(
+        weights.numbers, crashed, speed, in_right_lane, merging_slowness, changes_lane
+    )
+    return dict(zip(DRIVING_TERMS, values, strict=True))
 
 
 def attention_terms(
@@ -107,13 +153,8 @@ def attention_terms(
         One array for each of ``ATTENTION_TERMS``.
     """
     alert, before, now = np.broadcast_arrays(alert, distracted_before, distracted)
-    return {
-        "distraction": np.where(now == 1, weights.distraction, 0.0),
-        "alert": np.where(before == 0, weights.alert * (1.0 - alert), 0.0) + 0.0,  # no -0.0
-        "accept_alert": np.where(
-            (alert > 0) & (before == 1) & (now == 0), weights.accept_alert, 0.0
-        ),
-    }
+    values = attention_values(weights.numbers, alert, before, now)
+    return dict(zip(ATTENTION_TERMS, values, strict=True))
 
 
 SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -125,14 +166,27 @@ SHARES: dict[Sharing, tuple[tuple[str, ...], tuple[str, ...]]] = {
 """Reward terms of the driver and of the vehicle AI."""
 
 
+def places(sharing: Sharing) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Places in ``TERMS`` of the terms that the driver gets, and of the vehicle AI's."""
+    driver, vehicle_ai = (np.array([TERMS.index(n) for n in names]) for names in SHARES[sharing])
+    return driver, vehicle_ai
+
+
+def add_up(values: tuple[Any, ...], places: NDArray[np.int64]) -> Any:
+    """Sum of the values of the terms in these places, from the first to the last."""
+    # One after the other: NumPy's sum adds a single team's terms in another order than many teams'.
+    total = values[places[0]]
+    for k in range(1, len(places)):
+        total = total + values[places[k]]
+    return total
+
+
 def share(
-    terms: dict[str, NDArray[np.float64]], sharing: Sharing
+    terms: Mapping[str, NDArray[np.float64]], sharing: Sharing
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rewards of the driver and of the vehicle AI, shapes (N,): sums of the terms in SHARES."""
-    # One after the other: NumPy's sum adds a single team's terms in another order than many teams'.
-    driver, vehicle_ai = (
-        reduce(np.add, [terms[name] for name in names]) for names in SHARES[sharing]
-    )
+    values = tuple(terms[name] for name in TERMS)
+    driver, vehicle_ai = (add_up(values, which) for which in places(sharing))
     return driver, vehicle_ai
 
 
@@ -151,8 +205,11 @@ class EpisodeTotals:
         alerted: NDArray[np.int64],
     ) -> None:
         """Add one step; an alert counts as one, however strong."""
-        by_term = [terms[name] for name in TERMS]
-        self._sums += np.stack([rewards, *by_term, np.ones_like(rewards), alerted > 0])
+        self._sums[0] += rewards
+        for place, name in enumerate(TERMS, start=1):
+            self._sums[place] += terms[name]
+        self._sums[-2] += 1
+        self._sums[-1] += alerted > 0
 
     def of(self, which: NDArray[np.bool_]) -> dict[str, NDArray[np.float64]]:
         """Sums of the M marked teams by name, shape (M,) each."""

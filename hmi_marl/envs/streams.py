@@ -51,6 +51,11 @@ def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:
     return word
 
 
+def unit_draw(seed: Any, stream: Any, counter: Any) -> Any:
+    """Uniform in [0, 1) with 53 random bits, for uint64 arrays or, compiled, for uint64 scalars."""
+    return (mix_bits(seed, stream, counter) >> np.uint64(11)) * TO_UNIT
+
+
 def mix(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.uint64]:
     """Hash (seed, stream, counter) to 64 random bits.
 

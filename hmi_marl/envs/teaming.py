@@ -10,27 +10,35 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs import attention as attention_model
 from hmi_marl.envs import observations as obs
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
-from hmi_marl.envs.rewards import attention_terms, driving_terms, share
-from hmi_marl.envs.streams import Stream, uniform
+from hmi_marl.envs.execution import execution_for
+from hmi_marl.envs.observation_values import Columns, Shown, columns_of, scales_of
+from hmi_marl.envs.rewards import TERMS
+from hmi_marl.envs.team_step import (
+    NO_ACTION,
+    Before,
+    Decided,
+    Moved,
+    Rewarded,
+    settings_of,
+)
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
 
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
-NO_ACTION = -1
-_LANE_CHANGES = (VEHICLE_ACTIONS.index("move_left"), VEHICLE_ACTIONS.index("move_right"))
+STATE = "state"
+"""Name of the whole team's state among what :meth:`Teaming.views` gives."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,11 @@ class Teaming:
             VEHICLE_AI: obs.vehicle_ai_layout(config),
         }
         self.state_layout = obs.state_layout(config)
+        self._columns: dict[tuple[str, tuple[str, ...] | None], Columns] = {}
+        self._scales, self._settings = scales_of(config), settings_of(config)
+        self._execution = execution_for(self.world, num_teams)
+        self._every = np.arange(num_teams)
+        self._no_lidar = np.zeros((0, 2 * config.scene.lidar_cells), np.float32)
         zeros = np.zeros(num_teams, np.int64)
         self.seeds = np.zeros(num_teams, np.uint64)
         self.traits = Traits.from_array(np.zeros((num_teams, len(TRAIT_NAMES))))
@@ -89,7 +102,7 @@ class Teaming:
         """The latest a^A, 0 to k."""
         self.over = np.ones(num_teams, np.bool_)
         """Teams without a running episode: ended, or not begun."""
-        self.ego: Ego = self.world.ego()
+        self.ego = self._read_ego()
         self.intent_given = np.zeros(num_teams, np.bool_)
         """Teams in mid-turn: the driver has acted, the vehicle AI has not."""
 
@@ -106,19 +119,21 @@ class Teaming:
                 impossible traits. Nothing has changed then.
         """
         fresh = check_mask(which, self.num_teams)
-        seeds = np.where(fresh, self._checked_seeds(seeds, fresh), self.seeds)
-        drawn = check_traits(self.config.population.draw(seeds), self.num_teams).as_array()
-        self.seeds = seeds
-        self.traits = Traits.from_array(np.where(fresh[:, None], drawn, self.traits.as_array()))
-        self.attention = Attention.initial(self.num_teams).where(fresh, self.attention)
+        teams = np.flatnonzero(fresh)
+        new = self._checked_seeds(seeds, fresh)[teams]
+        if not len(teams):
+            return
+        drawn = check_traits(self.config.population.draw(new), len(teams)).as_array()
+        self.seeds = _replaced(self.seeds, teams, new)
+        self._change_drivers(teams, drawn)
         for name in ("intended", "previous_intended", "applied"):
-            setattr(self, name, np.where(fresh, NO_ACTION, getattr(self, name)))
+            setattr(self, name, _replaced(getattr(self, name), teams, NO_ACTION))
         for name in ("steps", "alerted"):
-            setattr(self, name, np.where(fresh, 0, getattr(self, name)))
-        self.over = self.over & ~fresh
-        self.intent_given = self.intent_given & ~fresh
+            setattr(self, name, _replaced(getattr(self, name), teams, 0))
+        for name in ("over", "intent_given"):
+            setattr(self, name, _replaced(getattr(self, name), teams, False))
         self.world.reset(self.seeds, self.traits.inflation, fresh)
-        self.ego = self.world.ego()
+        self.ego = self._read_ego()
 
     def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
         """Change drivers in mid-episode. The new ones are attentive; car, time and v stay.
@@ -135,9 +150,15 @@ class Teaming:
         if (fresh & self.intent_given).any():
             raise ValueError("the wheel is handed over between turns; alert with step() first")
         new = check_traits(traits, self.num_teams).as_array()
-        self.traits = Traits.from_array(np.where(fresh[:, None], new, self.traits.as_array()))
-        self.attention = Attention.initial(self.num_teams).where(fresh, self.attention)
+        self._change_drivers(np.flatnonzero(fresh), new[fresh])
         self.world.perceive(self.traits.inflation, fresh)
+
+    def _change_drivers(self, teams: NDArray[np.int64], traits: NDArray[np.float64]) -> None:
+        """Put attentive drivers of these traits, shape (M, 4), into M teams."""
+        columns = zip(vars(self.traits).values(), traits.T, strict=True)
+        self.traits = Traits(*(_replaced(now, teams, new) for now, new in columns))
+        states = vars(self.attention).values()
+        self.attention = Attention(*(_replaced(now, teams, 0) for now in states))
 
     def turn(self, driver: Actor, hmi: Actor, sequential: bool = True) -> StepResult:
         """Take one step of every team, each seat in its turn.
@@ -202,30 +223,65 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        config, active, before = self.config, ~self.over, self.attention
+        active, before = ~self.over, self.attention
         if not self.intent_given[active].all():
             raise ValueError("the driver acts first: call intend() with the driver's action")
         alerts = self._checked(alerts, self.alerts.choices, "vehicle_ai", active)
         self.intent_given = np.zeros(self.num_teams, np.bool_)
-        draws = uniform(self.seeds, Stream.ATTENTION, self.steps.astype(np.uint64))
-        window = config.alert_window
-        after = attention_model.step(before, alerts, self.traits, window, draws, self.alerts)
-        self.attention = after.where(active, before)
-        keeps = (self.attention.distracted == 1) & (self.applied != NO_ACTION)
-        applied = np.where(keeps, self.applied, self.intended)
-        self.applied = np.where(active, applied, self.applied)
-        self.alerted = np.where(active, alerts, self.alerted)
+        self._decide(active, alerts)
         self._move_world(active)
-        terms = {
-            name: np.where(active, values, 0.0)
-            for name, values in self._terms(before, alerts).items()
-        }
-        self.steps = self.steps + active
-        terminated = active & self.ego.crashed & config.end_at_crash
-        truncated = active & ~terminated & (self.steps >= config.horizon)
-        self.over = self.over | terminated | truncated
-        rewards = dict(zip((DRIVER, VEHICLE_AI), share(terms, config.reward), strict=True))
-        return StepResult(rewards, terms, terminated, truncated)
+        return self._reward(active, alerts, before)
+
+    def _decide(self, active: NDArray[np.bool_], alerts: NDArray[np.int64]) -> None:
+        """Step the drivers' attention and choose what each car does."""
+        now, traits = self.attention, self.traits
+        before = Before(
+            active,
+            alerts,
+            self.intended,
+            self.applied,
+            self.alerted,
+            self.seeds,
+            self.steps.view(np.uint64),
+            *vars(now).values(),
+            traits.beta,
+            traits.alpha,
+            traits.eta,
+        )
+        decided = Decided(*np.empty((len(Decided._fields), self.num_teams), np.int64))
+        window, effects = self.config.alert_window, self.alerts.effects
+        self._execution.decide(before, window, effects, decided)
+        *after, self.applied, self.alerted = decided
+        self.attention = Attention(*after)
+
+    def _reward(
+        self, active: NDArray[np.bool_], alerts: NDArray[np.int64], before: Attention
+    ) -> StepResult:
+        """Compute rewards and ends, and count the step."""
+        ego, teams = self.ego, self.num_teams
+        moved = Moved(
+            active,
+            self.steps,
+            self.intended,
+            alerts,
+            before.distracted,
+            self.attention.distracted,
+            ego.crashed,
+            ego.speed,
+            ego.lane,
+            ego.merging_slowness,
+        )
+        terms, (driver, vehicle_ai) = np.empty((len(TERMS), teams)), np.empty((2, teams))
+        ends = np.empty((3, teams), np.bool_)
+        rewarded = Rewarded(terms, driver, vehicle_ai, *ends, np.empty(teams, np.int64))
+        self._execution.reward(moved, self._settings, rewarded)
+        self.steps, self.over = rewarded.steps, rewarded.over
+        return StepResult(
+            {DRIVER: driver, VEHICLE_AI: vehicle_ai},
+            dict(zip(TERMS, terms, strict=True)),
+            rewarded.terminated,
+            rewarded.truncated,
+        )
 
     def _move_world(self, active: NDArray[np.bool_]) -> None:
         standing = self.ego.crashed
@@ -233,65 +289,99 @@ class Teaming:
         if newly_standing.any():
             self.world.halt(newly_standing)
         self.world.step(self.applied, active & ~standing)
-        self.ego = self.world.ego()
+        self.ego = self._read_ego()
 
-    def _terms(
-        self, before: Attention, alerts: NDArray[np.int64]
-    ) -> dict[str, NDArray[np.float64]]:
-        weights, ego = self.config.weights, self.ego
-        driving = driving_terms(
-            weights,
-            crashed=ego.crashed,
-            speed=ego.speed,
-            in_right_lane=ego.lane == self.config.scene.lanes - 1,
-            merging_slowness=ego.merging_slowness,
-            changes_lane=np.isin(self.intended, _LANE_CHANGES),
-        )
-        return driving | attention_terms(
-            weights,
-            alert=self.alerts.strength(alerts),
-            distracted_before=before.distracted,
-            distracted=self.attention.distracted,
-        )
+    def observe(self, agent: str, parts: Iterable[str] | None = None) -> NDArray[np.float32]:
+        """Return the agent's observations, shape (N, layout's size); see :mod:`observations`.
 
-    def observe(self, agent: str) -> NDArray[np.float32]:
-        """Return the agent's observations, shape (N, layout's size); see :mod:`observations`."""
-        parts = self._common_parts()
-        parts["lidar"] = self._lidar(inflated=agent == DRIVER)
-        return self.layouts[agent].join(parts)
+        Args:
+            agent: whose observations.
+            parts: names of the parts to compute, all by default. The others are 0.
+
+        Raises:
+            KeyError: the layout has no such part.
+        """
+        if parts is None:
+            return self.views((agent,))[agent]
+        rows = np.zeros((self.num_teams, self.layouts[agent].size), np.float32)
+        self._write(self._every, ((rows, self._columns_of(agent, tuple(parts))),))
+        return rows
 
     def state(self) -> NDArray[np.float32]:
         """Return the whole team's state, shape (N, state_layout.size), for centralised critics."""
-        parts = self._common_parts()
-        parts["lidar"] = self._lidar(inflated=False)
-        parts["perceived_lidar"] = self._lidar(inflated=True)
-        return self.state_layout.join(parts)
+        return self.views((STATE,))[STATE]
+
+    def views(
+        self, names: Sequence[str], teams: NDArray[np.int64] | None = None
+    ) -> dict[str, NDArray[np.float32]]:
+        """Return several observations by name, computed together; no lidar is traced in vain.
+
+        Args:
+            names: agents, or "state" for the whole team's state; up to three.
+            teams: numbers of M teams, shape (M,); every team by default.
+
+        Returns:
+            Arrays of shape (M, size of the layout).
+        """
+        which = self._every if teams is None else teams
+        groups = {
+            name: (np.empty((len(which), self._layout(name).size), np.float32), columns)
+            for name, columns in ((name, self._columns_of(name)) for name in names)
+        }
+        if groups and len(which):
+            self._write(which, tuple(groups.values()))
+        return {name: rows for name, (rows, _) in groups.items()}
+
+    def _write(
+        self, teams: NDArray[np.int64], groups: tuple[tuple[NDArray[np.float32], Columns], ...]
+    ) -> None:
+        ego, traits = self.ego, self.traits
+        shown = Shown(
+            self._no_lidar,
+            self._no_lidar,
+            ego.speed,
+            ego.target_speed,
+            ego.heading,
+            ego.lateral,
+            ego.lane,
+            ego.x,
+            self.intended,
+            self.previous_intended,
+            self.intent_given,
+            self.applied,
+            self.alerted,
+            self.steps,
+            *vars(self.attention).values(),
+            *vars(traits).values(),
+        )
+        self._execution.write(self.world, teams, shown, self._scales, groups)
+
+    def _layout(self, name: str) -> obs.Layout:
+        return self.state_layout if name == STATE else self.layouts[name]
+
+    def _columns_of(self, name: str, parts: tuple[str, ...] | None = None) -> Columns:
+        if (name, parts) not in self._columns:
+            self._columns[name, parts] = columns_of(self._layout(name), name, parts)
+        return self._columns[name, parts]
+
+    def _read_ego(self) -> Ego:
+        """Read the driven cars; arrays of a custom world in the types that the loops expect."""
+        ego = self.world.ego()
+        if hasattr(self.world, "sight"):
+            return ego
+        types = {"lane": np.int64, "crashed": np.bool_}
+        return Ego(
+            **{
+                name: np.require(values, types.get(name, np.float64), ("C", "W"))
+                for name, values in vars(ego).items()
+            }
+        )
 
     def time_headway(self) -> NDArray[np.float64]:
         """Time to the next object ahead in the lane [s], shape (N,); inf if none, or at 0 m/s."""
         moving = self.ego.speed > 0
         speed = np.where(moving, self.ego.speed, 1.0)
         return np.where(moving, np.maximum(self.ego.gap, 0.0) / speed, np.inf)
-
-    def _lidar(self, inflated: bool) -> NDArray[np.float32]:
-        return obs.lidar_part(self.world.lidar(inflated), self.config.scene)
-
-    def _common_parts(self) -> dict[str, NDArray[Any]]:
-        actions, now = len(VEHICLE_ACTIONS), self.attention
-        # Before intend() the latest a^H already is the last step's.
-        previous = np.where(self.intent_given, self.previous_intended, self.intended)
-        return obs.motion_parts(self.ego, self.config.scene) | {
-            "intended_action": obs.one_hot(self.intended, actions),
-            "previous_intended_action": obs.one_hot(previous, actions),
-            "applied_action": obs.one_hot(self.applied, actions),
-            "alerted": self.alerts.strength(self.alerted)[:, None],
-            "time": self.steps[:, None] / self.config.horizon,
-            "distracted": now.distracted[:, None],
-            "accepted": self.alerts.strength(now.accepted)[:, None],
-            "counter": now.counter[:, None] / self.config.alert_window,
-            "fatigue": now.fatigue[:, None] / max(1, self.alerts.levels),
-            "traits": obs.traits_part(self.traits),
-        }
 
     def _checked_seeds(self, seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:
         given = np.asarray(seeds)
@@ -330,6 +420,13 @@ def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]
             f"{mask.shape}"
         )
     return mask
+
+
+def _replaced(values: NDArray[Any], teams: NDArray[np.int64], new: Any) -> NDArray[Any]:
+    """Copy of an array with new values for some teams; the old one stays as it is."""
+    values = values.copy()
+    values[teams] = new
+    return values
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

@@ -34,6 +34,19 @@ except ImportError:  # on Windows, processes that start together may compile the
 
 WITHOUT_COMPILER = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 """Whether NUMBA_DISABLE_JIT lets everything run as plain Python."""
+_RULES = (
+    "alerts.py",
+    "attention.py",
+    "elementwise.py",
+    "loops.py",
+    "observation_values.py",
+    "observations.py",
+    "rewards.py",
+    "scene.py",
+    "streams.py",
+    "team_step.py",
+)
+"""Modules of the environment that hold functions which are compiled."""
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _PATIENCE = 180.0
 """Longest wait for another process that compiles [s]."""
@@ -195,11 +208,7 @@ def _folders_to_read() -> list[Path]:
 def source_stamp() -> str:
     """Return a fingerprint of everything that the kernels are compiled from."""
     here = Path(__file__).parent
-    sources = [
-        *sorted(here.glob("*.py")),
-        here.parents[1] / "scene.py",
-        here.parents[1] / "streams.py",
-    ]
+    sources = [*sorted(here.glob("*.py")), *(here.parents[1] / name for name in _RULES)]
     digest = hashlib.sha256()
     for source in sources:
         digest.update(source.read_bytes())

@@ -42,24 +42,24 @@ EGO_SPEED = 3
 
 
 @compiled
-def read_ego(f, i, world, lanes, table, rows, ego, flags):
-    """Fill ``ego`` (8,) and ``flags`` (2,) with the fields of :class:`worlds.base.Ego`."""
+def read_ego(f, i, world, lanes, table, rows, ego, flags, k):
+    """Fill column k of ``ego`` (8, N) and ``flags`` (2, N) with :class:`worlds.base.Ego`."""
     lane = i[m.LANE, 0]
-    ego[0], ego[1], ego[2] = f[m.X, 0], f[m.Y, 0], f[m.HEADING, 0]
-    ego[EGO_SPEED], ego[4] = f[m.SPEED, 0], f[m.TARGET_SPEED, 0]
-    ego[5] = lateral(lanes, lane, f[m.X, 0] - lanes[lane, m.X0], f[m.Y, 0])
+    ego[0, k], ego[1, k], ego[2, k] = f[m.X, 0], f[m.Y, 0], f[m.HEADING, 0]
+    ego[EGO_SPEED, k], ego[4, k] = f[m.SPEED, 0], f[m.TARGET_SPEED, 0]
+    ego[5, k] = lateral(lanes, lane, f[m.X, 0] - lanes[lane, m.X0], f[m.Y, 0])
     front = front_of(f, i, world, lanes, table, 0, lane)
-    ego[6] = np.inf
+    ego[6, k] = np.inf
     if front != NO_OBJECT:
         length = m.OBSTACLE_SIZE if front == world[m.VEHICLES] else m.CAR_LENGTH
-        ego[6] = f[m.X, front] - f[m.X, 0] - (m.CAR_LENGTH + length) / 2
+        ego[6, k] = f[m.X, front] - f[m.X, 0] - (m.CAR_LENGTH + length) / 2
     slowness = 0.0
     for v in range(world[m.VEHICLES]):
         if i[m.LANE, v] == 2 * rows:
             slowness += (f[m.TARGET_SPEED, v] - f[m.SPEED, v]) / f[m.TARGET_SPEED, v]
-    ego[7] = slowness
-    flags[0] = rows if table[lane, m.ROW] < 0 else table[lane, m.ROW]
-    flags[1] = i[m.CRASHED, 0]
+    ego[7, k] = slowness
+    flags[0, k] = rows if table[lane, m.ROW] < 0 else table[lane, m.ROW]
+    flags[1, k] = i[m.CRASHED, 0]
 
 
 @kernel
@@ -78,7 +78,7 @@ def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, 
                     f, i, world, lanes, table, rows, speeds,
                     seeds[k], low, high, draws[k], lane[k], start[k],
                 )  # fmt: skip
-                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+                read_ego(f, i, world, lanes, table, rows, ego, flags, k)
         first, last = take(progress, last - first, len(which))
 
 
@@ -94,7 +94,7 @@ def step_worlds(progress, blocks, road, rows, speeds, actions, which, substeps, 
             if which[k]:
                 f, i, world = floats[k], integers[k], worlds[k]
                 advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
-                read_ego(f, i, world, lanes, table, rows, ego[k], flags[k])
+                read_ego(f, i, world, lanes, table, rows, ego, flags, k)
         first, last = take(progress, last - first, len(which))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,26 @@ from hmi_marl.envs.worlds.batched.kernels import (
     step_worlds,
 )
 from hmi_marl.envs.worlds.batched.lanes import lane_table
-from hmi_marl.envs.worlds.batched.threads import Pace, available, share
+from hmi_marl.envs.worlds.batched.threads import WORTH_A_THREAD, Pace, available, share
 
 _CARRAY: tuple[Literal["C", "W"], ...] = ("C", "W")
 """Requirements of the compiled loops: arrays in one piece that can be written to."""
+
+
+class Sight(NamedTuple):
+    """The lidars of a batched world: what they are traced from, and what was traced."""
+
+    floats: NDArray[np.float64]
+    worlds: NDArray[np.int32]
+    inflation: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    lidar_range: float
+    true_lidar: NDArray[np.float32]
+    """Shape (N, cells, 2)."""
+    true_stale: NDArray[np.bool_]
+    """Worlds whose lidar has to be traced again before it is read, shape (N,)."""
+    perceived_lidar: NDArray[np.float32]
+    perceived_stale: NDArray[np.bool_]
 
 
 class BatchedWorld:
@@ -57,7 +73,7 @@ class BatchedWorld:
             np.zeros((num_worlds, 2, high)),
         )
         """Room for drawing a scene: the draws, the lanes, the places and speeds."""
-        self._readings = np.zeros((num_worlds, 8)), np.zeros((num_worlds, 2), np.int64)
+        self._readings = np.zeros((8, num_worlds)), np.zeros((2, num_worlds), np.int64)
         """Readings of the driven cars, which read_ego fills in."""
         self._inflation = np.ones(num_worlds)
         self._steps = np.zeros(num_worlds, np.int64)
@@ -65,6 +81,8 @@ class BatchedWorld:
         cells = (num_worlds, scene.lidar_cells, 2)
         self._seen = {inflated: np.zeros(cells, np.float32) for inflated in (False, True)}
         self._stale = {inflated: np.ones(num_worlds, np.bool_) for inflated in (False, True)}
+        self._returned = dict.fromkeys((False, True), False)
+        """Whether the lidar in ``_seen`` was returned, so that it must stay as it is."""
         none, everywhere = np.zeros(num_worlds, np.uint64), np.ones(num_worlds, np.bool_)
         self._prepare()
         share(fill_directions, scene.lidar_cells, 1, self._directions)
@@ -83,7 +101,7 @@ class BatchedWorld:
         """See :meth:`World.reset`."""
         which = np.require(which, np.bool_, _CARRAY)
         seeds = np.require(seeds, np.uint64, _CARRAY)
-        self._share(begin_worlds, self._begin_arguments(seeds, which))
+        self._share(begin_worlds, self._begin_arguments(seeds, which), int(which.sum()))
         self._moved(which)
         self._inflation = np.where(which, inflation, self._inflation)
         self._steps = np.where(which, 0, self._steps)
@@ -101,7 +119,7 @@ class BatchedWorld:
     def halt(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`World.halt`."""
         self._floats[which, m.SPEED, 0] = 0.0
-        self._readings[0][which, EGO_SPEED] = 0.0
+        self._readings[0][EGO_SPEED, which] = 0.0
         self._moved(which)
 
     def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
@@ -112,18 +130,40 @@ class BatchedWorld:
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
         numbers, flags = self._readings
-        x, y, heading, speed, target_speed, lateral, gap, slowness = numbers.copy().T
-        lane, crashed = flags.copy().T
+        x, y, heading, speed, target_speed, lateral, gap, slowness = numbers.copy()
+        lane, crashed = flags.copy()
         return Ego(x, y, heading, speed, target_speed, lane, lateral, crashed == 1, gap, slowness)
 
     def lidar(self, inflated: bool) -> NDArray[np.float32]:
         """See :meth:`World.lidar`; traced when asked for, where something has moved since."""
         stale = self._stale[inflated]
         if stale.any():
-            self._seen[inflated] = self._seen[inflated].copy()  # the last one was returned
-            self._share(look_around, self._look_arguments(inflated))
+            self._keep_returned(inflated)
+            self._share(look_around, self._look_arguments(inflated), int(stale.sum()))
             stale[:] = False
+        self._returned[inflated] = True
         return self._seen[inflated]
+
+    def sight(self) -> Sight:
+        """What lidars are traced from and into, for a loop that traces those it reads."""
+        for inflated in (False, True):
+            self._keep_returned(inflated)
+        return Sight(
+            self._floats,
+            self._worlds,
+            self._inflation,
+            self._directions,
+            float(self.scene.lidar_range),
+            self._seen[False],
+            self._stale[False],
+            self._seen[True],
+            self._stale[True],
+        )
+
+    def _keep_returned(self, inflated: bool) -> None:
+        if self._returned[inflated]:
+            self._seen[inflated] = self._seen[inflated].copy()
+            self._returned[inflated] = False
 
     def _moved(self, which: NDArray[np.bool_]) -> None:
         for stale in self._stale.values():
@@ -141,8 +181,12 @@ class BatchedWorld:
             obstacles=f[[m.X, m.Y], vehicles : vehicles + 1].T.copy(),
         )
 
-    def _share(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
-        share(kernel, self.num_worlds, self._pace.threads(self.threads), *arguments)
+    def sharing(self, worlds: int) -> int:
+        """Threads for a loop in which so many worlds have something to do."""
+        return self._pace.threads(self.threads) if worlds >= 2 * WORTH_A_THREAD else 1
+
+    def _share(self, kernel: Any, arguments: tuple[Any, ...], worlds: int) -> None:
+        share(kernel, self.num_worlds, self.sharing(worlds), *arguments)
 
     def _begin_arguments(
         self, seeds: NDArray[np.uint64], which: NDArray[np.bool_]

@@ -1,0 +1,78 @@
+"""Parts of rules that are written once and run two ways: on arrays, and compiled for one team.
+
+The rules of a step (:mod:`attention`, :mod:`alerts`, :mod:`rewards`, :mod:`observations` and
+:mod:`team_step`) work element by element. NumPy applies them to the arrays of all teams at once;
+the compiled loops (:mod:`loops`) apply the same functions to the numbers of one team after the
+other. What the two spell differently stands here for NumPy, and in :mod:`loops` for numba.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+EVERY = slice(None)
+"""All teams at once, as the number of a team."""
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def elementwise(rule: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Let a rule that works on arrays take lists too; ``rule`` stays reachable for the compiler."""
+
+    @functools.wraps(rule)
+    def on_arrays(*arguments: Any) -> Any:
+        return rule(*(np.asarray(each) for each in arguments))  # type: ignore[call-arg]
+
+    return on_arrays
+
+
+def choose(condition: Any, yes: Any, no: Any) -> Any:
+    """``yes`` where the condition holds, ``no`` elsewhere."""
+    return np.where(condition, yes, no)
+
+
+def within(value: Any, low: Any, high: Any) -> Any:
+    """Keep values between two bounds; NaN stays NaN."""
+    return choose(value < low, low, choose(value > high, high, value))
+
+
+def put(
+    rows: NDArray[np.float32],
+    row: Any,
+    column: int,
+    low: NDArray[np.float32],
+    high: NDArray[np.float32],
+    value: Any,
+) -> None:
+    """Write one number into a column, within its bounds; nothing if the column is -1."""
+    if column >= 0:
+        rows[row, column] = within(np.float32(value), low[column], high[column])
+
+
+def put_one_hot(
+    rows: NDArray[np.float32], row: Any, column: int, index: Any, size: int
+) -> None:
+    """Write ``size`` columns, 1 at the index and 0 elsewhere; all 0 if the index is -1."""
+    if column >= 0:
+        rows[row, column : column + size] = np.expand_dims(index, -1) == np.arange(size)
+
+
+def put_scaled(
+    rows: NDArray[np.float32],
+    row: Any,
+    column: int,
+    low: NDArray[np.float32],
+    high: NDArray[np.float32],
+    values: Any,
+    scale: np.float32,
+) -> None:
+    """Write as many columns as there are values, divided by a scale, within their bounds."""
+    if column >= 0:
+        end = column + values.shape[-1]
+        rows[row, column:end] = within(values / scale, low[column:end], high[column:end])

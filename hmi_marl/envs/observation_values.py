@@ -1,0 +1,193 @@
+"""The values of observations: the meaning of each part of a layout, in numbers.
+
+:mod:`hmi_marl.envs.observations` names the parts and orders them; :func:`write` fills them in, for
+all teams at once in NumPy, or for one after the other where it is compiled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.envs.config import DRIVER, TeamConfig
+from hmi_marl.envs.drivers import MAX_INFLATION
+from hmi_marl.envs.elementwise import choose, put, put_one_hot, put_scaled
+from hmi_marl.envs.observations import FASTEST, Layout
+from hmi_marl.envs.scene import LANE_WIDTH
+from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS
+
+_ACTIONS = len(VEHICLE_ACTIONS)
+
+PARTS = (
+    "true lidar",
+    "perceived lidar",
+    "speed",
+    "target_speed",
+    "heading",
+    "lateral",
+    "lane",
+    "position",
+    "intended_action",
+    "previous_intended_action",
+    "applied_action",
+    "alerted",
+    "time",
+    "distracted",
+    "accepted",
+    "counter",
+    "fatigue",
+    "traits",
+)
+"""All parts that :func:`write` knows, in its order. A driver's ``lidar`` is the perceived one."""
+(
+    TRUE_LIDAR, PERCEIVED_LIDAR, SPEED, TARGET_SPEED, HEADING, LATERAL, LANE, POSITION, INTENDED,
+    PREVIOUS, APPLIED, ALERTED, TIME, DISTRACTED, ACCEPTED, COUNTER, FATIGUE, TRAITS,
+) = range(len(PARTS))  # fmt: skip
+
+
+class Columns(NamedTuple):
+    """Columns of an observation, for :func:`write`."""
+
+    first: NDArray[np.int64]
+    """First column of each of :data:`PARTS`, -1 for those that are not written."""
+    low: NDArray[np.float32]
+    """Least value of each column."""
+    high: NDArray[np.float32]
+    """Largest value of each column."""
+
+    @property
+    def true_lidar(self) -> bool:
+        """Whether the lidar with true sizes is written."""
+        return bool(self.first[TRUE_LIDAR] >= 0)
+
+    @property
+    def perceived_lidar(self) -> bool:
+        """Whether the lidar with inflated sizes is written."""
+        return bool(self.first[PERCEIVED_LIDAR] >= 0)
+
+
+def columns_of(layout: Layout, agent: str, names: Iterable[str] | None = None) -> Columns:
+    """Columns of a layout for :func:`write`.
+
+    Args:
+        layout: of an agent's observation, or of the team's state.
+        agent: whose layout it is; a driver's lidar is the perceived one.
+        names: parts to write; all by default. The other columns are left as they are.
+
+    Raises:
+        KeyError: the layout has no such part.
+    """
+    names = layout.slices if names is None else tuple(names)
+    first = np.full(len(PARTS), -1)
+    for name in names:
+        part = name.replace("_", " ") if name == "perceived_lidar" else name
+        if name == "lidar":
+            part = "perceived lidar" if agent == DRIVER else "true lidar"
+        first[PARTS.index(part)] = layout[name].start
+    return Columns(first, *layout.bounds)
+
+
+class Shown(NamedTuple):
+    """Everything about N teams that observations show. Arrays have shape (N,) unless noted."""
+
+    true_lidar: NDArray[np.float32]
+    """Shape (N, 2 cells), as :meth:`World.lidar` returns it; not read if no column shows it."""
+    perceived_lidar: NDArray[np.float32]
+    speed: NDArray[np.float64]
+    target_speed: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    lateral: NDArray[np.float64]
+    lane: NDArray[np.int64]
+    x: NDArray[np.float64]
+    intended: NDArray[np.int64]
+    previous_intended: NDArray[np.int64]
+    intent_given: NDArray[np.bool_]
+    applied: NDArray[np.int64]
+    alerted: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    distracted: NDArray[np.int64]
+    accepted: NDArray[np.int64]
+    counter: NDArray[np.int64]
+    fatigue: NDArray[np.int64]
+    beta: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    eta: NDArray[np.float64]
+    inflation: NDArray[np.float64]
+
+
+class Scales(NamedTuple):
+    """Constants of a team's settings that scale what observations show."""
+
+    lidar_range: np.float32
+    length: float
+    """Length of the road [m]."""
+    lanes: int
+    """Main lanes and the ramp."""
+    horizon: int
+    window: int
+    levels: int
+    """Highest level of fatigue, 1 without fatigue."""
+    strengths: NDArray[np.float64]
+    """Strength of each alert."""
+
+
+def scales_of(config: TeamConfig) -> Scales:
+    """Constants of these settings."""
+    scene, effects = config.scene, config.alerts.effects
+    return Scales(
+        np.float32(scene.lidar_range),
+        float(scene.length),
+        scene.lanes + 1,
+        config.horizon,
+        config.alert_window,
+        effects.scale,
+        effects.strengths,
+    )
+
+
+def write(
+    rows: NDArray[np.float32], row: Any, columns: Columns, k: Any, shown: Shown, scales: Scales
+) -> None:
+    """Write the observation of team k into a row; the meaning of each :class:`Part` in numbers.
+
+    Args:
+        rows: shape (M, D), written in place.
+        row: number of the row, or a slice of all of them.
+        columns: where each part stands.
+        k: number of the team, or numbers of M teams.
+        shown: what is shown, of all teams.
+        scales: constants of the settings.
+    """
+    first, low, high = columns.first, columns.low, columns.high
+    reach, strengths = scales.lidar_range, scales.strengths
+    if first[TRUE_LIDAR] >= 0:
+        put_scaled(rows, row, first[TRUE_LIDAR], low, high, shown.true_lidar[k], reach)
+    if first[PERCEIVED_LIDAR] >= 0:
+        put_scaled(rows, row, first[PERCEIVED_LIDAR], low, high, shown.perceived_lidar[k], reach)
+    put(rows, row, first[SPEED], low, high, shown.speed[k] / FASTEST)
+    put(rows, row, first[TARGET_SPEED], low, high, shown.target_speed[k] / FASTEST)
+    put(rows, row, first[HEADING], low, high, shown.heading[k] / np.pi)
+    put(rows, row, first[LATERAL], low, high, shown.lateral[k] / LANE_WIDTH)
+    put_one_hot(rows, row, first[LANE], shown.lane[k], scales.lanes)
+    put(rows, row, first[POSITION], low, high, shown.x[k] / scales.length)
+    # Before the driver acts, the latest a^H already is the last step's.
+    latest = shown.intended[k]
+    previous = choose(shown.intent_given[k], shown.previous_intended[k], latest)
+    put_one_hot(rows, row, first[INTENDED], latest, _ACTIONS)
+    put_one_hot(rows, row, first[PREVIOUS], previous, _ACTIONS)
+    put_one_hot(rows, row, first[APPLIED], shown.applied[k], _ACTIONS)
+    put(rows, row, first[ALERTED], low, high, strengths[shown.alerted[k]])
+    put(rows, row, first[TIME], low, high, shown.steps[k] / scales.horizon)
+    put(rows, row, first[DISTRACTED], low, high, shown.distracted[k])
+    put(rows, row, first[ACCEPTED], low, high, strengths[shown.accepted[k]])
+    put(rows, row, first[COUNTER], low, high, shown.counter[k] / scales.window)
+    put(rows, row, first[FATIGUE], low, high, shown.fatigue[k] / scales.levels)
+    traits = first[TRAITS]
+    if traits >= 0:
+        put(rows, row, traits, low, high, shown.beta[k])
+        put(rows, row, traits + 1, low, high, shown.alpha[k])
+        put(rows, row, traits + 2, low, high, shown.eta[k])
+        put(rows, row, traits + 3, low, high, shown.inflation[k] / MAX_INFLATION)
