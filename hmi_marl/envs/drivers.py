@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -169,10 +170,10 @@ def check_traits(traits: Traits, count: int) -> Traits:
                 f"drawn traits: {trait} is an array of numbers of shape ({count},), but got "
                 f"{values.dtype} of shape {values.shape}"
             )
-        wrong = ~((values >= low) & (values <= high))  # also finds NaN
-        if wrong.any():
+        right = (values >= low) & (values <= high)  # False for NaN too
+        if not right.all():
             raise ValueError(
-                f"drawn traits: {trait} lies in [{low:g}, {high:g}], but got {values[wrong][0]}"
+                f"drawn traits: {trait} lies in [{low:g}, {high:g}], but got {values[~right][0]}"
             )
     return traits
 
@@ -202,7 +203,12 @@ class DriverList:
     def draw(self, seeds: NDArray[np.uint64]) -> Traits:
         """See :meth:`Population.draw`."""
         which = (uniform(seeds, Stream.TRAITS) * len(self.drivers)).astype(np.int64)
-        return Traits.from_array(Traits.of(self.drivers).as_array()[which])
+        return Traits(*self._columns[:, which])
+
+    @cached_property
+    def _columns(self) -> NDArray[np.float64]:
+        """Shape (4, number of drivers)."""
+        return np.array([driver.traits for driver in self.drivers]).T
 
 
 @dataclass(frozen=True)

@@ -55,9 +55,7 @@ def put(
         rows[row, column] = within(np.float32(value), low[column], high[column])
 
 
-def put_one_hot(
-    rows: NDArray[np.float32], row: Any, column: int, index: Any, size: int
-) -> None:
+def put_one_hot(rows: NDArray[np.float32], row: Any, column: int, index: Any, size: int) -> None:
     """Write ``size`` columns, 1 at the index and 0 elsewhere; all 0 if the index is -1."""
     if column >= 0:
         rows[row, column : column + size] = np.expand_dims(index, -1) == np.arange(size)

@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 from numba.extending import overload, register_jitable
-
 from numpy.typing import NDArray
 
 from hmi_marl.envs import alerts, attention, elementwise, rewards, streams, team_step
 from hmi_marl.envs import observation_values as values
-from hmi_marl.envs.execution import Group, with_lidars
+from hmi_marl.envs.execution import Group, new_rewards, with_lidars
 from hmi_marl.envs.worlds import World
+from hmi_marl.envs.worlds.base import Readings
 from hmi_marl.envs.worlds.batched.compiler import kernel, prepare
 from hmi_marl.envs.worlds.batched.lidar import trace
 from hmi_marl.envs.worlds.batched.threads import share, take
 
-_OPTIONS: dict[str, Any] = {"error_model": "numpy"}
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
 for rule in (
     alerts.help_share,
@@ -38,7 +38,6 @@ for rule in (
     values.write,
 ):
     register_jitable(**_OPTIONS)(rule)
-
 
 
 def _compile_inside(rule: Any) -> None:
@@ -92,25 +91,26 @@ def _put_scaled(
 
 
 @kernel
-def decide_teams(progress, before, window, effects, decided):
+def decide_teams(progress, active, alert, state, seeds, traits, window, effects, after):
     """Apply :func:`team_step.decide` to every team."""
-    count = len(before.active)
-    first, last = take(progress, 0, count)
+    first, last = take(progress, 0, len(active))
     while first < last:
         for k in range(first, last):
-            team_step.decide(k, before, window, effects, decided)
-        first, last = take(progress, last - first, count)
+            team_step.decide(k, active, alert, state, seeds, traits, window, effects, after)
+        first, last = take(progress, last - first, len(active))
 
 
 @kernel
-def reward_teams(progress, moved, settings, rewarded):
+def reward_teams(progress, active, alert, state, after, readings, settings, rewards, ends):
     """Apply :func:`team_step.reward` to every team."""
-    count = len(moved.active)
-    first, last = take(progress, 0, count)
+    numbers, flags = readings
+    first, last = take(progress, 0, len(active))
     while first < last:
         for k in range(first, last):
-            team_step.reward(k, moved, settings, rewarded)
-        first, last = take(progress, last - first, count)
+            team_step.reward(
+                k, active, alert, state, after, numbers, flags, settings, rewards, ends
+            )
+        first, last = take(progress, last - first, len(active))
 
 
 @kernel
@@ -160,8 +160,6 @@ def look_and_write_teams(progress, sight, true, perceived, teams, shown, scales,
 
 _GROUPS = 3
 """Groups of observations that one loop writes."""
-_MANY = 2048
-"""Teams from which several threads pay in the loops without lidars."""
 _NO_ROWS = np.empty((0, 0), np.float32)
 
 
@@ -173,22 +171,45 @@ class Compiled:
 
     def decide(
         self,
-        before: team_step.Before,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+        seeds: NDArray[np.uint64],
+        traits: NDArray[np.float64],
         window: int,
         effects: alerts.Effects,
-        decided: team_step.Decided,
-    ) -> None:
+    ) -> NDArray[np.int64]:
         """See :meth:`Execution.decide`."""
-        self._share(decide_teams, len(before.active), 1, before, window, effects, decided)
+        after = np.empty_like(state)
+        self._share(
+            decide_teams, len(active), active, alert, state, seeds, traits, window, effects, after
+        )
+        return after
 
     def reward(
         self,
-        moved: team_step.Moved,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+        after: NDArray[np.int64],
+        readings: Readings,
         settings: team_step.Settings,
-        rewarded: team_step.Rewarded,
-    ) -> None:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """See :meth:`Execution.reward`."""
-        self._share(reward_teams, len(moved.active), 1, moved, settings, rewarded)
+        rewards, ends = new_rewards(len(active))
+        self._share(
+            reward_teams,
+            len(active),
+            active,
+            alert,
+            state,
+            after,
+            readings,
+            settings,
+            rewards,
+            ends,
+        )
+        return rewards, ends
 
     def write(
         self,
@@ -207,18 +228,19 @@ class Compiled:
         groups = (*groups, *[nothing] * (_GROUPS - len(groups)))
         if not hasattr(world, "sight"):
             shown = with_lidars(world, shown, groups)
-            self._share(write_teams, len(teams), 1, teams, shown, scales, groups)
+            self._share(write_teams, len(teams), teams, shown, scales, groups)
             return
         sight = world.sight()
-        cells = len(shown.speed), -1
+        cells = len(shown.intent_given), -1
         shown = shown._replace(
             true_lidar=sight.true_lidar.reshape(cells),
             perceived_lidar=sight.perceived_lidar.reshape(cells),
         )
         arguments = sight, true, perceived, teams, shown, scales, groups
-        self._share(look_and_write_teams, len(teams), world.sharing(len(teams)), *arguments)
+        threads = world.sharing(len(teams))
+        self._share(look_and_write_teams, len(teams), *arguments, threads=threads)
 
-    def _share(self, loop: Any, count: int, threads: int, *arguments: Any) -> None:
+    def _share(self, loop: Any, count: int, *arguments: Any, threads: int = 1) -> None:
         if loop.__name__ not in self._prepared:
             prepare([(loop, (np.zeros(2, np.int64), *arguments))])
             self._prepared.add(loop.__name__)

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.envs import team_step
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import MAX_INFLATION
 from hmi_marl.envs.elementwise import choose, put, put_one_hot, put_scaled
 from hmi_marl.envs.observations import FASTEST, Layout
 from hmi_marl.envs.scene import LANE_WIDTH
-from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, base
 
 _ACTIONS = len(VEHICLE_ACTIONS)
 
@@ -91,31 +92,18 @@ def columns_of(layout: Layout, agent: str, names: Iterable[str] | None = None) -
 
 
 class Shown(NamedTuple):
-    """Everything about N teams that observations show. Arrays have shape (N,) unless noted."""
+    """Everything about N teams that observations show; for the rows see :mod:`team_step`."""
 
     true_lidar: NDArray[np.float32]
     """Shape (N, 2 cells), as :meth:`World.lidar` returns it; not read if no column shows it."""
     perceived_lidar: NDArray[np.float32]
-    speed: NDArray[np.float64]
-    target_speed: NDArray[np.float64]
-    heading: NDArray[np.float64]
-    lateral: NDArray[np.float64]
-    lane: NDArray[np.int64]
-    x: NDArray[np.float64]
-    intended: NDArray[np.int64]
-    previous_intended: NDArray[np.int64]
+    numbers: NDArray[np.float64]
+    """Readings of the driven cars."""
+    flags: NDArray[np.int64]
+    state: NDArray[np.int64]
     intent_given: NDArray[np.bool_]
-    applied: NDArray[np.int64]
-    alerted: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    distracted: NDArray[np.int64]
-    accepted: NDArray[np.int64]
-    counter: NDArray[np.int64]
-    fatigue: NDArray[np.int64]
-    beta: NDArray[np.float64]
-    alpha: NDArray[np.float64]
-    eta: NDArray[np.float64]
-    inflation: NDArray[np.float64]
+    """Teams in which the driver has acted and the vehicle AI has not, shape (N,)."""
+    traits: NDArray[np.float64]
 
 
 class Scales(NamedTuple):
@@ -162,32 +150,33 @@ def write(
         scales: constants of the settings.
     """
     first, low, high = columns.first, columns.low, columns.high
+    numbers, state, traits = shown.numbers, shown.state, shown.traits
     reach, strengths = scales.lidar_range, scales.strengths
     if first[TRUE_LIDAR] >= 0:
         put_scaled(rows, row, first[TRUE_LIDAR], low, high, shown.true_lidar[k], reach)
     if first[PERCEIVED_LIDAR] >= 0:
         put_scaled(rows, row, first[PERCEIVED_LIDAR], low, high, shown.perceived_lidar[k], reach)
-    put(rows, row, first[SPEED], low, high, shown.speed[k] / FASTEST)
-    put(rows, row, first[TARGET_SPEED], low, high, shown.target_speed[k] / FASTEST)
-    put(rows, row, first[HEADING], low, high, shown.heading[k] / np.pi)
-    put(rows, row, first[LATERAL], low, high, shown.lateral[k] / LANE_WIDTH)
-    put_one_hot(rows, row, first[LANE], shown.lane[k], scales.lanes)
-    put(rows, row, first[POSITION], low, high, shown.x[k] / scales.length)
+    put(rows, row, first[SPEED], low, high, numbers[base.SPEED, k] / FASTEST)
+    put(rows, row, first[TARGET_SPEED], low, high, numbers[base.TARGET_SPEED, k] / FASTEST)
+    put(rows, row, first[HEADING], low, high, numbers[base.HEADING, k] / np.pi)
+    put(rows, row, first[LATERAL], low, high, numbers[base.LATERAL, k] / LANE_WIDTH)
+    put_one_hot(rows, row, first[LANE], shown.flags[base.LANE, k], scales.lanes)
+    put(rows, row, first[POSITION], low, high, numbers[base.X, k] / scales.length)
     # Before the driver acts, the latest a^H already is the last step's.
-    latest = shown.intended[k]
-    previous = choose(shown.intent_given[k], shown.previous_intended[k], latest)
+    latest = state[team_step.INTENDED, k]
+    previous = choose(shown.intent_given[k], state[team_step.PREVIOUS, k], latest)
     put_one_hot(rows, row, first[INTENDED], latest, _ACTIONS)
     put_one_hot(rows, row, first[PREVIOUS], previous, _ACTIONS)
-    put_one_hot(rows, row, first[APPLIED], shown.applied[k], _ACTIONS)
-    put(rows, row, first[ALERTED], low, high, strengths[shown.alerted[k]])
-    put(rows, row, first[TIME], low, high, shown.steps[k] / scales.horizon)
-    put(rows, row, first[DISTRACTED], low, high, shown.distracted[k])
-    put(rows, row, first[ACCEPTED], low, high, strengths[shown.accepted[k]])
-    put(rows, row, first[COUNTER], low, high, shown.counter[k] / scales.window)
-    put(rows, row, first[FATIGUE], low, high, shown.fatigue[k] / scales.levels)
-    traits = first[TRAITS]
-    if traits >= 0:
-        put(rows, row, traits, low, high, shown.beta[k])
-        put(rows, row, traits + 1, low, high, shown.alpha[k])
-        put(rows, row, traits + 2, low, high, shown.eta[k])
-        put(rows, row, traits + 3, low, high, shown.inflation[k] / MAX_INFLATION)
+    put_one_hot(rows, row, first[APPLIED], state[team_step.APPLIED, k], _ACTIONS)
+    put(rows, row, first[ALERTED], low, high, strengths[state[team_step.ALERTED, k]])
+    put(rows, row, first[TIME], low, high, state[team_step.STEPS, k] / scales.horizon)
+    put(rows, row, first[DISTRACTED], low, high, state[team_step.DISTRACTED, k])
+    put(rows, row, first[ACCEPTED], low, high, strengths[state[team_step.ACCEPTED, k]])
+    put(rows, row, first[COUNTER], low, high, state[team_step.COUNTER, k] / scales.window)
+    put(rows, row, first[FATIGUE], low, high, state[team_step.FATIGUE, k] / scales.levels)
+    start = first[TRAITS]
+    if start >= 0:
+        put(rows, row, start, low, high, traits[team_step.BETA, k])
+        put(rows, row, start + 1, low, high, traits[team_step.ALPHA, k])
+        put(rows, row, start + 2, low, high, traits[team_step.ETA, k])
+        put(rows, row, start + 3, low, high, traits[team_step.INFLATION, k] / MAX_INFLATION)

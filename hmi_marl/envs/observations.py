@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits
-from hmi_marl.envs.scene import LANE_WIDTH, Scene
+from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS
 
 FASTEST = 40.0

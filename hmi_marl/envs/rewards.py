@@ -191,9 +191,9 @@ def share(
 
 
 class EpisodeTotals:
-    """Sums over the present episode of each of N teams: return, terms, length, alerts."""
+    """Sums over the present episode of each of N teams: return, terms, length, crashes, alerts."""
 
-    names = ("return", *TERMS, "length", "alerts")
+    names = ("return", *TERMS, "length", "crash_rate", "alerts")
 
     def __init__(self, num_teams: int) -> None:
         self._sums = np.zeros((len(self.names), num_teams))
@@ -203,17 +203,20 @@ class EpisodeTotals:
         rewards: NDArray[np.float64],
         terms: Mapping[str, NDArray[np.float64]],
         alerted: NDArray[np.int64],
+        crashed: NDArray[np.bool_],
     ) -> None:
         """Add one step; an alert counts as one, however strong."""
-        self._sums[0] += rewards
+        sums = self._sums
+        sums[0] += rewards
         for place, name in enumerate(TERMS, start=1):
-            self._sums[place] += terms[name]
-        self._sums[-2] += 1
-        self._sums[-1] += alerted > 0
+            sums[place] += terms[name]
+        sums[-3] += 1
+        sums[-2] = crashed
+        sums[-1] += alerted > 0
 
-    def of(self, which: NDArray[np.bool_]) -> dict[str, NDArray[np.float64]]:
-        """Sums of the M marked teams by name, shape (M,) each."""
-        return dict(zip(self.names, self._sums[:, which], strict=True))
+    def of(self, teams: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Sums of M teams, shape (len(names), M); crash_rate is 1 where the car is crashed."""
+        return self._sums[:, teams]
 
     def clear(self, which: NDArray[np.bool_] | None = None) -> None:
         """Start again from 0 in the marked teams, all by default."""

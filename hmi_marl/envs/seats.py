@@ -42,6 +42,31 @@ def moves_sequentially(hmi: Policy) -> bool:
     return bool(getattr(hmi, "sequential", True))
 
 
+class Asked:
+    """A policy that is asked for actions, and shown only the parts that it reads.
+
+    A policy may have an attribute ``reads``, the names of the parts of its observation that it
+    reads; then the others are 0, and a lidar that is not read is not traced.
+
+    Args:
+        policy: is asked.
+        check: returns the actions, or raises if they are not valid.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda actions: actions,
+    ) -> None:
+        self.reads: tuple[str, ...] | None = getattr(policy, "reads", None)
+        """Parts that it reads; None for all."""
+        self._policy, self._check = policy, check
+
+    def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Return the policy's actions, shape (N,)."""
+        return self._check(self._policy.act(observations))
+
+
 def check_policy(policy: object) -> Policy:
     """Return ``policy`` if it can sit in a seat, or raise; a class cannot, an object of it can."""
     if isinstance(policy, type) or not isinstance(policy, Policy):
@@ -68,12 +93,13 @@ class PartnerTurns:
         partner: Policy,
         check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda actions: actions,
     ) -> None:
-        self._teaming, self._seat, self._partner, self._check = teaming, seat, partner, check
+        self._teaming, self._seat, self._partner = teaming, seat, partner
+        self._asked = Asked(partner, check)
 
     def prepare(self) -> None:
         """Let a partner who drives act, if it has not acted in this turn."""
         if self._seat == VEHICLE_AI and not self._teaming.intent_given.all():
-            self._teaming.intend(self._act(self._teaming.observe(DRIVER)))
+            self._teaming.intend(self._teaming.ask(DRIVER, self._asked))
 
     def step(self, actions: NDArray[np.int64] | list[int]) -> StepResult:
         """Take one step of every team from this seat's actions, shape (N,).
@@ -82,9 +108,6 @@ class PartnerTurns:
         """
         if self._seat == DRIVER:
             sequential = moves_sequentially(self._partner)
-            return self._teaming.turn(actions, self._act, sequential)
+            return self._teaming.turn(actions, self._asked, sequential)
         self.prepare()  # again, if the partner failed when it was asked first
         return self._teaming.step(actions)
-
-    def _act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
-        return self._check(self._partner.act(observations))

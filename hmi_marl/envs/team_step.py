@@ -1,7 +1,9 @@
 """One step of a team, without the world's part: the driver's attention, then rewards and the end.
 
 Both rules take k, which is a team's number where they are compiled and a slice of all teams in
-NumPy; see :mod:`hmi_marl.envs.elementwise`. They write into arrays that nobody else holds yet.
+NumPy; see :mod:`hmi_marl.envs.elementwise`. What is known about N teams stands in a few arrays with
+a row for each quantity: whole numbers in ``state``, traits in ``traits``, the driven cars in
+:class:`hmi_marl.envs.worlds.base.Readings`.
 """
 
 from __future__ import annotations
@@ -14,99 +16,82 @@ from numpy.typing import NDArray
 from hmi_marl.envs.alerts import Effects
 from hmi_marl.envs.attention import next_attention
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.elementwise import choose
-from hmi_marl.envs.rewards import (
-    TERMS,
-    Weights,
-    add_up,
-    attention_values,
-    driving_values,
-    places,
-)
+from hmi_marl.envs.rewards import TERMS, Weights, add_up, attention_values, driving_values, places
 from hmi_marl.envs.streams import Stream, unit_draw
-from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS
+from hmi_marl.envs.worlds.base import CRASHED, LANE, MERGING_SLOWNESS, SPEED, VEHICLE_ACTIONS
 
 NO_ACTION = -1
 _MOVE_LEFT, _MOVE_RIGHT = VEHICLE_ACTIONS.index("move_left"), VEHICLE_ACTIONS.index("move_right")
-_ATTENTION = np.uint64(Stream.ATTENTION)
+_STREAM = np.uint64(Stream.ATTENTION)
+
+# Rows of a state, int64 of shape (9, N).
+STEPS, INTENDED, PREVIOUS, APPLIED, ALERTED = range(5)
+DISTRACTED, ACCEPTED, COUNTER, FATIGUE = range(5, 9)
+ROWS = 9
+"""STEPS: taken in the episode. INTENDED, PREVIOUS: the latest a^H and the one before it; APPLIED:
+the latest v, -1 before the first. ALERTED: the latest a^A. Then d, i, c and f."""
+
+BETA, ALPHA, ETA, INFLATION = range(len(TRAIT_NAMES))
+"""Rows of traits, float64 of shape (4, N)."""
+
 _TERMS = len(TERMS)
+OF_DRIVER, OF_VEHICLE_AI = _TERMS, _TERMS + 1
+SUMS = _TERMS + 2
+"""Rows of rewards, float64 of shape (10, N): each of ``TERMS``, then each agent's sum."""
+TERMINATED, TRUNCATED, OVER = range(3)
+"""Rows of ends, bool of shape (3, N)."""
 
 
-class Before(NamedTuple):
-    """N teams when both agents have acted. Arrays have shape (N,)."""
+def decide(
+    k: Any,
+    active: NDArray[np.bool_],
+    alert: NDArray[np.int64],
+    state: NDArray[np.int64],
+    seeds: NDArray[np.uint64],
+    traits: NDArray[np.float64],
+    window: int,
+    effects: Effects,
+    after: NDArray[np.int64],
+) -> None:
+    """Count the step of team k, and fill in c_t, i_t, d_t, f_t and v_t.
 
-    active: NDArray[np.bool_]
-    """Teams whose episode goes on; the others stay as they are."""
-    alert: NDArray[np.int64]
-    """a^A_t."""
-    intended: NDArray[np.int64]
-    """a^H_t."""
-    applied: NDArray[np.int64]
-    """v_{t-1}, -1 before the first."""
-    alerted: NDArray[np.int64]
-    """a^A_{t-1}."""
-    seeds: NDArray[np.uint64]
-    steps: NDArray[np.uint64]
-    distracted: NDArray[np.int64]
-    accepted: NDArray[np.int64]
-    counter: NDArray[np.int64]
-    fatigue: NDArray[np.int64]
-    beta: NDArray[np.float64]
-    alpha: NDArray[np.float64]
-    eta: NDArray[np.float64]
-
-
-class Decided(NamedTuple):
-    """What the world moves by, and attention after it; arrays of shape (N,) to be filled."""
-
-    distracted: NDArray[np.int64]
-    accepted: NDArray[np.int64]
-    counter: NDArray[np.int64]
-    fatigue: NDArray[np.int64]
-    applied: NDArray[np.int64]
-    """v_t = v_{t-1} if d_t = 1, else a^H_t."""
-    alerted: NDArray[np.int64]
-
-
-def decide(k: Any, before: Before, window: int, effects: Effects, decided: Decided) -> None:
-    """Fill in c_t, i_t, d_t, f_t and v_t of team k."""
-    active, applied = before.active[k], before.applied[k]
+    Args:
+        k: number of the team.
+        active: teams whose episode goes on; the others stay as they are.
+        alert: a^A_t.
+        state: when both agents have acted; a^H_t stands in it already.
+        seeds: of the episodes.
+        traits: of the drivers.
+        window: N, in steps.
+        effects: of the alerts.
+        after: state after the step, to be filled.
+    """
+    on, applied, intended = active[k], state[APPLIED, k], state[INTENDED, k]
     d, i, c, f = next_attention(
-        before.distracted[k],
-        before.accepted[k],
-        before.counter[k],
-        before.fatigue[k],
-        before.alert[k],
-        before.beta[k],
-        before.alpha[k],
-        before.eta[k],
-        unit_draw(before.seeds[k], _ATTENTION, before.steps[k]),
+        state[DISTRACTED, k],
+        state[ACCEPTED, k],
+        state[COUNTER, k],
+        state[FATIGUE, k],
+        alert[k],
+        traits[BETA, k],
+        traits[ALPHA, k],
+        traits[ETA, k],
+        unit_draw(seeds[k], _STREAM, np.uint64(state[STEPS, k])),
         window,
         effects,
     )
-    decided.distracted[k] = choose(active, d, before.distracted[k])
-    decided.accepted[k] = choose(active, i, before.accepted[k])
-    decided.counter[k] = choose(active, c, before.counter[k])
-    decided.fatigue[k] = choose(active, f, before.fatigue[k])
-    carried_out = choose((d == 1) & (applied != NO_ACTION), applied, before.intended[k])
-    decided.applied[k] = choose(active, carried_out, applied)
-    decided.alerted[k] = choose(active, before.alert[k], before.alerted[k])
-
-
-class Moved(NamedTuple):
-    """N teams when the world has moved. Arrays have shape (N,)."""
-
-    active: NDArray[np.bool_]
-    steps: NDArray[np.int64]
-    """Steps before this one."""
-    intended: NDArray[np.int64]
-    alert: NDArray[np.int64]
-    distracted_before: NDArray[np.int64]
-    distracted: NDArray[np.int64]
-    crashed: NDArray[np.bool_]
-    speed: NDArray[np.float64]
-    lane: NDArray[np.int64]
-    merging_slowness: NDArray[np.float64]
+    keeps = (d == 1) & (applied != NO_ACTION)
+    after[STEPS, k] = state[STEPS, k] + choose(on, 1, 0)
+    after[INTENDED, k] = intended
+    after[PREVIOUS, k] = state[PREVIOUS, k]
+    after[APPLIED, k] = choose(on, choose(keeps, applied, intended), applied)
+    after[ALERTED, k] = choose(on, alert[k], state[ALERTED, k])
+    after[DISTRACTED, k] = choose(on, d, state[DISTRACTED, k])
+    after[ACCEPTED, k] = choose(on, i, state[ACCEPTED, k])
+    after[COUNTER, k] = choose(on, c, state[COUNTER, k])
+    after[FATIGUE, k] = choose(on, f, state[FATIGUE, k])
 
 
 class Settings(NamedTuple):
@@ -134,43 +119,50 @@ def settings_of(config: TeamConfig) -> Settings:
     )
 
 
-class Rewarded(NamedTuple):
-    """Rewards and ends of the step, to be filled. Arrays have shape (N,) unless noted."""
+def reward(
+    k: Any,
+    active: NDArray[np.bool_],
+    alert: NDArray[np.int64],
+    state: NDArray[np.int64],
+    after: NDArray[np.int64],
+    numbers: NDArray[np.float64],
+    flags: NDArray[np.int64],
+    settings: Settings,
+    rewards: NDArray[np.float64],
+    ends: NDArray[np.bool_],
+) -> None:
+    """Fill in the terms, rewards and ends of team k; a team that had ended gets zeros.
 
-    terms: NDArray[np.float64]
-    """Shape (8, N), in the order of ``TERMS``."""
-    driver: NDArray[np.float64]
-    vehicle_ai: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    over: NDArray[np.bool_]
-    steps: NDArray[np.int64]
-
-
-def reward(k: Any, moved: Moved, settings: Settings, rewarded: Rewarded) -> None:
-    """Fill in the terms, rewards and ends of team k; a team that had ended gets zeros."""
-    active, crashed, intended = moved.active[k], moved.crashed[k], moved.intended[k]
+    Args:
+        k: number of the team.
+        active: teams whose episode went on.
+        alert: a^A_t.
+        state, after: before the step, and after it.
+        numbers, flags: readings of the driven cars after the step.
+        settings: constants.
+        rewards, ends: to be filled.
+    """
+    on, crashed, intended = active[k], flags[CRASHED, k] == 1, state[INTENDED, k]
     values = driving_values(
         settings.weights,
         crashed,
-        moved.speed[k],
-        moved.lane[k] == settings.right_lane,
-        moved.merging_slowness[k],
+        numbers[SPEED, k],
+        flags[LANE, k] == settings.right_lane,
+        numbers[MERGING_SLOWNESS, k],
         (intended == _MOVE_LEFT) | (intended == _MOVE_RIGHT),
     ) + attention_values(
         settings.weights,
-        settings.strengths[moved.alert[k]],
-        moved.distracted_before[k],
-        moved.distracted[k],
+        settings.strengths[alert[k]],
+        state[DISTRACTED, k],
+        after[DISTRACTED, k],
     )
     for term in range(_TERMS):
-        rewarded.terms[term, k] = choose(active, values[term], 0.0)
-    rewarded.driver[k] = choose(active, add_up(values, settings.driver_terms), 0.0)
-    rewarded.vehicle_ai[k] = choose(active, add_up(values, settings.vehicle_ai_terms), 0.0)
-    steps = moved.steps[k] + choose(active, 1, 0)
-    terminated = active & crashed & settings.end_at_crash
-    truncated = active & np.logical_not(terminated) & (steps >= settings.horizon)
-    rewarded.steps[k] = steps
-    rewarded.terminated[k] = terminated
-    rewarded.truncated[k] = truncated
-    rewarded.over[k] = np.logical_not(active) | terminated | truncated
+        rewards[term, k] = choose(on, values[term], 0.0)
+    rewards[OF_DRIVER, k] = choose(on, add_up(values, settings.driver_terms), 0.0)
+    rewards[OF_VEHICLE_AI, k] = choose(on, add_up(values, settings.vehicle_ai_terms), 0.0)
+    terminated = on & crashed & settings.end_at_crash
+    late = after[STEPS, k] >= settings.horizon
+    truncated = on & np.logical_not(terminated) & late
+    ends[TERMINATED, k] = terminated
+    ends[TRUNCATED, k] = truncated
+    ends[OVER, k] = np.logical_not(on) | terminated | truncated

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,20 +24,35 @@ from hmi_marl.envs.execution import execution_for
 from hmi_marl.envs.observation_values import Columns, Shown, columns_of, scales_of
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.team_step import (
+    ALERTED,
+    APPLIED,
+    DISTRACTED,
+    FATIGUE,
+    INFLATION,
+    INTENDED,
     NO_ACTION,
-    Before,
-    Decided,
-    Moved,
-    Rewarded,
+    OF_DRIVER,
+    OF_VEHICLE_AI,
+    OVER,
+    PREVIOUS,
+    ROWS,
+    STEPS,
+    TERMINATED,
+    TRUNCATED,
     settings_of,
 )
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
+from hmi_marl.envs.worlds.base import CRASHED, GAP, SPEED, Readings
 
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
 STATE = "state"
 """Name of the whole team's state among what :meth:`Teaming.views` gives."""
+
+
+_AT_START = np.zeros(ROWS, np.int64)
+_AT_START[[INTENDED, PREVIOUS, APPLIED]] = NO_ACTION
 
 
 @dataclass(frozen=True)
@@ -85,26 +99,74 @@ class Teaming:
         self._columns: dict[tuple[str, tuple[str, ...] | None], Columns] = {}
         self._scales, self._settings = scales_of(config), settings_of(config)
         self._execution = execution_for(self.world, num_teams)
+        self._population = config.population
         self._every = np.arange(num_teams)
         self._no_lidar = np.zeros((0, 2 * config.scene.lidar_cells), np.float32)
-        zeros = np.zeros(num_teams, np.int64)
+        self._state = np.repeat(_AT_START[:, None], num_teams, axis=1)
+        self._traits = np.zeros((len(TRAIT_NAMES), num_teams))
+        self._readings = self._read_world()
         self.seeds = np.zeros(num_teams, np.uint64)
-        self.traits = Traits.from_array(np.zeros((num_teams, len(TRAIT_NAMES))))
-        self.attention = Attention.initial(num_teams)
-        self.steps = zeros.copy()
-        """Steps taken in each team's episode."""
-        self.intended = zeros + NO_ACTION
-        """The latest a^H of each team, -1 before the first."""
-        self.previous_intended = zeros + NO_ACTION
-        self.applied = zeros + NO_ACTION
-        """The latest v."""
-        self.alerted = zeros.copy()
-        """The latest a^A, 0 to k."""
+        """Seeds of the episodes, uint64."""
         self.over = np.ones(num_teams, np.bool_)
         """Teams without a running episode: ended, or not begun."""
-        self.ego = self._read_ego()
         self.intent_given = np.zeros(num_teams, np.bool_)
         """Teams in mid-turn: the driver has acted, the vehicle AI has not."""
+
+    # Each change of the state is made in a copy, so that what was returned stays as it is.
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Steps taken in each team's episode. May be assigned, which moves the teams' clocks."""
+        return self._state[STEPS]
+
+    @steps.setter
+    def steps(self, steps: NDArray[np.int64]) -> None:
+        self._state = self._state.copy()
+        self._state[STEPS] = steps
+
+    @property
+    def intended(self) -> NDArray[np.int64]:
+        """The latest a^H of each team, -1 before the first."""
+        return self._state[INTENDED]
+
+    @property
+    def previous_intended(self) -> NDArray[np.int64]:
+        """The a^H before the latest one, -1 if there is none."""
+        return self._state[PREVIOUS]
+
+    @property
+    def applied(self) -> NDArray[np.int64]:
+        """The latest v, -1 before the first."""
+        return self._state[APPLIED]
+
+    @property
+    def alerted(self) -> NDArray[np.int64]:
+        """The latest a^A, 0 to k."""
+        return self._state[ALERTED]
+
+    @property
+    def attention(self) -> Attention:
+        """The drivers' attention after the last step."""
+        return Attention(*self._state[DISTRACTED : FATIGUE + 1])
+
+    @property
+    def traits(self) -> Traits:
+        """The drivers' traits. May be assigned, which does not change what the lidars perceive."""
+        return Traits(*self._traits)
+
+    @traits.setter
+    def traits(self, traits: Traits) -> None:
+        self._traits = np.array(list(vars(traits).values()), np.float64)
+
+    @property
+    def crashed(self) -> NDArray[np.bool_]:
+        """Teams whose car is crashed."""
+        return self._readings.flags[CRASHED] == 1
+
+    @property
+    def ego(self) -> Ego:
+        """The driven cars."""
+        return self._readings.ego()
 
     def reset(self, seeds: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """Begin new episodes in the teams marked in ``which`` (shape (N,), all by default).
@@ -123,17 +185,15 @@ class Teaming:
         new = self._checked_seeds(seeds, fresh)[teams]
         if not len(teams):
             return
-        drawn = check_traits(self.config.population.draw(new), len(teams)).as_array()
-        self.seeds = _replaced(self.seeds, teams, new)
+        drawn = check_traits(self._population.draw(new), len(teams)).as_array()
+        self.seeds = self.seeds.copy()
+        self.seeds[teams] = new
         self._change_drivers(teams, drawn)
-        for name in ("intended", "previous_intended", "applied"):
-            setattr(self, name, _replaced(getattr(self, name), teams, NO_ACTION))
-        for name in ("steps", "alerted"):
-            setattr(self, name, _replaced(getattr(self, name), teams, 0))
-        for name in ("over", "intent_given"):
-            setattr(self, name, _replaced(getattr(self, name), teams, False))
-        self.world.reset(self.seeds, self.traits.inflation, fresh)
-        self.ego = self._read_ego()
+        state = self._state  # a copy by now
+        state[:, teams] = _AT_START[:, None]
+        self.over, self.intent_given = self.over & ~fresh, self.intent_given & ~fresh
+        self.world.reset(self.seeds, self._traits[INFLATION], fresh)
+        self._readings = self._read_world()
 
     def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
         """Change drivers in mid-episode. The new ones are attentive; car, time and v stay.
@@ -151,14 +211,13 @@ class Teaming:
             raise ValueError("the wheel is handed over between turns; alert with step() first")
         new = check_traits(traits, self.num_teams).as_array()
         self._change_drivers(np.flatnonzero(fresh), new[fresh])
-        self.world.perceive(self.traits.inflation, fresh)
+        self.world.perceive(self._traits[INFLATION], fresh)
 
     def _change_drivers(self, teams: NDArray[np.int64], traits: NDArray[np.float64]) -> None:
         """Put attentive drivers of these traits, shape (M, 4), into M teams."""
-        columns = zip(vars(self.traits).values(), traits.T, strict=True)
-        self.traits = Traits(*(_replaced(now, teams, new) for now, new in columns))
-        states = vars(self.attention).values()
-        self.attention = Attention(*(_replaced(now, teams, 0) for now in states))
+        self._traits, self._state = self._traits.copy(), self._state.copy()
+        self._traits[:, teams] = traits.T
+        self._state[DISTRACTED:, teams] = 0
 
     def turn(self, driver: Actor, hmi: Actor, sequential: bool = True) -> StepResult:
         """Take one step of every team, each seat in its turn.
@@ -174,19 +233,22 @@ class Teaming:
                 function raises leaves every team as it was before the turn.
         """
         if not sequential:
-            alerts = self._ask(VEHICLE_AI, hmi)
-            self.intend(self._ask(DRIVER, driver))
+            alerts = self.ask(VEHICLE_AI, hmi)
+            self.intend(self.ask(DRIVER, driver))
             return self.step(alerts)
-        self.intend(self._ask(DRIVER, driver))
+        self.intend(self.ask(DRIVER, driver))
         try:
-            alerts = self._ask(VEHICLE_AI, hmi)
+            alerts = self.ask(VEHICLE_AI, hmi)
         except Exception:
             self.withdraw()
             raise
         return self.step(alerts)
 
-    def _ask(self, agent: str, actor: Actor) -> ArrayLike:
-        return actor(self.observe(agent)) if callable(actor) else actor
+    def ask(self, agent: str, actor: Actor) -> ArrayLike:
+        """Return an actor's actions; one with an attribute ``reads`` is shown these parts only."""
+        if not callable(actor):
+            return actor
+        return actor(self.observe(agent, getattr(actor, "reads", None)))
 
     def intend(self, driver_actions: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """Set the drivers' a^H_t, shape (N,), integers 0 to 4.
@@ -198,18 +260,20 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or a second intent in the same step.
         """
-        acts = check_mask(which, self.num_teams) & ~self.over
+        acts = ~self.over if which is None else check_mask(which, self.num_teams) & ~self.over
         if (acts & self.intent_given).any():
             raise ValueError("the drivers have already acted in this step; now alert with step()")
         actions = self._checked(driver_actions, len(VEHICLE_ACTIONS), "driver", acts)
-        self.previous_intended = np.where(acts, self.intended, self.previous_intended)
-        self.intended = np.where(acts, actions, self.intended)
-        self.intent_given = self.intent_given | acts
+        state = self._state.copy()
+        state[PREVIOUS] = np.where(acts, self.intended, self.previous_intended)
+        state[INTENDED] = np.where(acts, actions, self.intended)
+        self._state, self.intent_given = state, self.intent_given | acts
 
     def withdraw(self) -> None:
         """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called."""
-        self.intended = np.where(self.intent_given, self.previous_intended, self.intended)
-        self.intent_given = np.zeros(self.num_teams, np.bool_)
+        given, state = self.intent_given, self._state.copy()
+        state[INTENDED] = np.where(given, self.previous_intended, self.intended)
+        self._state, self.intent_given = state, np.zeros(self.num_teams, np.bool_)
 
     def step(self, alerts: ArrayLike) -> StepResult:
         """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
@@ -223,73 +287,35 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        active, before = ~self.over, self.attention
+        active, before = ~self.over, self._state
         if not self.intent_given[active].all():
             raise ValueError("the driver acts first: call intend() with the driver's action")
         alerts = self._checked(alerts, self.alerts.choices, "vehicle_ai", active)
         self.intent_given = np.zeros(self.num_teams, np.bool_)
-        self._decide(active, alerts)
-        self._move_world(active)
-        return self._reward(active, alerts, before)
-
-    def _decide(self, active: NDArray[np.bool_], alerts: NDArray[np.int64]) -> None:
-        """Step the drivers' attention and choose what each car does."""
-        now, traits = self.attention, self.traits
-        before = Before(
-            active,
-            alerts,
-            self.intended,
-            self.applied,
-            self.alerted,
-            self.seeds,
-            self.steps.view(np.uint64),
-            *vars(now).values(),
-            traits.beta,
-            traits.alpha,
-            traits.eta,
-        )
-        decided = Decided(*np.empty((len(Decided._fields), self.num_teams), np.int64))
         window, effects = self.config.alert_window, self.alerts.effects
-        self._execution.decide(before, window, effects, decided)
-        *after, self.applied, self.alerted = decided
-        self.attention = Attention(*after)
-
-    def _reward(
-        self, active: NDArray[np.bool_], alerts: NDArray[np.int64], before: Attention
-    ) -> StepResult:
-        """Compute rewards and ends, and count the step."""
-        ego, teams = self.ego, self.num_teams
-        moved = Moved(
-            active,
-            self.steps,
-            self.intended,
-            alerts,
-            before.distracted,
-            self.attention.distracted,
-            ego.crashed,
-            ego.speed,
-            ego.lane,
-            ego.merging_slowness,
+        self._state = self._execution.decide(
+            active, alerts, before, self.seeds, self._traits, window, effects
         )
-        terms, (driver, vehicle_ai) = np.empty((len(TERMS), teams)), np.empty((2, teams))
-        ends = np.empty((3, teams), np.bool_)
-        rewarded = Rewarded(terms, driver, vehicle_ai, *ends, np.empty(teams, np.int64))
-        self._execution.reward(moved, self._settings, rewarded)
-        self.steps, self.over = rewarded.steps, rewarded.over
+        self._move_world(active)
+        rewards, ends = self._execution.reward(
+            active, alerts, before, self._state, self._readings, self._settings
+        )
+        self.over = ends[OVER]
         return StepResult(
-            {DRIVER: driver, VEHICLE_AI: vehicle_ai},
-            dict(zip(TERMS, terms, strict=True)),
-            rewarded.terminated,
-            rewarded.truncated,
+            {DRIVER: rewards[OF_DRIVER], VEHICLE_AI: rewards[OF_VEHICLE_AI]},
+            dict(zip(TERMS, rewards, strict=False)),
+            ends[TERMINATED],
+            ends[TRUNCATED],
         )
 
     def _move_world(self, active: NDArray[np.bool_]) -> None:
-        standing = self.ego.crashed
-        newly_standing = active & standing & (self.ego.speed != 0.0)
+        numbers, flags = self._readings
+        standing = active & (flags[CRASHED] == 1)
+        newly_standing = standing & (numbers[SPEED] != 0.0)
         if newly_standing.any():
             self.world.halt(newly_standing)
         self.world.step(self.applied, active & ~standing)
-        self.ego = self._read_ego()
+        self._readings = self._read_world()
 
     def observe(self, agent: str, parts: Iterable[str] | None = None) -> NDArray[np.float32]:
         """Return the agent's observations, shape (N, layout's size); see :mod:`observations`.
@@ -335,25 +361,8 @@ class Teaming:
     def _write(
         self, teams: NDArray[np.int64], groups: tuple[tuple[NDArray[np.float32], Columns], ...]
     ) -> None:
-        ego, traits = self.ego, self.traits
-        shown = Shown(
-            self._no_lidar,
-            self._no_lidar,
-            ego.speed,
-            ego.target_speed,
-            ego.heading,
-            ego.lateral,
-            ego.lane,
-            ego.x,
-            self.intended,
-            self.previous_intended,
-            self.intent_given,
-            self.applied,
-            self.alerted,
-            self.steps,
-            *vars(self.attention).values(),
-            *vars(traits).values(),
-        )
+        lidar, numbers, flags = self._no_lidar, *self._readings
+        shown = Shown(lidar, lidar, numbers, flags, self._state, self.intent_given, self._traits)
         self._execution.write(self.world, teams, shown, self._scales, groups)
 
     def _layout(self, name: str) -> obs.Layout:
@@ -364,24 +373,15 @@ class Teaming:
             self._columns[name, parts] = columns_of(self._layout(name), name, parts)
         return self._columns[name, parts]
 
-    def _read_ego(self) -> Ego:
-        """Read the driven cars; arrays of a custom world in the types that the loops expect."""
-        ego = self.world.ego()
-        if hasattr(self.world, "sight"):
-            return ego
-        types = {"lane": np.int64, "crashed": np.bool_}
-        return Ego(
-            **{
-                name: np.require(values, types.get(name, np.float64), ("C", "W"))
-                for name, values in vars(ego).items()
-            }
-        )
+    def _read_world(self) -> Readings:
+        read = getattr(self.world, "readings", None)
+        return Readings.of(self.world.ego()) if read is None else read()
 
     def time_headway(self) -> NDArray[np.float64]:
         """Time to the next object ahead in the lane [s], shape (N,); inf if none, or at 0 m/s."""
-        moving = self.ego.speed > 0
-        speed = np.where(moving, self.ego.speed, 1.0)
-        return np.where(moving, np.maximum(self.ego.gap, 0.0) / speed, np.inf)
+        speed, gap = self._readings.numbers[[SPEED, GAP]]
+        moving = speed > 0
+        return np.where(moving, np.maximum(gap, 0.0) / np.where(moving, speed, 1.0), np.inf)
 
     def _checked_seeds(self, seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:
         given = np.asarray(seeds)
@@ -403,12 +403,15 @@ class Teaming:
             )
         if not np.issubdtype(given.dtype, np.integer):
             raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
-        wrong = acts & ((given < 0) | (given >= count))
-        if wrong.any():
-            raise ValueError(
-                f"{agent} action {given[wrong][0]} is out of range: it is one of 0 to {count - 1}"
-            )
-        return np.where(acts, given, 0).astype(np.int64)
+        if given.min() < 0 or given.max() >= count or not acts.all():
+            wrong = acts & ((given < 0) | (given >= count))
+            if wrong.any():
+                raise ValueError(
+                    f"{agent} action {given[wrong][0]} is out of range: it is one of 0 to "
+                    f"{count - 1}"
+                )
+            given = np.where(acts, given, 0)
+        return np.require(given, np.int64, ("C", "W"))
 
 
 def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:
@@ -420,13 +423,6 @@ def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]
             f"{mask.shape}"
         )
     return mask
-
-
-def _replaced(values: NDArray[Any], teams: NDArray[np.int64], new: Any) -> NDArray[Any]:
-    """Copy of an array with new values for some teams; the old one stays as it is."""
-    values = values.copy()
-    values[teams] = new
-    return values
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

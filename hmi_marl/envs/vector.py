@@ -12,7 +12,9 @@ seat                    actions                        turns
 
 Observations are a TensorDict of float32 groups, the same for every seat: ``driver`` and
 ``vehicle_ai`` (what these seats see), ``traits`` (N, 4) (β, α, η and inflation as they are) and
-``critic`` (the team's whole state). :attr:`TeamVecEnv.layouts` names their columns.
+``critic`` (the team's whole state). :attr:`TeamVecEnv.layouts` names their columns. A trainer that
+reads some of them only says so by :attr:`TeamVecEnv.groups`, and the others, with their lidars, are
+not computed; :meth:`TeamVecEnv.read` computes one of them when it is needed after all.
 
 A team begins its next episode inside the ``step`` that ends one. ``extras`` of such a step hold
 ``final_observation``, ``final_teams`` and ``log`` (see :meth:`TeamVecEnv.step`).
@@ -25,7 +27,7 @@ Needs torch, tensordict and rsl_rl (the ``train`` extra).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -41,7 +43,7 @@ from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.envs.rewards import EpisodeTotals
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
 from hmi_marl.envs.streams import check_seed, episode_seed
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.teaming import STATE, StepResult, Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
@@ -50,6 +52,11 @@ if TYPE_CHECKING:
 
 Seat = Literal["driver", "vehicle_ai", "team"]
 TEAM = "team"
+TRAITS, CRITIC = "traits", "critic"
+GROUPS = (DRIVER, VEHICLE_AI, TRAITS, CRITIC)
+"""Groups of observations."""
+
+_LOGGED = tuple(f"Episode/{name}" for name in EpisodeTotals.names)
 
 _TRAITS = Layout(
     tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
@@ -65,9 +72,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         partner: the policy in the other seat; None exactly for seat "team".
         seed: team k plays the series of episodes of ``seed + k``.
         device: of the returned tensors. The teams themselves run on the CPU.
+        groups: observations to compute in each step; see :attr:`groups`.
 
     Raises:
-        ValueError, TypeError: a seat, partner or seed that does not fit, saying what does.
+        ValueError, TypeError: a seat, partner, seed or group that does not fit, saying what does.
     """
 
     def __init__(
@@ -77,12 +85,14 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         partner: Policy | None = None,
         seed: int = 0,
         device: str | torch.device = "cpu",
+        groups: Sequence[str] = GROUPS,
     ) -> None:
         _check_seat(seat, partner)
         self.teaming = teaming
         self.seat = seat
         self.partner = partner
         self.device = torch.device(device)
+        self._on_cpu = self.device.type == "cpu"
         self.num_envs = teaming.num_teams
         """N, the number of teams."""
         self.agents = (DRIVER, VEHICLE_AI) if seat == TEAM else (seat,)
@@ -97,8 +107,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """Steps in an episode that nothing cuts short."""
         self.layouts: Mapping[str, Layout] = {
             **teaming.layouts,
-            "traits": _TRAITS,
-            "critic": teaming.state_layout,
+            TRAITS: _TRAITS,
+            CRITIC: teaming.state_layout,
         }
         """Named columns of each group of observations."""
         self.cfg: dict[str, Any] = {
@@ -111,12 +121,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             "team": json_value(teaming.config),
         }
         """Description of the environment, fit for JSON; rsl_rl keeps it with the run."""
-        self._columns = {
-            agent: torch.from_numpy(_columns_in_state(teaming, agent)).to(self.device)
-            for agent in (DRIVER, VEHICLE_AI)
-        }
         self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
         self._totals = EpisodeTotals(self.num_envs)
+        self._groups = _checked_groups(groups)
+        self._observations: dict[str, torch.Tensor] = {}
         self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
@@ -125,6 +133,33 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def unwrapped(self) -> TeamVecEnv:
         """The environment itself."""
         return self
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups of observations that each step computes, in their order; all by default.
+
+        May be assigned at any time, and the present observations are computed anew.
+
+        Raises:
+            ValueError: on assigning none, or a name that is no group's.
+        """
+        return self._groups
+
+    @groups.setter
+    def groups(self, groups: Sequence[str]) -> None:
+        self._groups = _checked_groups(groups)
+        self._observations = self._present(self._groups)
+
+    def read(self, group: str) -> torch.Tensor:
+        """Return one group of the present observations, also one that is not in :attr:`groups`.
+
+        Shape (N, its layout's size).
+
+        Raises:
+            ValueError: there is no such group.
+        """
+        check_choice("group=", group, GROUPS)
+        return self._present((group,))[group]
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -150,7 +185,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             raise ValueError(f"episode lengths lie in 0 to {self.max_episode_length - 1}")
         self._untouched = False
         self.teaming.steps = values.astype(np.int64)
-        self._state = self.teaming.state()
+        self._observations = self._present(self._groups)
 
     def reset(self, seed: int | None = None) -> tuple[TensorDict, dict[str, Any]]:
         """Begin an episode in every team at once.
@@ -176,7 +211,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
         Later steps do not change them.
         """
-        return self._groups(self._state, self.teaming.traits.as_array())
+        return TensorDict(dict(self._observations), batch_size=[self.num_envs], device=self.device)
 
     def step(
         self, actions: torch.Tensor
@@ -214,8 +249,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         else:
             result = self._turns.step(columns[:, 0])
         rewards = self._rewards(result)
-        self._totals.add(rewards, result.terms, self.teaming.alerted)
         ended = result.terminated | result.truncated
+        self._totals.add(rewards, result.terms, self.teaming.alerted, self.teaming.crashed)
         extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
         if self.seat == TEAM:
             extras["rewards"] = {
@@ -259,17 +294,20 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     def _begin(self, which: NDArray[np.bool_] | None = None) -> None:
         """Begin the present episode of the series in the marked teams, all by default."""
-        self.teaming.reset(episode_seed(self._seeds, self._episodes), which)
+        every = slice(None) if which is None else which
+        seeds = self.teaming.seeds.copy()
+        seeds[every] = episode_seed(self._seeds[every], self._episodes[every])
+        self.teaming.reset(seeds, which)
         if self.partner is not None:
             self.partner.reset(self.teaming.seeds, which)
         self._totals.clear(which)
         self._observe()
 
     def _observe(self) -> None:
-        """Let a partner who drives act, and read the state that the seat acts on."""
+        """Let a partner who drives act, and read the observations that the seat acts on."""
         if self._turns is not None:
             self._turns.prepare()
-        self._state = self.teaming.state()
+        self._observations = self._present(self._groups)
 
     def _rewards(self, result: StepResult) -> NDArray[np.float64]:
         if self.seat != TEAM:
@@ -279,31 +317,31 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     def _final_extras(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """``extras`` about the episodes that ended, before the next ones begin."""
-        last = self._groups(self.teaming.state()[ended], self.teaming.traits.as_array()[ended])
-        totals = self._totals.of(ended) | {"crash_rate": self.teaming.ego.crashed[ended]}
+        teams = np.flatnonzero(ended)
+        last = self._present(self._groups, teams)
+        totals = torch.from_numpy(self._totals.of(teams).astype(np.float32))
         return {
-            "final_teams": self._tensor(np.flatnonzero(ended)),
-            "final_observation": last,
-            "log": {
-                f"Episode/{name}": torch.from_numpy(values.astype(np.float32))
-                for name, values in totals.items()
-            },
+            "final_teams": self._tensor(teams),
+            "final_observation": TensorDict(last, batch_size=[len(teams)], device=self.device),
+            "log": dict(zip(_LOGGED, totals, strict=True)),
         }
 
-    def _groups(self, state: NDArray[np.float32], traits: NDArray[np.float64]) -> TensorDict:
-        """The groups of M teams, from their states, shape (M, D), and traits, shape (M, 4)."""
-        critic = self._tensor(state)
-        groups = {
-            DRIVER: critic.index_select(1, self._columns[DRIVER]),
-            VEHICLE_AI: critic.index_select(1, self._columns[VEHICLE_AI]),
-            "traits": self._tensor(traits.astype(np.float32)),
-            "critic": critic,
-        }
-        return TensorDict(groups, batch_size=[len(state)], device=self.device)
+    def _present(
+        self, groups: Sequence[str], teams: NDArray[np.int64] | None = None
+    ) -> dict[str, torch.Tensor]:
+        """Compute groups of the present observations, of some teams or of all, in new arrays."""
+        names = {group: STATE if group == CRITIC else group for group in groups if group != TRAITS}
+        views = self.teaming.views(tuple(names.values()), teams)
+        found = {group: views[name] for group, name in names.items()}
+        if TRAITS in groups:
+            traits = self.teaming.traits.as_array().astype(np.float32)
+            found[TRAITS] = traits if teams is None else traits[teams]
+        return {group: self._tensor(found[group]) for group in groups}
 
     def _tensor(self, array: NDArray[Any]) -> torch.Tensor:
         """On the device; on the CPU it shares the array's memory."""
-        return torch.from_numpy(array).to(self.device)
+        tensor = torch.from_numpy(array)
+        return tensor if self._on_cpu else tensor.to(self.device)
 
     def _checked(self, actions: torch.Tensor) -> NDArray[np.int64]:
         """The actions as int64 of shape (N, num_actions), or an error that says what is wrong."""
@@ -319,14 +357,16 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             raise ValueError(f"actions are whole numbers, but got {actions.dtype}")
         exact = torch.float64 if actions.is_floating_point() else torch.int64
         values = actions.detach().to("cpu", exact).numpy()
-        fits = (values >= 0) & (values < self.action_sizes) & (values == np.floor(values))
+        with np.errstate(invalid="ignore"):  # NaN, which is found below
+            whole = values.astype(np.int64)
+        fits = (whole == values) & (whole >= 0) & (whole < self.action_sizes)
         if not fits.all():
             team, column = np.argwhere(~fits)[0]
             raise ValueError(
                 f"action {values[team, column]} of {self.agents[column]} in team {team} is not a "
                 f"whole number from 0 to {self.action_sizes[column] - 1}"
             )
-        return values.astype(np.int64)
+        return whole
 
 
 def _check_seat(seat: str, partner: Policy | None) -> None:
@@ -340,12 +380,10 @@ def _check_seat(seat: str, partner: Policy | None) -> None:
         check_policy(partner)
 
 
-def _columns_in_state(teaming: Teaming, agent: str) -> NDArray[np.int64]:
-    """Columns of the team's state that hold the agent's observation.
-
-    The state holds everything that either seat sees, in the same units, the driver's lidar by the
-    name of ``perceived_lidar``; so one state gives all groups at once.
-    """
-    in_state = {"lidar": "perceived_lidar"} if agent == DRIVER else {}
-    names = (in_state.get(part.name, part.name) for part in teaming.layouts[agent].parts)
-    return teaming.state_layout.columns(names)
+def _checked_groups(groups: Sequence[str]) -> tuple[str, ...]:
+    """Return the groups in the order of GROUPS, or raise ``ValueError``."""
+    if isinstance(groups, str) or not groups:
+        raise ValueError(f"groups= are one or more of {', '.join(GROUPS)}, not {groups!r}")
+    for group in groups:
+        check_choice("groups=", group, GROUPS)
+    return tuple(group for group in GROUPS if group in groups)

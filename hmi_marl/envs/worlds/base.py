@@ -15,7 +15,7 @@ vehicles on it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,36 @@ class Ego:
     merging_slowness: NDArray[np.float64]
     """Sum of (target - current) / target speed over vehicles in a lane that merges into the main
     lanes; 0 where no lane does."""
+
+
+X, Y, HEADING, SPEED, TARGET_SPEED, LATERAL, GAP, MERGING_SLOWNESS = range(8)
+"""Rows of the numbers of :class:`Readings`."""
+LANE, CRASHED = range(2)
+"""Rows of its flags."""
+_NUMBERS = (
+    "x", "y", "heading", "speed", "target_speed", "lateral", "gap", "merging_slowness",
+)  # fmt: skip
+_FLAGS = "lane", "crashed"
+
+
+class Readings(NamedTuple):
+    """The fields of :class:`Ego` in two arrays, as the loops over teams read them."""
+
+    numbers: NDArray[np.float64]
+    """Shape (8, N)."""
+    flags: NDArray[np.int64]
+    """Shape (2, N)."""
+
+    @classmethod
+    def of(cls, ego: Ego) -> Readings:
+        """Put the fields together."""
+        numbers = np.array([getattr(ego, name) for name in _NUMBERS], np.float64)
+        return cls(numbers, np.array([getattr(ego, name) for name in _FLAGS], np.int64))
+
+    def ego(self) -> Ego:
+        """The fields one by one, which share the memory of these arrays."""
+        numbers = dict(zip(_NUMBERS, self.numbers, strict=True))
+        return Ego(**numbers, lane=self.flags[LANE], crashed=self.flags[CRASHED] == 1)
 
 
 @dataclass(frozen=True)

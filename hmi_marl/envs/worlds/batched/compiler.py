@@ -236,7 +236,7 @@ inlined: Any = njit(forceinline=True, **_OPTIONS)
 
 def kernel(loop: Callable[..., None]) -> Any:
     """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it."""
-    function: Any = njit(nogil=True, error_model="numpy")(loop)
+    function: Any = njit(nogil=True, **_OPTIONS)(loop)
     if not WITHOUT_COMPILER:
         function._cache = KeptCode(loop)
     return function

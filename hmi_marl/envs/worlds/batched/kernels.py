@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hmi_marl.envs.worlds import base
 from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.collisions import collide
 from hmi_marl.envs.worlds.batched.compiler import compiled, kernel
@@ -37,35 +38,34 @@ def advance(f, i, world, lanes, table, rows, speeds, action, substeps, dt):
         collide(f, i, world, dt)
 
 
-EGO_SPEED = 3
-"""Place of the speed among the readings."""
-
-
 @compiled
-def read_ego(f, i, world, lanes, table, rows, ego, flags, k):
-    """Fill column k of ``ego`` (8, N) and ``flags`` (2, N) with :class:`worlds.base.Ego`."""
+def read_ego(f, i, world, lanes, table, rows, numbers, flags, k):
+    """Fill column k of the numbers and flags of :class:`worlds.base.Readings`."""
     lane = i[m.LANE, 0]
-    ego[0, k], ego[1, k], ego[2, k] = f[m.X, 0], f[m.Y, 0], f[m.HEADING, 0]
-    ego[EGO_SPEED, k], ego[4, k] = f[m.SPEED, 0], f[m.TARGET_SPEED, 0]
-    ego[5, k] = lateral(lanes, lane, f[m.X, 0] - lanes[lane, m.X0], f[m.Y, 0])
+    numbers[base.X, k], numbers[base.Y, k] = f[m.X, 0], f[m.Y, 0]
+    numbers[base.HEADING, k] = f[m.HEADING, 0]
+    numbers[base.SPEED, k], numbers[base.TARGET_SPEED, k] = f[m.SPEED, 0], f[m.TARGET_SPEED, 0]
+    across = lateral(lanes, lane, f[m.X, 0] - lanes[lane, m.X0], f[m.Y, 0])
+    numbers[base.LATERAL, k] = across
     front = front_of(f, i, world, lanes, table, 0, lane)
-    ego[6, k] = np.inf
+    gap = np.inf
     if front != NO_OBJECT:
         length = m.OBSTACLE_SIZE if front == world[m.VEHICLES] else m.CAR_LENGTH
-        ego[6, k] = f[m.X, front] - f[m.X, 0] - (m.CAR_LENGTH + length) / 2
+        gap = f[m.X, front] - f[m.X, 0] - (m.CAR_LENGTH + length) / 2
+    numbers[base.GAP, k] = gap
     slowness = 0.0
     for v in range(world[m.VEHICLES]):
         if i[m.LANE, v] == 2 * rows:
             slowness += (f[m.TARGET_SPEED, v] - f[m.SPEED, v]) / f[m.TARGET_SPEED, v]
-    ego[7, k] = slowness
-    flags[0, k] = rows if table[lane, m.ROW] < 0 else table[lane, m.ROW]
-    flags[1, k] = i[m.CRASHED, 0]
+    numbers[base.MERGING_SLOWNESS, k] = slowness
+    flags[base.LANE, k] = rows if table[lane, m.ROW] < 0 else table[lane, m.ROW]
+    flags[base.CRASHED, k] = i[m.CRASHED, 0]
 
 
 @kernel
 def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, room, readings):
     """Begin the episodes of the marked worlds; see :func:`spawn.begin`."""
-    ego, flags = readings
+    numbers, flags = readings
     floats, integers, worlds = blocks
     lanes, table = road
     draws, lane, start = room
@@ -78,14 +78,14 @@ def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, 
                     f, i, world, lanes, table, rows, speeds,
                     seeds[k], low, high, draws[k], lane[k], start[k],
                 )  # fmt: skip
-                read_ego(f, i, world, lanes, table, rows, ego, flags, k)
+                read_ego(f, i, world, lanes, table, rows, numbers, flags, k)
         first, last = take(progress, last - first, len(which))
 
 
 @kernel
 def step_worlds(progress, blocks, road, rows, speeds, actions, which, substeps, dt, readings):
     """Take one policy step in the marked worlds; see :func:`advance`."""
-    ego, flags = readings
+    numbers, flags = readings
     floats, integers, worlds = blocks
     lanes, table = road
     first, last = take(progress, 0, len(which))
@@ -94,7 +94,7 @@ def step_worlds(progress, blocks, road, rows, speeds, actions, which, substeps, 
             if which[k]:
                 f, i, world = floats[k], integers[k], worlds[k]
                 advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
-                read_ego(f, i, world, lanes, table, rows, ego, flags, k)
+                read_ego(f, i, world, lanes, table, rows, numbers, flags, k)
         first, last = take(progress, last - first, len(which))
 
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.scene import Scene, number_of_draws
-from hmi_marl.envs.worlds.base import Ego, Snapshot
+from hmi_marl.envs.worlds.base import SPEED, Ego, Readings, Snapshot
 from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.compiler import prepare
 from hmi_marl.envs.worlds.batched.kernels import (
-    EGO_SPEED,
     begin_worlds,
     fill_directions,
     look_around,
@@ -73,7 +72,7 @@ class BatchedWorld:
             np.zeros((num_worlds, 2, high)),
         )
         """Room for drawing a scene: the draws, the lanes, the places and speeds."""
-        self._readings = np.zeros((8, num_worlds)), np.zeros((2, num_worlds), np.int64)
+        self._readings = Readings(np.zeros((8, num_worlds)), np.zeros((2, num_worlds), np.int64))
         """Readings of the driven cars, which read_ego fills in."""
         self._inflation = np.ones(num_worlds)
         self._steps = np.zeros(num_worlds, np.int64)
@@ -119,7 +118,7 @@ class BatchedWorld:
     def halt(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`World.halt`."""
         self._floats[which, m.SPEED, 0] = 0.0
-        self._readings[0][EGO_SPEED, which] = 0.0
+        self._readings.numbers[SPEED, which] = 0.0
         self._moved(which)
 
     def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
@@ -129,10 +128,12 @@ class BatchedWorld:
 
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
+        return self.readings().ego()
+
+    def readings(self) -> Readings:
+        """The same in two arrays, which no later call writes into."""
         numbers, flags = self._readings
-        x, y, heading, speed, target_speed, lateral, gap, slowness = numbers.copy()
-        lane, crashed = flags.copy()
-        return Ego(x, y, heading, speed, target_speed, lane, lateral, crashed == 1, gap, slowness)
+        return Readings(numbers.copy(), flags.copy())
 
     def lidar(self, inflated: bool) -> NDArray[np.float32]:
         """See :meth:`World.lidar`; traced when asked for, where something has moved since."""
