@@ -59,15 +59,9 @@ class Columns(NamedTuple):
     high: NDArray[np.float32]
     """Largest value of each column."""
 
-    @property
-    def true_lidar(self) -> bool:
-        """Whether the lidar with true sizes is written."""
-        return bool(self.first[TRUE_LIDAR] >= 0)
-
-    @property
-    def perceived_lidar(self) -> bool:
-        """Whether the lidar with inflated sizes is written."""
-        return bool(self.first[PERCEIVED_LIDAR] >= 0)
+    def shows_lidar(self, inflated: bool) -> bool:
+        """Whether the lidar is written, the one in which others are inflated or the true one."""
+        return bool(self.first[PERCEIVED_LIDAR if inflated else TRUE_LIDAR] >= 0)
 
 
 def columns_of(layout: Layout, agent: str, names: Iterable[str] | None = None) -> Columns:

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs.elementwise import choose
+from hmi_marl.envs.elementwise import EVERY, choose
 from hmi_marl.envs.streams import check_number
 
 DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
@@ -201,15 +201,14 @@ class EpisodeTotals:
     def add(
         self,
         rewards: NDArray[np.float64],
-        terms: Mapping[str, NDArray[np.float64]],
+        terms: NDArray[np.float64],
         alerted: NDArray[np.int64],
         crashed: NDArray[np.bool_],
     ) -> None:
-        """Add one step; an alert counts as one, however strong."""
+        """Add one step; ``terms`` has shape (8, N). An alert counts as one, however strong."""
         sums = self._sums
         sums[0] += rewards
-        for place, name in enumerate(TERMS, start=1):
-            sums[place] += terms[name]
+        sums[1 : 1 + len(TERMS)] += terms
         sums[-3] += 1
         sums[-2] = crashed
         sums[-1] += alerted > 0
@@ -218,6 +217,6 @@ class EpisodeTotals:
         """Sums of M teams, shape (len(names), M); crash_rate is 1 where the car is crashed."""
         return self._sums[:, teams]
 
-    def clear(self, which: NDArray[np.bool_] | None = None) -> None:
-        """Start again from 0 in the marked teams, all by default."""
-        self._sums[:, slice(None) if which is None else which] = 0.0
+    def clear(self, teams: NDArray[np.int64] | slice = EVERY) -> None:
+        """Start again from 0 in some teams, all by default."""
+        self._sums[:, teams] = 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -101,13 +101,14 @@ class PartnerTurns:
         if self._seat == VEHICLE_AI and not self._teaming.intent_given.all():
             self._teaming.intend(self._teaming.ask(DRIVER, self._asked))
 
-    def step(self, actions: NDArray[np.int64] | list[int]) -> StepResult:
+    def step(self, actions: NDArray[np.int64] | list[int], views: Sequence[str] = ()) -> StepResult:
         """Take one step of every team from this seat's actions, shape (N,).
 
-        Where the partner fails, no team has moved, and the step can be taken again.
+        Where the partner fails, no team has moved, and the step can be taken again. For ``views``
+        see :meth:`Teaming.step`.
         """
         if self._seat == DRIVER:
             sequential = moves_sequentially(self._partner)
-            return self._teaming.turn(actions, self._asked, sequential)
+            return self._teaming.turn(actions, self._asked, sequential, views)
         self.prepare()  # again, if the partner failed when it was asked first
-        return self._teaming.step(actions)
+        return self._teaming.step(actions, views)

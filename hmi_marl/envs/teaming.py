@@ -11,7 +11,7 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +20,8 @@ from hmi_marl.envs import observations as obs
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
-from hmi_marl.envs.execution import execution_for
-from hmi_marl.envs.observation_values import Columns, Shown, columns_of, scales_of
+from hmi_marl.envs.execution import Group, Rules, Teams, execution_for, read_world
+from hmi_marl.envs.observation_values import Columns, columns_of
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.team_step import (
     ALERTED,
@@ -39,10 +39,9 @@ from hmi_marl.envs.team_step import (
     STEPS,
     TERMINATED,
     TRUNCATED,
-    settings_of,
 )
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
-from hmi_marl.envs.worlds.base import CRASHED, GAP, SPEED, Readings
+from hmi_marl.envs.worlds.base import CRASHED, GAP, SPEED
 
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
@@ -67,6 +66,10 @@ class StepResult:
     """The episode ended by a crash."""
     truncated: NDArray[np.bool_]
     """The episode's time is over."""
+    table: NDArray[np.float64]
+    """The reward terms again, shape (8, N), in the order of ``TERMS``."""
+    views: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Observations after the step that were asked for, by name; see :meth:`Teaming.views`."""
 
 
 class Teaming:
@@ -97,14 +100,12 @@ class Teaming:
         }
         self.state_layout = obs.state_layout(config)
         self._columns: dict[tuple[str, tuple[str, ...] | None], Columns] = {}
-        self._scales, self._settings = scales_of(config), settings_of(config)
-        self._execution = execution_for(self.world, num_teams)
+        self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
         self._every = np.arange(num_teams)
-        self._no_lidar = np.zeros((0, 2 * config.scene.lidar_cells), np.float32)
         self._state = np.repeat(_AT_START[:, None], num_teams, axis=1)
         self._traits = np.zeros((len(TRAIT_NAMES), num_teams))
-        self._readings = self._read_world()
+        self._readings = read_world(self.world)
         self.seeds = np.zeros(num_teams, np.uint64)
         """Seeds of the episodes, uint64."""
         self.over = np.ones(num_teams, np.bool_)
@@ -182,18 +183,34 @@ class Teaming:
         """
         fresh = check_mask(which, self.num_teams)
         teams = np.flatnonzero(fresh)
-        new = self._checked_seeds(seeds, fresh)[teams]
+        self.begin(teams, self._checked_seeds(seeds, fresh)[teams])
+
+    def begin(self, teams: NDArray[np.int64], seeds: NDArray[np.uint64]) -> None:
+        """Begin new episodes in M teams.
+
+        Args:
+            teams: their numbers, int64 of shape (M,), each once.
+            seeds: of their episodes, uint64 of shape (M,).
+
+        Raises:
+            ValueError, TypeError: a population that draws impossible traits. Nothing has changed.
+        """
         if not len(teams):
             return
-        drawn = check_traits(self._population.draw(new), len(teams)).as_array()
-        self.seeds = self.seeds.copy()
-        self.seeds[teams] = new
+        drawn = check_traits(self._population.draw(seeds), len(teams))
+        for name in ("seeds", "over", "intent_given"):  # others may hold them as they are
+            setattr(self, name, getattr(self, name).copy())
+        self.seeds[teams] = seeds
+        self.over[teams] = self.intent_given[teams] = False
         self._change_drivers(teams, drawn)
-        state = self._state  # a copy by now
-        state[:, teams] = _AT_START[:, None]
-        self.over, self.intent_given = self.over & ~fresh, self.intent_given & ~fresh
-        self.world.reset(self.seeds, self._traits[INFLATION], fresh)
-        self._readings = self._read_world()
+        self._state[:, teams] = _AT_START[:, None]  # a copy by now
+        if hasattr(self.world, "begin"):
+            self.world.begin(teams, seeds, drawn.inflation)
+        else:
+            which = np.zeros(self.num_teams, np.bool_)
+            which[teams] = True
+            self.world.reset(self.seeds, self._traits[INFLATION], which)
+        self._readings = read_world(self.world)
 
     def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
         """Change drivers in mid-episode. The new ones are attentive; car, time and v stay.
@@ -209,17 +226,19 @@ class Teaming:
         fresh = check_mask(which, self.num_teams)
         if (fresh & self.intent_given).any():
             raise ValueError("the wheel is handed over between turns; alert with step() first")
-        new = check_traits(traits, self.num_teams).as_array()
-        self._change_drivers(np.flatnonzero(fresh), new[fresh])
+        new = check_traits(traits, self.num_teams).as_array()[fresh]
+        self._change_drivers(np.flatnonzero(fresh), Traits.from_array(new))
         self.world.perceive(self._traits[INFLATION], fresh)
 
-    def _change_drivers(self, teams: NDArray[np.int64], traits: NDArray[np.float64]) -> None:
-        """Put attentive drivers of these traits, shape (M, 4), into M teams."""
+    def _change_drivers(self, teams: NDArray[np.int64], traits: Traits) -> None:
+        """Put attentive drivers of these traits into M teams."""
         self._traits, self._state = self._traits.copy(), self._state.copy()
-        self._traits[:, teams] = traits.T
+        self._traits[:, teams] = list(vars(traits).values())
         self._state[DISTRACTED:, teams] = 0
 
-    def turn(self, driver: Actor, hmi: Actor, sequential: bool = True) -> StepResult:
+    def turn(
+        self, driver: Actor, hmi: Actor, sequential: bool = True, views: Sequence[str] = ()
+    ) -> StepResult:
         """Take one step of every team, each seat in its turn.
 
         Args:
@@ -227,6 +246,7 @@ class Teaming:
             hmi: a^A_t, or a function from the vehicle AI's observations to them.
             sequential: whether the vehicle AI is asked after the driver and so sees a^H_t. If
                 not, it is asked first and sees a^H_{t-1}.
+            views: see :meth:`step`.
 
         Raises:
             ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
@@ -235,14 +255,14 @@ class Teaming:
         if not sequential:
             alerts = self.ask(VEHICLE_AI, hmi)
             self.intend(self.ask(DRIVER, driver))
-            return self.step(alerts)
+            return self.step(alerts, views)
         self.intend(self.ask(DRIVER, driver))
         try:
             alerts = self.ask(VEHICLE_AI, hmi)
         except Exception:
             self.withdraw()
             raise
-        return self.step(alerts)
+        return self.step(alerts, views)
 
     def ask(self, agent: str, actor: Actor) -> ArrayLike:
         """Return an actor's actions; one with an attribute ``reads`` is shown these parts only."""
@@ -265,8 +285,8 @@ class Teaming:
             raise ValueError("the drivers have already acted in this step; now alert with step()")
         actions = self._checked(driver_actions, len(VEHICLE_ACTIONS), "driver", acts)
         state = self._state.copy()
-        state[PREVIOUS] = np.where(acts, self.intended, self.previous_intended)
-        state[INTENDED] = np.where(acts, actions, self.intended)
+        np.copyto(state[PREVIOUS], self.intended, where=acts)
+        np.copyto(state[INTENDED], actions, where=acts)
         self._state, self.intent_given = state, self.intent_given | acts
 
     def withdraw(self) -> None:
@@ -275,7 +295,7 @@ class Teaming:
         state[INTENDED] = np.where(given, self.previous_intended, self.intended)
         self._state, self.intent_given = state, np.zeros(self.num_teams, np.bool_)
 
-    def step(self, alerts: ArrayLike) -> StepResult:
+    def step(self, alerts: ArrayLike, views: Sequence[str] = ()) -> StepResult:
         """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
 
         Ended teams stay as they are and get zeros.
@@ -283,39 +303,32 @@ class Teaming:
         Args:
             alerts: a^A_t, shape (N,), integers: 0 or 1 with the paper's alerts, 0 to k with k
                 strengths.
+            views: observations after the step to compute along with it; see :meth:`views`.
 
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        active, before = ~self.over, self._state
-        if not self.intent_given[active].all():
+        teams = self._teams()
+        if not self.intent_given[teams.active].all():
             raise ValueError("the driver acts first: call intend() with the driver's action")
-        alerts = self._checked(alerts, self.alerts.choices, "vehicle_ai", active)
+        alert = self._checked(alerts, self.alerts.choices, "vehicle_ai", teams.active)
+        groups = {name: self._group(name, self.num_teams) for name in views}
+        after = self._execution.step(teams, alert, tuple(groups.values()))
+        self._state, self._readings, rewards, ends = after
         self.intent_given = np.zeros(self.num_teams, np.bool_)
-        window, effects = self.config.alert_window, self.alerts.effects
-        self._state = self._execution.decide(
-            active, alerts, before, self.seeds, self._traits, window, effects
-        )
-        self._move_world(active)
-        rewards, ends = self._execution.reward(
-            active, alerts, before, self._state, self._readings, self._settings
-        )
         self.over = ends[OVER]
         return StepResult(
             {DRIVER: rewards[OF_DRIVER], VEHICLE_AI: rewards[OF_VEHICLE_AI]},
             dict(zip(TERMS, rewards, strict=False)),
             ends[TERMINATED],
             ends[TRUNCATED],
+            rewards[: len(TERMS)],
+            {name: group.rows for name, group in groups.items()},
         )
 
-    def _move_world(self, active: NDArray[np.bool_]) -> None:
-        numbers, flags = self._readings
-        standing = active & (flags[CRASHED] == 1)
-        newly_standing = standing & (numbers[SPEED] != 0.0)
-        if newly_standing.any():
-            self.world.halt(newly_standing)
-        self.world.step(self.applied, active & ~standing)
-        self._readings = self._read_world()
+    def _teams(self) -> Teams:
+        state, readings, traits = self._state, self._readings, self._traits
+        return Teams(state, readings, traits, self.seeds, ~self.over, self.intent_given)
 
     def observe(self, agent: str, parts: Iterable[str] | None = None) -> NDArray[np.float32]:
         """Return the agent's observations, shape (N, layout's size); see :mod:`observations`.
@@ -330,7 +343,8 @@ class Teaming:
         if parts is None:
             return self.views((agent,))[agent]
         rows = np.zeros((self.num_teams, self.layouts[agent].size), np.float32)
-        self._write(self._every, ((rows, self._columns_of(agent, tuple(parts))),))
+        group = Group(rows, self._columns_of(agent, tuple(parts)))
+        self._execution.write(self._teams(), self._every, (group,))
         return rows
 
     def state(self) -> NDArray[np.float32]:
@@ -350,20 +364,15 @@ class Teaming:
             Arrays of shape (M, size of the layout).
         """
         which = self._every if teams is None else teams
-        groups = {
-            name: (np.empty((len(which), self._layout(name).size), np.float32), columns)
-            for name, columns in ((name, self._columns_of(name)) for name in names)
-        }
+        groups = {name: self._group(name, len(which)) for name in names}
         if groups and len(which):
-            self._write(which, tuple(groups.values()))
-        return {name: rows for name, (rows, _) in groups.items()}
+            self._execution.write(self._teams(), which, tuple(groups.values()))
+        return {name: group.rows for name, group in groups.items()}
 
-    def _write(
-        self, teams: NDArray[np.int64], groups: tuple[tuple[NDArray[np.float32], Columns], ...]
-    ) -> None:
-        lidar, numbers, flags = self._no_lidar, *self._readings
-        shown = Shown(lidar, lidar, numbers, flags, self._state, self.intent_given, self._traits)
-        self._execution.write(self.world, teams, shown, self._scales, groups)
+    def _group(self, name: str, count: int) -> Group:
+        """Room for one observation of so many teams."""
+        rows = np.empty((count, self._layout(name).size), np.float32)
+        return Group(rows, self._columns_of(name))
 
     def _layout(self, name: str) -> obs.Layout:
         return self.state_layout if name == STATE else self.layouts[name]
@@ -372,10 +381,6 @@ class Teaming:
         if (name, parts) not in self._columns:
             self._columns[name, parts] = columns_of(self._layout(name), name, parts)
         return self._columns[name, parts]
-
-    def _read_world(self) -> Readings:
-        read = getattr(self.world, "readings", None)
-        return Readings.of(self.world.ego()) if read is None else read()
 
     def time_headway(self) -> NDArray[np.float64]:
         """Time to the next object ahead in the lane [s], shape (N,); inf if none, or at 0 m/s."""
@@ -403,15 +408,13 @@ class Teaming:
             )
         if not np.issubdtype(given.dtype, np.integer):
             raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
-        if given.min() < 0 or given.max() >= count or not acts.all():
-            wrong = acts & ((given < 0) | (given >= count))
-            if wrong.any():
-                raise ValueError(
-                    f"{agent} action {given[wrong][0]} is out of range: it is one of 0 to "
-                    f"{count - 1}"
-                )
-            given = np.where(acts, given, 0)
-        return np.require(given, np.int64, ("C", "W"))
+        given = np.require(given, np.int64, ("C", "W"))
+        wrong = self._execution.first_wrong(given, acts, count)
+        if wrong >= 0:
+            raise ValueError(
+                f"{agent} action {given[wrong]} is out of range: it is one of 0 to {count - 1}"
+            )
+        return given if acts.all() else np.where(acts, given, 0)
 
 
 def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:

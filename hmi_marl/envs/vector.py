@@ -42,7 +42,7 @@ from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.envs.rewards import EpisodeTotals
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
-from hmi_marl.envs.streams import check_seed, episode_seed
+from hmi_marl.envs.streams import EpisodeSeeds, check_seed
 from hmi_marl.envs.teaming import STATE, StepResult, Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
@@ -56,6 +56,9 @@ TRAITS, CRITIC = "traits", "critic"
 GROUPS = (DRIVER, VEHICLE_AI, TRAITS, CRITIC)
 """Groups of observations."""
 
+_VIEW = {DRIVER: DRIVER, VEHICLE_AI: VEHICLE_AI, CRITIC: STATE}
+"""Names of groups among the views that a Teaming gives."""
+Views = dict[str, NDArray[np.float32]]
 _LOGGED = tuple(f"Episode/{name}" for name in EpisodeTotals.names)
 
 _TRAITS = Layout(
@@ -124,6 +127,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
         self._totals = EpisodeTotals(self.num_envs)
         self._groups = _checked_groups(groups)
+        self._views = _views_of(self._groups)
         self._observations: dict[str, torch.Tensor] = {}
         self._viewer: Viewer | None = None
         self._start_series(seed)
@@ -148,7 +152,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     @groups.setter
     def groups(self, groups: Sequence[str]) -> None:
         self._groups = _checked_groups(groups)
-        self._observations = self._present(self._groups)
+        self._views = _views_of(self._groups)
+        self._observe({})
 
     def read(self, group: str) -> torch.Tensor:
         """Return one group of the present observations, also one that is not in :attr:`groups`.
@@ -159,7 +164,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             ValueError: there is no such group.
         """
         check_choice("group=", group, GROUPS)
-        return self._present((group,))[group]
+        views = self.teaming.views(_views_of((group,)))
+        return self._as_groups((group,), views, self._shown_traits)[group]
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -185,7 +191,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             raise ValueError(f"episode lengths lie in 0 to {self.max_episode_length - 1}")
         self._untouched = False
         self.teaming.steps = values.astype(np.int64)
-        self._observations = self._present(self._groups)
+        self._observe({})
 
     def reset(self, seed: int | None = None) -> tuple[TensorDict, dict[str, Any]]:
         """Begin an episode in every team at once.
@@ -201,8 +207,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         if seed is not None:
             self._start_series(seed)
         elif not self._untouched:
-            self._episodes += 1
-            self._begin()
+            self._begin(np.arange(self.num_envs))
         self._untouched = False
         return self.get_observations(), {}
 
@@ -244,25 +249,27 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         columns = self._checked(actions)
         self._untouched = False
+        # A partner who drives acts before the groups are complete.
+        views = () if self.seat == VEHICLE_AI else self._views
         if self._turns is None:
-            result = self.teaming.turn(columns[:, 0], columns[:, 1])
+            result = self.teaming.turn(columns[0], columns[1], views=views)
         else:
-            result = self._turns.step(columns[:, 0])
+            result = self._turns.step(columns[0], views)
         rewards = self._rewards(result)
+        self._totals.add(rewards, result.table, self.teaming.alerted, self.teaming.crashed)
         ended = result.terminated | result.truncated
-        self._totals.add(rewards, result.terms, self.teaming.alerted, self.teaming.crashed)
         extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
         if self.seat == TEAM:
             extras["rewards"] = {
                 agent: self._tensor(values.astype(np.float32))
                 for agent, values in result.rewards.items()
             }
-        if ended.any():
-            extras |= self._final_extras(ended)
-            self._episodes += ended
-            self._begin(ended)
+        teams = np.flatnonzero(ended)
+        if len(teams):
+            extras |= self._final_extras(teams, result.views)
+            self._begin(teams, result.views)
         else:
-            self._observe()
+            self._observe(result.views)
         return (
             self.get_observations(),
             self._tensor(rewards.astype(np.float32)),
@@ -288,26 +295,43 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     def _start_series(self, seed: int) -> None:
         first = np.uint64(check_seed(seed))
-        self._seeds = first + np.arange(self.num_envs, dtype=np.uint64)  # modulo 2^64
-        self._episodes = np.zeros(self.num_envs, np.uint64)
-        self._begin()
-
-    def _begin(self, which: NDArray[np.bool_] | None = None) -> None:
-        """Begin the present episode of the series in the marked teams, all by default."""
-        every = slice(None) if which is None else which
-        seeds = self.teaming.seeds.copy()
-        seeds[every] = episode_seed(self._seeds[every], self._episodes[every])
-        self.teaming.reset(seeds, which)
+        series = first + np.arange(self.num_envs, dtype=np.uint64)  # modulo 2^64
+        self._series = EpisodeSeeds(series)
+        self.teaming.reset(self._series.present)
         if self.partner is not None:
-            self.partner.reset(self.teaming.seeds, which)
-        self._totals.clear(which)
-        self._observe()
+            self.partner.reset(self.teaming.seeds)
+        self._totals.clear()
+        self._shown_traits = self._traits_of(np.arange(self.num_envs))
+        self._observe({})
 
-    def _observe(self) -> None:
-        """Let a partner who drives act, and read the observations that the seat acts on."""
+    def _begin(self, teams: NDArray[np.int64], views: Views | None = None) -> None:
+        """Begin the next episode of the series in M teams, and observe.
+
+        ``views`` are those of all teams after the last step, if there was one; the rows of these
+        teams are written anew.
+        """
+        self.teaming.begin(teams, self._series.go_on(teams))
+        if self.partner is not None:
+            which = np.zeros(self.num_envs, np.bool_)
+            which[teams] = True
+            self.partner.reset(self.teaming.seeds, which)
+        self._totals.clear(teams)
+        self._shown_traits = self._shown_traits.copy()
+        self._shown_traits[teams] = self._traits_of(teams)
+        for name, rows in self.teaming.views(tuple(views or ()), teams).items():
+            views[name][teams] = rows
+        self._observe(views or {})
+
+    def _traits_of(self, teams: NDArray[np.int64]) -> NDArray[np.float32]:
+        return self.teaming.traits.as_array()[teams].astype(np.float32)
+
+    def _observe(self, views: Views) -> None:
+        """Let a partner who drives act, and take the views, or compute those that are not given."""
         if self._turns is not None:
             self._turns.prepare()
-        self._observations = self._present(self._groups)
+        self._observations = self._as_groups(
+            self._groups, views or self.teaming.views(self._views), self._shown_traits
+        )
 
     def _rewards(self, result: StepResult) -> NDArray[np.float64]:
         if self.seat != TEAM:
@@ -315,36 +339,36 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         driver, vehicle_ai = result.rewards[DRIVER], result.rewards[VEHICLE_AI]
         return driver + vehicle_ai if self.teaming.config.reward == "individual" else driver
 
-    def _final_extras(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """``extras`` about the episodes that ended, before the next ones begin."""
-        teams = np.flatnonzero(ended)
-        last = self._present(self._groups, teams)
+    def _final_extras(self, teams: NDArray[np.int64], views: Views) -> dict[str, Any]:
+        """``extras`` about the episodes that ended in M teams, before the next ones begin.
+
+        ``views`` are those of all teams, if they are known.
+        """
+        if views:
+            last = {name: rows[teams] for name, rows in views.items()}
+        else:
+            last = self.teaming.views(self._views, teams)
+        groups = self._as_groups(self._groups, last, self._shown_traits[teams])
         totals = torch.from_numpy(self._totals.of(teams).astype(np.float32))
         return {
             "final_teams": self._tensor(teams),
-            "final_observation": TensorDict(last, batch_size=[len(teams)], device=self.device),
+            "final_observation": TensorDict(groups, batch_size=[len(teams)], device=self.device),
             "log": dict(zip(_LOGGED, totals, strict=True)),
         }
 
-    def _present(
-        self, groups: Sequence[str], teams: NDArray[np.int64] | None = None
+    def _as_groups(
+        self, groups: Sequence[str], views: Views, traits: NDArray[np.float32]
     ) -> dict[str, torch.Tensor]:
-        """Compute groups of the present observations, of some teams or of all, in new arrays."""
-        names = {group: STATE if group == CRITIC else group for group in groups if group != TRAITS}
-        views = self.teaming.views(tuple(names.values()), teams)
-        found = {group: views[name] for group, name in names.items()}
-        if TRAITS in groups:
-            traits = self.teaming.traits.as_array().astype(np.float32)
-            found[TRAITS] = traits if teams is None else traits[teams]
-        return {group: self._tensor(found[group]) for group in groups}
+        arrays = {group: traits if group == TRAITS else views[_VIEW[group]] for group in groups}
+        return {group: self._tensor(array) for group, array in arrays.items()}
 
     def _tensor(self, array: NDArray[Any]) -> torch.Tensor:
         """On the device; on the CPU it shares the array's memory."""
         tensor = torch.from_numpy(array)
         return tensor if self._on_cpu else tensor.to(self.device)
 
-    def _checked(self, actions: torch.Tensor) -> NDArray[np.int64]:
-        """The actions as int64 of shape (N, num_actions), or an error that says what is wrong."""
+    def _checked(self, actions: torch.Tensor) -> list[NDArray[np.int64]]:
+        """The columns of actions as int64, or an error that says what is wrong."""
         if not isinstance(actions, torch.Tensor):
             raise TypeError(f"actions are a torch tensor, not {type(actions).__name__}")
         wanted = (self.num_envs, self.num_actions)
@@ -356,17 +380,19 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         if actions.dtype == torch.bool or actions.is_complex():
             raise ValueError(f"actions are whole numbers, but got {actions.dtype}")
         exact = torch.float64 if actions.is_floating_point() else torch.int64
-        values = actions.detach().to("cpu", exact).numpy()
+        given = actions.detach().to("cpu", exact).numpy()
         with np.errstate(invalid="ignore"):  # NaN, which is found below
-            whole = values.astype(np.int64)
-        fits = (whole == values) & (whole >= 0) & (whole < self.action_sizes)
-        if not fits.all():
-            team, column = np.argwhere(~fits)[0]
-            raise ValueError(
-                f"action {values[team, column]} of {self.agents[column]} in team {team} is not a "
-                f"whole number from 0 to {self.action_sizes[column] - 1}"
-            )
-        return whole
+            columns = [column.astype(np.int64) for column in given.T]
+        for column, size in enumerate(self.action_sizes):
+            whole, values = columns[column], given[:, column]
+            if whole.min() < 0 or whole.max() >= size or not (whole == values).all():
+                wrong = (whole < 0) | (whole >= size) | (whole != values)
+                team = int(wrong.argmax())
+                raise ValueError(
+                    f"action {values[team]} of {self.agents[column]} in team {team} is not a "
+                    f"whole number from 0 to {size - 1}"
+                )
+        return columns
 
 
 def _check_seat(seat: str, partner: Policy | None) -> None:
@@ -378,6 +404,11 @@ def _check_seat(seat: str, partner: Policy | None) -> None:
         raise ValueError(f"seat={seat!r} needs a partner in the other seat")
     else:
         check_policy(partner)
+
+
+def _views_of(groups: Sequence[str]) -> tuple[str, ...]:
+    """Names of the views that these groups consist of."""
+    return tuple(_VIEW[group] for group in groups if group in _VIEW)
 
 
 def _checked_groups(groups: Sequence[str]) -> tuple[str, ...]:

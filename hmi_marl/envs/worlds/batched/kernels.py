@@ -7,12 +7,15 @@ OpenMP, after which a forked process dies and idle threads keep the cores busy.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from hmi_marl.envs.worlds import base
 from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.collisions import collide
-from hmi_marl.envs.worlds.batched.compiler import compiled, kernel
+from hmi_marl.envs.worlds.batched.compiler import compiled, inlined, kernel
 from hmi_marl.envs.worlds.batched.control import act_driven, act_traffic, command
 from hmi_marl.envs.worlds.batched.elementary import sin_cos
 from hmi_marl.envs.worlds.batched.lanes import lateral
@@ -62,52 +65,117 @@ def read_ego(f, i, world, lanes, table, rows, numbers, flags, k):
     flags[base.CRASHED, k] = i[m.CRASHED, 0]
 
 
+class Merges(NamedTuple):
+    """N worlds as the loops see them: arrays with an entry for each world, and constants."""
+
+    floats: NDArray[np.float64]
+    integers: NDArray[np.int32]
+    worlds: NDArray[np.int32]
+    lanes: NDArray[np.float64]
+    table: NDArray[np.int32]
+    rows: int
+    """Main lanes."""
+    speeds: NDArray[np.float64]
+    """Target speeds to choose from [m/s]."""
+    substeps: int
+    """Simulator steps in a policy step."""
+    dt: float
+    """Duration of a simulator step [s]."""
+    steps: NDArray[np.int64]
+    """Policy steps since the start of the episode, shape (N,)."""
+    numbers: NDArray[np.float64]
+    flags: NDArray[np.int64]
+    """Readings of the driven cars; see :class:`worlds.base.Readings`."""
+    inflation: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    """Unit vectors of the lidar's rays, shape (cells, 2)."""
+    lidar_range: float
+    true_lidar: NDArray[np.float32]
+    """Shape (N, cells, 2)."""
+    true_stale: NDArray[np.bool_]
+    """Worlds whose lidar has to be traced again before it is read, shape (N,)."""
+    perceived_lidar: NDArray[np.float32]
+    perceived_stale: NDArray[np.bool_]
+
+
+@inlined
+def move_world(k, merges, action):
+    """Take one policy step in world k, and read its driven car."""
+    f, i, world = merges.floats[k], merges.integers[k], merges.worlds[k]
+    lanes, table, rows = merges.lanes, merges.table, merges.rows
+    advance(
+        f, i, world, lanes, table, rows, merges.speeds, action, merges.substeps, merges.dt
+    )  # fmt: skip
+    read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
+    merges.steps[k] += 1
+    merges.true_stale[k] = True
+    merges.perceived_stale[k] = True
+
+
+@inlined
+def halt_world(k, merges):
+    """Stop the driven car of world k."""
+    merges.floats[k, m.SPEED, 0] = 0.0
+    merges.numbers[base.SPEED, k] = 0.0
+    merges.true_stale[k] = True
+    merges.perceived_stale[k] = True
+
+
+@inlined
+def look(k, merges, true, perceived):
+    """Trace those lidars of world k that are wanted and have changed; see :func:`lidar.trace`."""
+    f, world = merges.floats[k], merges.worlds[k]
+    directions, reach = merges.directions, merges.lidar_range
+    if true and merges.true_stale[k]:
+        trace(f, world, 1.0, directions, reach, merges.true_lidar[k])
+        merges.true_stale[k] = False
+    if perceived and merges.perceived_stale[k]:
+        trace(f, world, merges.inflation[k], directions, reach, merges.perceived_lidar[k])
+        merges.perceived_stale[k] = False
+
+
 @kernel
-def begin_worlds(progress, blocks, road, rows, speeds, seeds, which, low, high, room, readings):
-    """Begin the episodes of the marked worlds; see :func:`spawn.begin`."""
-    numbers, flags = readings
-    floats, integers, worlds = blocks
-    lanes, table = road
+def begin_worlds(progress, merges, which, seeds, inflation, low, high, room):
+    """Begin the episodes of the worlds whose numbers stand in ``which``; see spawn.begin."""
     draws, lane, start = room
+    lanes, table, rows = merges.lanes, merges.table, merges.rows
     first, last = take(progress, 0, len(which))
     while first < last:
-        for k in range(first, last):
-            if which[k]:
-                f, i, world = floats[k], integers[k], worlds[k]
-                begin(
-                    f, i, world, lanes, table, rows, speeds,
-                    seeds[k], low, high, draws[k], lane[k], start[k],
-                )  # fmt: skip
-                read_ego(f, i, world, lanes, table, rows, numbers, flags, k)
+        for place in range(first, last):
+            k = which[place]
+            f, i, world = merges.floats[k], merges.integers[k], merges.worlds[k]
+            begin(
+                f, i, world, lanes, table, rows, merges.speeds,
+                seeds[place], low, high, draws[k], lane[k], start[k],
+            )  # fmt: skip
+            read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
+            merges.inflation[k] = inflation[place]
+            merges.steps[k] = 0
+            merges.true_stale[k] = True
+            merges.perceived_stale[k] = True
         first, last = take(progress, last - first, len(which))
 
 
 @kernel
-def step_worlds(progress, blocks, road, rows, speeds, actions, which, substeps, dt, readings):
+def step_worlds(progress, merges, actions, which):
     """Take one policy step in the marked worlds; see :func:`advance`."""
-    numbers, flags = readings
-    floats, integers, worlds = blocks
-    lanes, table = road
     first, last = take(progress, 0, len(which))
     while first < last:
         for k in range(first, last):
             if which[k]:
-                f, i, world = floats[k], integers[k], worlds[k]
-                advance(f, i, world, lanes, table, rows, speeds, actions[k], substeps, dt)
-                read_ego(f, i, world, lanes, table, rows, numbers, flags, k)
+                move_world(k, merges, actions[k])
         first, last = take(progress, last - first, len(which))
 
 
 @kernel
-def look_around(progress, blocks, which, inflation, directions, maximum_range, grids):
-    """Trace the lidars of the marked worlds; see :func:`lidar.trace`."""
-    floats, _integers, worlds = blocks
-    first, last = take(progress, 0, len(which))
+def look_around(progress, merges, true, perceived):
+    """Trace those lidars of every world that are wanted and have changed."""
+    worlds = len(merges.steps)
+    first, last = take(progress, 0, worlds)
     while first < last:
         for k in range(first, last):
-            if which[k]:
-                trace(floats[k], worlds[k], inflation[k], directions, maximum_range, grids[k])
-        first, last = take(progress, last - first, len(which))
+            look(k, merges, true, perceived)
+        first, last = take(progress, last - first, worlds)
 
 
 @kernel
