@@ -61,16 +61,12 @@ def put_one_hot(rows: NDArray[np.float32], row: Any, column: int, index: Any, si
         rows[row, column : column + size] = np.expand_dims(index, -1) == np.arange(size)
 
 
-def put_scaled(
-    rows: NDArray[np.float32],
-    row: Any,
-    column: int,
-    low: NDArray[np.float32],
-    high: NDArray[np.float32],
-    values: Any,
-    scale: np.float32,
-) -> None:
-    """Write as many columns as there are values, divided by a scale, within their bounds."""
+def put_row(rows: NDArray[np.float32], row: Any, column: int, values: Any) -> None:
+    """Write as many columns as there are values, as they are."""
     if column >= 0:
-        end = column + values.shape[-1]
-        rows[row, column:end] = within(values / scale, low[column:end], high[column:end])
+        rows[row, column : column + values.shape[-1]] = values
+
+
+def scale_row(rows: NDArray[np.float32], row: Any, values: Any, scale: Any, bound: Any) -> None:
+    """Write a whole row: the values divided by a scale, kept within -bound to bound."""
+    rows[row] = within(values / scale, -bound, bound)

@@ -8,14 +8,15 @@ where numba need not be imported; the loops (:mod:`hmi_marl.envs.loops`) suit al
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs import observation_values, team_step
 from hmi_marl.envs.alerts import Effects
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.elementwise import EVERY
 from hmi_marl.envs.observation_values import Columns, Scales, Shown, scales_of
 from hmi_marl.envs.team_step import OVER, SUMS, Settings, settings_of
@@ -54,12 +55,24 @@ class Teams(NamedTuple):
     intent_given: NDArray[np.bool_]
 
 
-class Group(NamedTuple):
+@dataclass(frozen=True)
+class Group:
     """Observations to be written."""
 
     rows: NDArray[np.float32]
     """Shape (M, D)."""
     columns: Columns
+    shows_true_lidar: bool
+    shows_perceived_lidar: bool
+
+    @classmethod
+    def of(cls, rows: NDArray[np.float32], columns: Columns) -> Group:
+        """Rows to be written with these columns."""
+        return cls(rows, columns, columns.shows_lidar(False), columns.shows_lidar(True))
+
+    def another(self, rows: NDArray[np.float32]) -> Group:
+        """Other rows with the same columns."""
+        return Group(rows, self.columns, self.shows_true_lidar, self.shows_perceived_lidar)
 
 
 class After(NamedTuple):
@@ -82,6 +95,14 @@ def read_world(world: World) -> Readings:
     return Readings.of(world.ego()) if read is None else read()
 
 
+class WrongActionError(ValueError):
+    """An action that is none; ``team``, ``column`` and ``value`` say which."""
+
+    def __init__(self, team: int, column: int, value: Any) -> None:
+        super().__init__(f"action {value} of team {team} in column {column} is none")
+        self.team, self.column, self.value = team, column, value
+
+
 class Execution(ABC):
     """A way to take steps and to write observations of N teams in a world."""
 
@@ -91,8 +112,53 @@ class Execution(ABC):
         self._no_lidar = np.zeros((0, 2 * cells), np.float32)
 
     @abstractmethod
-    def first_wrong(self, actions: NDArray[np.int64], acts: NDArray[np.bool_], choices: int) -> int:
-        """First team that acts by a number outside 0 to choices - 1, -1 if there is none."""
+    def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
+        """Return actions of shape (N, C), of any number type, as int64 of shape (C, N).
+
+        Raises:
+            WrongActionError: one is not a whole number from 0 to its column's size - 1.
+        """
+
+    @abstractmethod
+    def intend(
+        self,
+        actions: NDArray[np.int64],
+        choices: int,
+        acts: NDArray[np.bool_],
+        over: NDArray[np.bool_],
+        state: NDArray[np.int64],
+        given: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Put the drivers' a^H into a copy of the state.
+
+        Args:
+            actions: a^H of N teams, below ``choices``.
+            choices: number of actions.
+            acts: teams in which the driver acts now, if they are not over.
+            over: teams without a running episode.
+            state: before.
+            given: teams in mid-turn, in which no driver may act.
+
+        Returns:
+            The state, and the teams in mid-turn after it.
+        """
+
+    @abstractmethod
+    def admit(
+        self,
+        alerts: NDArray[np.int64],
+        choices: int,
+        over: NDArray[np.bool_],
+        given: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Return which teams take a step, and their alerts, 0 for the others.
+
+        Args:
+            alerts: a^A of N teams, below ``choices``.
+            choices: number of actions.
+            over: teams without a running episode, which take none.
+            given: teams in mid-turn; all that are not over have to be.
+        """
 
     @abstractmethod
     def decide(self, teams: Teams, alert: NDArray[np.int64], after: NDArray[np.int64]) -> None:
@@ -100,38 +166,72 @@ class Execution(ABC):
 
     @abstractmethod
     def reward(
+        self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
+    ) -> None:
+        """Fill in the rewards and ends of ``after`` by :func:`team_step.reward`."""
+
+    @abstractmethod
+    def write(
+        self,
+        teams: Teams,
+        which: NDArray[np.int64],
+        groups: tuple[Group, ...],
+        in_place: bool = False,
+    ) -> None:
+        """Write observations of M teams, tracing the lidars that they show.
+
+        Args:
+            teams: all teams.
+            which: numbers of the M teams.
+            groups: what to write.
+            in_place: write into the rows of these numbers, not into the first M rows.
+        """
+
+    def step(
         self,
         teams: Teams,
         alert: NDArray[np.int64],
-        after: NDArray[np.int64],
-        readings: Readings,
-        rewards: NDArray[np.float64],
-        ends: NDArray[np.bool_],
-    ) -> None:
-        """Fill in ``rewards`` and ``ends`` by :func:`team_step.reward`."""
-
-    @abstractmethod
-    def write(self, teams: Teams, which: NDArray[np.int64], groups: tuple[Group, ...]) -> None:
-        """Write observations of the M teams in ``which``, tracing the lidars that they show."""
-
-    def step(self, teams: Teams, alert: NDArray[np.int64], groups: tuple[Group, ...] = ()) -> After:
+        totals: NDArray[np.float64],
+        groups: tuple[Group, ...] = (),
+    ) -> After:
         """Take a step in which both agents have acted.
 
         Args:
             teams: before the step.
             alert: a^A_t.
+            totals: sums over the episodes, added to.
             groups: observations after the step, to be written for every team.
         """
-        after = np.empty_like(teams.state)
-        self.decide(teams, alert, after)
-        readings = self._move_world(teams, after)
-        rewards, ends = new_rewards(len(alert))
-        self.reward(teams, alert, after, readings, rewards, ends)
+        state = np.empty_like(teams.state)
+        self.decide(teams, alert, state)
+        readings = self._move_world(teams, state)
+        after = After(state, readings, *new_rewards(len(alert)))
+        self.reward(teams, alert, after, totals)
         if groups:
             none = np.zeros(len(alert), np.bool_)
-            then = teams._replace(state=after, readings=readings, intent_given=none)
+            then = teams._replace(state=state, readings=readings, intent_given=none)
             self.write(then, np.arange(len(alert)), groups)
-        return After(after, readings, rewards, ends)
+        return after
+
+    def wrong_action(self, actions: NDArray[Any], team: int, column: int) -> WrongActionError:
+        """Error about an action of :meth:`whole`."""
+        return WrongActionError(int(team), int(column), actions[team, column])
+
+    def check_intent(
+        self, found: NDArray[np.int64], actions: NDArray[np.int64], choices: int
+    ) -> None:
+        """Raise if a driver had acted already, or acted by no action; -1 stands for neither."""
+        if found[0] >= 0:
+            raise ValueError("the drivers have already acted in this step; now alert with step()")
+        _check_found(DRIVER, found[1], actions, choices)
+
+    def check_admission(
+        self, found: NDArray[np.int64], alerts: NDArray[np.int64], choices: int
+    ) -> None:
+        """Raise if a driver has not acted, or an alert is none; -1 stands for neither."""
+        if found[0] >= 0:
+            raise ValueError("the driver acts first: call intend() with the driver's action")
+        _check_found(VEHICLE_AI, found[1], alerts, choices)
 
     def _move_world(self, teams: Teams, after: NDArray[np.int64]) -> Readings:
         """Move the cars, but those that are crashed: these stand."""
@@ -145,25 +245,73 @@ class Execution(ABC):
 
     def _shown(self, teams: Teams, groups: tuple[Group, ...]) -> Shown:
         """What observations show, with those lidars that the groups read."""
-        count = len(teams.active)
         true, perceived = (
-            np.require(self.world.lidar(inflated), np.float32, ("C", "W")).reshape(count, -1)
-            if any(group.columns.shows_lidar(inflated) for group in groups)
-            else self._no_lidar
-            for inflated in (False, True)
+            self._scaled_lidar(inflated) if wanted else self._no_lidar
+            for inflated, wanted in (
+                (False, any(group.shows_true_lidar for group in groups)),
+                (True, any(group.shows_perceived_lidar for group in groups)),
+            )
         )
         return Shown(
             true, perceived, *teams.readings, teams.state, teams.intent_given, teams.traits
+        )
+
+    def _scaled_lidar(self, inflated: bool) -> NDArray[np.float32]:
+        """A lidar of every team as it is shown, shape (N, 2 cells)."""
+        lidar = np.asarray(self.world.lidar(inflated), np.float32)
+        shown = np.empty((len(lidar), self._no_lidar.shape[1]), np.float32)
+        observation_values.scale_lidar(shown, EVERY, lidar.reshape(shown.shape), self.rules.scales)
+        return shown
+
+
+def _check_found(agent: str, team: int, actions: NDArray[np.int64], choices: int) -> None:
+    if team >= 0:
+        raise ValueError(
+            f"{agent} action {actions[team]} is out of range: it is one of 0 to {choices - 1}"
         )
 
 
 class InNumPy(Execution):
     """Apply the rules to the arrays of all teams at once."""
 
-    def first_wrong(self, actions: NDArray[np.int64], acts: NDArray[np.bool_], choices: int) -> int:
-        """See :meth:`Execution.first_wrong`."""
-        wrong = acts & ((actions < 0) | (actions >= choices))
-        return int(wrong.argmax()) if wrong.any() else -1
+    def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
+        """See :meth:`Execution.whole`."""
+        with np.errstate(invalid="ignore"):  # NaN, which is found next
+            whole = actions.astype(np.int64)
+        wrong = (whole != actions) | (whole < 0) | (whole >= sizes)
+        if wrong.any():
+            column, team = np.argwhere(wrong.T)[0]
+            raise self.wrong_action(actions, team, column)
+        return np.ascontiguousarray(whole.T)
+
+    def intend(
+        self,
+        actions: NDArray[np.int64],
+        choices: int,
+        acts: NDArray[np.bool_],
+        over: NDArray[np.bool_],
+        state: NDArray[np.int64],
+        given: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """See :meth:`Execution.intend`."""
+        on, after = acts & ~over, state.copy()
+        wrong = on & ((actions < 0) | (actions >= choices))
+        self.check_intent(_first(on & given, wrong), actions, choices)
+        np.copyto(after[team_step.PREVIOUS], state[team_step.INTENDED], where=on)
+        np.copyto(after[team_step.INTENDED], actions, where=on)
+        return after, given | on
+
+    def admit(
+        self,
+        alerts: NDArray[np.int64],
+        choices: int,
+        over: NDArray[np.bool_],
+        given: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """See :meth:`Execution.admit`."""
+        wrong = ~over & ((alerts < 0) | (alerts >= choices))
+        self.check_admission(_first(~over & ~given, wrong), alerts, choices)
+        return ~over, np.where(over, 0, alerts)
 
     def decide(self, teams: Teams, alert: NDArray[np.int64], after: NDArray[np.int64]) -> None:
         """See :meth:`Execution.decide`."""
@@ -173,25 +321,33 @@ class InNumPy(Execution):
             team_step.decide(EVERY, active, alert, state, seeds, traits, window, effects, after)
 
     def reward(
-        self,
-        teams: Teams,
-        alert: NDArray[np.int64],
-        after: NDArray[np.int64],
-        readings: Readings,
-        rewards: NDArray[np.float64],
-        ends: NDArray[np.bool_],
+        self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
     ) -> None:
         """See :meth:`Execution.reward`."""
-        settings = self.rules.settings
+        state, readings, rewards, ends = after
+        before, active, settings = teams.state, teams.active, self.rules.settings
         team_step.reward(
-            EVERY, teams.active, alert, teams.state, after, *readings, settings, rewards, ends
+            EVERY, active, alert, before, state, *readings, settings, rewards, ends, totals
         )
 
-    def write(self, teams: Teams, which: NDArray[np.int64], groups: tuple[Group, ...]) -> None:
+    def write(
+        self,
+        teams: Teams,
+        which: NDArray[np.int64],
+        groups: tuple[Group, ...],
+        in_place: bool = False,
+    ) -> None:
         """See :meth:`Execution.write`."""
-        shown = self._shown(teams, groups)
-        for rows, columns in groups:
-            observation_values.write(rows, EVERY, columns, which, shown, self.rules.scales)
+        shown, rows = self._shown(teams, groups), which if in_place else EVERY
+        for group in groups:
+            observation_values.write(
+                group.rows, rows, group.columns, which, shown, self.rules.scales
+            )
+
+
+def _first(*marks: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """First team of each mark, -1 where there is none."""
+    return np.array([each.argmax() if each.any() else -1 for each in marks])
 
 
 def execution_for(world: World, num_teams: int, rules: Rules) -> Execution:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs import alerts, attention, elementwise, rewards, streams, team_step
 from hmi_marl.envs import observation_values as values
-from hmi_marl.envs.execution import After, Execution, Group, Teams, new_rewards
-from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
+from hmi_marl.envs.execution import After, Execution, Group, Rules, Teams, new_rewards
+from hmi_marl.envs.worlds.base import CRASHED, SPEED
 from hmi_marl.envs.worlds.batched import BatchedWorld
-from hmi_marl.envs.worlds.batched.compiler import kernel, prepare
-from hmi_marl.envs.worlds.batched.kernels import Merges, halt_world, look, move_world
+from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare
+from hmi_marl.envs.worlds.batched.kernels import TAKEN, TRACED, Merges, halt_world, look, move_world
 from hmi_marl.envs.worlds.batched.threads import share, take
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
@@ -35,6 +35,7 @@ for rule in (
     streams.unit_draw,
     team_step.decide,
     team_step.reward,
+    values.scale_lidar,
     values.write,
 ):
     register_jitable(**_OPTIONS)(rule)
@@ -73,30 +74,68 @@ def _put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> Any
     return put_one_hot
 
 
-@overload(elementwise.put_scaled, jit_options=_OPTIONS, strict=False)
-def _put_scaled(
-    rows: Any, row: Any, column: Any, low: Any, high: Any, values: Any, scale: Any
-) -> Any:
-    def put_scaled(
-        rows: Any, row: Any, column: Any, low: Any, high: Any, values: Any, scale: Any
-    ) -> None:
+@overload(elementwise.put_row, jit_options=_OPTIONS, strict=False)
+def _put_row(rows: Any, row: Any, column: Any, values: Any) -> Any:
+    def put_row(rows: Any, row: Any, column: Any, values: Any) -> None:
         if column >= 0:
             for place in range(len(values)):
-                where = column + place
-                rows[row, where] = elementwise.within(
-                    values[place] / scale, low[where], high[where]
-                )
+                rows[row, column + place] = values[place]
 
-    return put_scaled
+    return put_row
+
+
+@overload(elementwise.scale_row, jit_options=_OPTIONS, strict=False)
+def _scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> Any:
+    def scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> None:
+        for place in range(len(values)):
+            rows[row, place] = elementwise.within(values[place] / scale, -bound, bound)
+
+    return scale_row
 
 
 @kernel
-def find_wrong(progress, actions, acts, choices, found):
-    """Put the first team that acts by a number outside 0 to choices - 1 into ``found``."""
-    for k in range(len(actions)):
-        if acts[k] and not 0 <= actions[k] < choices:
+def check_actions(progress, actions, sizes, columns, found):
+    """Copy actions of shape (N, C) to int64 of shape (C, N), in which they are whole numbers.
+
+    ``found`` becomes the team and column of the first that is not, or not below its column's size.
+    """
+    for column in range(len(sizes)):
+        for team in range(len(actions)):
+            value = actions[team, column]
+            if not 0 <= value < sizes[column] or value != np.int64(value):
+                found[0], found[1] = team, column
+                return
+            columns[column, team] = np.int64(value)
+
+
+@kernel
+def intend_teams(progress, actions, choices, acts, over, state, given, after, after_given, found):
+    """Put the drivers' actions into a state; see :meth:`Execution.intend`."""
+    for k in range(len(over)):
+        on = acts[k] and not over[k]
+        if on and given[k] and found[0] < 0:
             found[0] = k
-            return
+        if on and not 0 <= actions[k] < choices and found[1] < 0:
+            found[1] = k
+        for row in range(len(state)):
+            after[row, k] = state[row, k]
+        if on:
+            after[team_step.PREVIOUS, k] = state[team_step.INTENDED, k]
+            after[team_step.INTENDED, k] = actions[k]
+        after_given[k] = given[k] or on
+
+
+@kernel
+def admit_alerts(progress, alerts, choices, over, given, active, alert, found):
+    """Find out which teams take a step, and by which alerts; see :meth:`Execution.admit`."""
+    for k in range(len(over)):
+        on = not over[k]
+        if on and not given[k] and found[0] < 0:
+            found[0] = k
+        if on and not 0 <= alerts[k] < choices and found[1] < 0:
+            found[1] = k
+        active[k] = on
+        alert[k] = alerts[k] if on else 0
 
 
 @kernel
@@ -112,7 +151,7 @@ def decide_teams(progress, teams, alert, rules, after):
 
 
 @kernel
-def reward_teams(progress, teams, alert, rules, after, readings, rewards, ends):
+def reward_teams(progress, teams, alert, rules, after, readings, rewards, ends, totals):
     """Apply :func:`team_step.reward` to every team."""
     state, _, _, _, active, _ = teams
     _, _, settings, _ = rules
@@ -121,13 +160,13 @@ def reward_teams(progress, teams, alert, rules, after, readings, rewards, ends):
     while first < last:
         for k in range(first, last):
             team_step.reward(
-                k, active, alert, state, after, numbers, flags, settings, rewards, ends
+                k, active, alert, state, after, numbers, flags, settings, rewards, ends, totals
             )
         first, last = take(progress, last - first, len(active))
 
 
 @kernel
-def write_teams(progress, which, shown, rules, groups):
+def write_teams(progress, which, in_place, shown, rules, groups):
     """Write the observations of the teams in ``which`` into the rows of each group.
 
     Groups that are not wanted have no rows.
@@ -135,31 +174,51 @@ def write_teams(progress, which, shown, rules, groups):
     _, _, _, scales = rules
     first, last = take(progress, 0, len(which))
     while first < last:
-        for row in range(first, last):
+        for place in range(first, last):
+            k = which[place]
+            row = k if in_place else place
             for rows, columns in groups:
                 if len(rows):
-                    values.write(rows, row, columns, which[row], shown, scales)
+                    values.write(rows, row, columns, k, shown, scales)
         first, last = take(progress, last - first, len(which))
 
 
+@inlined
+def look_and_scale(k, merges, true, perceived, lidars, shown, scales):
+    """Trace those lidars of team k that are wanted and have changed, and scale them."""
+    look(k, merges, true, perceived)
+    true_lidar, perceived_lidar = lidars
+    if true and merges.true_news[k] == TRACED:
+        values.scale_lidar(shown.true_lidar, k, true_lidar, scales)
+        merges.true_news[k] = TAKEN
+    if perceived and merges.perceived_news[k] == TRACED:
+        values.scale_lidar(shown.perceived_lidar, k, perceived_lidar, scales)
+        merges.perceived_news[k] = TAKEN
+
+
 @kernel
-def look_and_write_teams(progress, merges, true, perceived, which, shown, rules, groups):
+def look_and_write_teams(
+    progress, merges, true, perceived, lidars, which, in_place, shown, rules, groups
+):
     """Trace the lidars that are read and have changed, then do as :func:`write_teams`."""
     _, _, _, scales = rules
     first, last = take(progress, 0, len(which))
     while first < last:
-        for row in range(first, last):
-            look(which[row], merges, true, perceived)
+        for place in range(first, last):
+            k = which[place]
+            row = k if in_place else place
+            look_and_scale(k, merges, true, perceived, lidars, shown, scales)
             for rows, columns in groups:
                 if len(rows):
-                    values.write(rows, row, columns, which[row], shown, scales)
+                    values.write(rows, row, columns, k, shown, scales)
         first, last = take(progress, last - first, len(which))
 
 
 @kernel
 def step_teams(
-    progress, merges, teams, alert, rules, after, rewards, ends, true, perceived, shown, groups
-):
+    progress, merges, teams, alert, rules, after, rewards, ends, totals,
+    true, perceived, lidars, shown, groups,
+):  # fmt: skip
     """Take a whole step of every team: decide, move, reward, look and write.
 
     One loop for all of it, since starting one on several threads costs as much as some of its
@@ -178,9 +237,9 @@ def step_teams(
                 elif numbers[SPEED, k] != 0.0:
                     halt_world(k, merges)
             team_step.reward(
-                k, active, alert, state, after, numbers, flags, settings, rewards, ends
+                k, active, alert, state, after, numbers, flags, settings, rewards, ends, totals
             )
-            look(k, merges, true, perceived)
+            look_and_scale(k, merges, true, perceived, lidars, shown, scales)
             for rows, columns in groups:
                 if len(rows):
                     values.write(rows, k, columns, k, shown, scales)
@@ -192,39 +251,73 @@ _GROUPS = 3
 _NO_COLUMNS = values.Columns(
     np.full(len(values.PARTS), -1), np.empty(0, np.float32), np.empty(0, np.float32)
 )
-_NO_GROUP = Group(np.empty((0, 0), np.float32), _NO_COLUMNS)
+_NO_GROUP = (np.empty((0, 0), np.float32), _NO_COLUMNS)
 
 
 class InLoops(Execution):
     """Apply the rules in compiled loops, in any world."""
 
-    def first_wrong(self, actions: NDArray[np.int64], acts: NDArray[np.bool_], choices: int) -> int:
-        """See :meth:`Execution.first_wrong`."""
-        found = np.full(1, -1)
-        self._run(find_wrong, len(acts), actions, acts, choices, found)
-        return int(found[0])
+    def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
+        """See :meth:`Execution.whole`."""
+        columns, found = np.empty((len(sizes), len(actions)), np.int64), np.full(2, -1)
+        check_actions(_NO_PROGRESS, actions, sizes, columns, found)
+        if found[0] >= 0:
+            raise self.wrong_action(actions, *found)
+        return columns
+
+    def intend(
+        self,
+        actions: NDArray[np.int64],
+        choices: int,
+        acts: NDArray[np.bool_],
+        over: NDArray[np.bool_],
+        state: NDArray[np.int64],
+        given: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """See :meth:`Execution.intend`."""
+        after, after_given, found = np.empty_like(state), np.empty_like(given), np.full(2, -1)
+        intend_teams(
+            _NO_PROGRESS, actions, choices, acts, over, state, given, after, after_given, found
+        )
+        self.check_intent(found, actions, choices)
+        return after, after_given
+
+    def admit(
+        self,
+        alerts: NDArray[np.int64],
+        choices: int,
+        over: NDArray[np.bool_],
+        given: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """See :meth:`Execution.admit`."""
+        active, alert, found = np.empty_like(over), np.empty_like(alerts), np.full(2, -1)
+        admit_alerts(_NO_PROGRESS, alerts, choices, over, given, active, alert, found)
+        self.check_admission(found, alerts, choices)
+        return active, alert
 
     def decide(self, teams: Teams, alert: NDArray[np.int64], after: NDArray[np.int64]) -> None:
         """See :meth:`Execution.decide`."""
         self._run(decide_teams, len(alert), teams, alert, self.rules, after)
 
     def reward(
-        self,
-        teams: Teams,
-        alert: NDArray[np.int64],
-        after: NDArray[np.int64],
-        readings: Readings,
-        rewards: NDArray[np.float64],
-        ends: NDArray[np.bool_],
+        self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
     ) -> None:
         """See :meth:`Execution.reward`."""
-        results = readings, rewards, ends
-        self._run(reward_teams, len(alert), teams, alert, self.rules, after, *results)
+        state, readings, rewards, ends = after
+        results = state, readings, rewards, ends, totals
+        self._run(reward_teams, len(alert), teams, alert, self.rules, *results)
 
-    def write(self, teams: Teams, which: NDArray[np.int64], groups: tuple[Group, ...]) -> None:
+    def write(
+        self,
+        teams: Teams,
+        which: NDArray[np.int64],
+        groups: tuple[Group, ...],
+        in_place: bool = False,
+    ) -> None:
         """See :meth:`Execution.write`."""
         shown = self._shown(teams, groups)
-        self._run(write_teams, len(which), which, shown, self.rules, _filled_up(groups))
+        arguments = which, in_place, shown, self.rules, _filled_up(groups)
+        self._run(write_teams, len(which), *arguments)
 
     def _run(self, loop: Any, count: int, *arguments: Any) -> None:
         _prepare(loop, *arguments)
@@ -236,53 +329,68 @@ class InOneLoop(InLoops):
 
     world: BatchedWorld
 
-    def write(self, teams: Teams, which: NDArray[np.int64], groups: tuple[Group, ...]) -> None:
+    def __init__(self, world: BatchedWorld, rules: Rules) -> None:
+        super().__init__(world, rules)
+        cells = 2 * world.scene.lidar_cells
+        self._lidars = tuple(np.zeros((world.num_worlds, cells), np.float32) for _ in range(2))
+        """The lidars as they are shown."""
+
+    def write(
+        self,
+        teams: Teams,
+        which: NDArray[np.int64],
+        groups: tuple[Group, ...],
+        in_place: bool = False,
+    ) -> None:
         """See :meth:`Execution.write`."""
         merges = self.world.arrays()
-        shown = self._showing(merges, teams.state, teams, *teams.readings)
-        arguments = merges, *_lidars(groups), which, shown, self.rules, _filled_up(groups)
-        _prepare(look_and_write_teams, *arguments)
+        shown = values.Shown(
+            *self._lidars, *teams.readings, teams.state, teams.intent_given, teams.traits
+        )
+        arguments = (
+            *self._looking(merges, groups), which, in_place, shown, self.rules, _filled_up(groups),
+        )  # fmt: skip
+        _prepare(look_and_write_teams, merges, *arguments)
         threads = self.world.sharing(len(which))
-        share(look_and_write_teams, len(which), threads, *arguments)
+        share(look_and_write_teams, len(which), threads, merges, *arguments)
 
-    def step(self, teams: Teams, alert: NDArray[np.int64], groups: tuple[Group, ...] = ()) -> After:
+    def step(
+        self,
+        teams: Teams,
+        alert: NDArray[np.int64],
+        totals: NDArray[np.float64],
+        groups: tuple[Group, ...] = (),
+    ) -> After:
         """See :meth:`Execution.step`."""
-        merges, after = self.world.arrays(), np.empty_like(teams.state)
+        merges, state = self.world.arrays(), np.empty_like(teams.state)
         rewards, ends = new_rewards(len(alert))
-        then = teams._replace(intent_given=np.zeros(len(alert), np.bool_))
-        shown = self._showing(merges, after, then, merges.numbers, merges.flags)
-        results = after, rewards, ends, *_lidars(groups), shown, _filled_up(groups)
-        arguments = merges, teams, alert, self.rules, *results
+        none = np.zeros(len(alert), np.bool_)
+        shown = values.Shown(*self._lidars, merges.numbers, merges.flags, state, none, teams.traits)
+        arguments = (
+            merges, teams, alert, self.rules, state, rewards, ends, totals,
+            *self._looking(merges, groups), shown, _filled_up(groups),
+        )  # fmt: skip
         _prepare(step_teams, *arguments)
         self.world.take_step(step_teams, *arguments)
-        return After(after, self.world.readings(), rewards, ends)
+        return After(state, self.world.readings(), rewards, ends)
 
-    def _showing(
-        self,
-        merges: Merges,
-        state: NDArray[np.int64],
-        teams: Teams,
-        numbers: NDArray[np.float64],
-        flags: NDArray[np.int64],
-    ) -> values.Shown:
-        shape = len(teams.active), -1
+    def _looking(self, merges: Merges, groups: tuple[Group, ...]) -> tuple[Any, ...]:
+        """Which lidars are read, and the lidars in the shape in which they are shown."""
+        true = any(group.shows_true_lidar for group in groups)
+        perceived = any(group.shows_perceived_lidar for group in groups)
+        shape = self._lidars[0].shape
         lidars = merges.true_lidar.reshape(shape), merges.perceived_lidar.reshape(shape)
-        return values.Shown(*lidars, numbers, flags, state, teams.intent_given, teams.traits)
+        return true, perceived, lidars
 
 
-def _lidars(groups: tuple[Group, ...]) -> tuple[bool, bool]:
-    """Whether the groups show the true lidar, and the perceived one."""
-    true, perceived = (
-        any(group.columns.shows_lidar(inflated) for group in groups) for inflated in (False, True)
-    )
-    return true, perceived
-
-
-def _filled_up(groups: tuple[Group, ...]) -> tuple[Group, ...]:
+def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[Any, Any], ...]:
     """As many groups as the loops are compiled for."""
-    return (*groups, *[_NO_GROUP] * (_GROUPS - len(groups)))
+    given = [(group.rows, group.columns) for group in groups]
+    return (*given, *[_NO_GROUP] * (_GROUPS - len(groups)))
 
 
+_NO_PROGRESS = np.zeros(2, np.int64)
+"""For loops that one thread alone runs."""
 _prepared: set[str] = set()
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hmi_marl.envs import team_step
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import MAX_INFLATION
-from hmi_marl.envs.elementwise import choose, put, put_one_hot, put_scaled
-from hmi_marl.envs.observations import FASTEST, Layout
+from hmi_marl.envs.elementwise import choose, put, put_one_hot, put_row, scale_row
+from hmi_marl.envs.observations import FASTEST, Layout, lidar_bound
 from hmi_marl.envs.scene import LANE_WIDTH
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, base
 
@@ -89,7 +89,7 @@ class Shown(NamedTuple):
     """Everything about N teams that observations show; for the rows see :mod:`team_step`."""
 
     true_lidar: NDArray[np.float32]
-    """Shape (N, 2 cells), as :meth:`World.lidar` returns it; not read if no column shows it."""
+    """Shape (N, 2 cells), scaled by :func:`scale_lidar`; not read if no column shows it."""
     perceived_lidar: NDArray[np.float32]
     numbers: NDArray[np.float64]
     """Readings of the driven cars."""
@@ -104,6 +104,7 @@ class Scales(NamedTuple):
     """Constants of a team's settings that scale what observations show."""
 
     lidar_range: np.float32
+    lidar_bound: np.float32
     length: float
     """Length of the road [m]."""
     lanes: int
@@ -121,6 +122,7 @@ def scales_of(config: TeamConfig) -> Scales:
     scene, effects = config.scene, config.alerts.effects
     return Scales(
         np.float32(scene.lidar_range),
+        np.float32(lidar_bound(scene)),
         float(scene.length),
         scene.lanes + 1,
         config.horizon,
@@ -128,6 +130,13 @@ def scales_of(config: TeamConfig) -> Scales:
         effects.scale,
         effects.strengths,
     )
+
+
+def scale_lidar(
+    shown: NDArray[np.float32], k: Any, lidar: NDArray[np.float32], scales: Scales
+) -> None:
+    """Write what is shown of team k's lidar, (N, 2 cells): over its range, as highway-env does."""
+    scale_row(shown, k, lidar[k], scales.lidar_range, scales.lidar_bound)
 
 
 def write(
@@ -145,11 +154,11 @@ def write(
     """
     first, low, high = columns.first, columns.low, columns.high
     numbers, state, traits = shown.numbers, shown.state, shown.traits
-    reach, strengths = scales.lidar_range, scales.strengths
+    strengths = scales.strengths
     if first[TRUE_LIDAR] >= 0:
-        put_scaled(rows, row, first[TRUE_LIDAR], low, high, shown.true_lidar[k], reach)
+        put_row(rows, row, first[TRUE_LIDAR], shown.true_lidar[k])
     if first[PERCEIVED_LIDAR] >= 0:
-        put_scaled(rows, row, first[PERCEIVED_LIDAR], low, high, shown.perceived_lidar[k], reach)
+        put_row(rows, row, first[PERCEIVED_LIDAR], shown.perceived_lidar[k])
     put(rows, row, first[SPEED], low, high, numbers[base.SPEED, k] / FASTEST)
     put(rows, row, first[TARGET_SPEED], low, high, numbers[base.TARGET_SPEED, k] / FASTEST)
     put(rows, row, first[HEADING], low, high, numbers[base.HEADING, k] / np.pi)

@@ -105,8 +105,13 @@ class Layout:
         )
 
 
+def lidar_bound(scene: Scene) -> float:
+    """Largest absolute value that a lidar part shows."""
+    return max(1.0, 2 * FASTEST * 1.05 / scene.lidar_range)
+
+
 def _lidar(name: str, scene: Scene, sizes: str) -> Part:
-    bound = max(1.0, 2 * FASTEST * 1.05 / scene.lidar_range)
+    bound = lidar_bound(scene)
     meaning = f"(distance, relative radial speed) per ray over {scene.lidar_range:g}, {sizes}"
     return Part(name, 2 * scene.lidar_cells, -bound, bound, meaning)
 

@@ -1,4 +1,4 @@
-"""The eight reward terms of the paper's reward table, by name, and their sums over an episode."""
+"""The eight reward terms of the paper's reward table, by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs.elementwise import EVERY, choose
+from hmi_marl.envs.elementwise import choose
 from hmi_marl.envs.streams import check_number
 
 DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
@@ -188,35 +188,3 @@ def share(
     values = tuple(terms[name] for name in TERMS)
     driver, vehicle_ai = (add_up(values, which) for which in places(sharing))
     return driver, vehicle_ai
-
-
-class EpisodeTotals:
-    """Sums over the present episode of each of N teams: return, terms, length, crashes, alerts."""
-
-    names = ("return", *TERMS, "length", "crash_rate", "alerts")
-
-    def __init__(self, num_teams: int) -> None:
-        self._sums = np.zeros((len(self.names), num_teams))
-
-    def add(
-        self,
-        rewards: NDArray[np.float64],
-        terms: NDArray[np.float64],
-        alerted: NDArray[np.int64],
-        crashed: NDArray[np.bool_],
-    ) -> None:
-        """Add one step; ``terms`` has shape (8, N). An alert counts as one, however strong."""
-        sums = self._sums
-        sums[0] += rewards
-        sums[1 : 1 + len(TERMS)] += terms
-        sums[-3] += 1
-        sums[-2] = crashed
-        sums[-1] += alerted > 0
-
-    def of(self, teams: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Sums of M teams, shape (len(names), M); crash_rate is 1 where the car is crashed."""
-        return self._sums[:, teams]
-
-    def clear(self, teams: NDArray[np.int64] | slice = EVERY) -> None:
-        """Start again from 0 in some teams, all by default."""
-        self._sums[:, teams] = 0.0

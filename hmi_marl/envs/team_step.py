@@ -40,8 +40,12 @@ _TERMS = len(TERMS)
 OF_DRIVER, OF_VEHICLE_AI = _TERMS, _TERMS + 1
 SUMS = _TERMS + 2
 """Rows of rewards, float64 of shape (10, N): each of ``TERMS``, then each agent's sum."""
-TERMINATED, TRUNCATED, OVER = range(3)
-"""Rows of ends, bool of shape (3, N)."""
+TERMINATED, TRUNCATED, ENDED, OVER = range(4)
+"""Rows of ends, bool of shape (4, N). ENDED: in this step; OVER: in this or an earlier one."""
+OF_BOTH, LENGTH, ALERTS = range(SUMS, SUMS + 3)
+TOTALS = SUMS + 3
+"""Rows of totals, sums over the present episode, float64 of shape (13, N): those of rewards, then
+the sum of both agents, the number of steps and of alerts."""
 
 
 def decide(
@@ -130,6 +134,7 @@ def reward(
     settings: Settings,
     rewards: NDArray[np.float64],
     ends: NDArray[np.bool_],
+    totals: NDArray[np.float64],
 ) -> None:
     """Fill in the terms, rewards and ends of team k; a team that had ended gets zeros.
 
@@ -141,6 +146,7 @@ def reward(
         numbers, flags: readings of the driven cars after the step.
         settings: constants.
         rewards, ends: to be filled.
+        totals: to be added to.
     """
     on, crashed, intended = active[k], flags[CRASHED, k] == 1, state[INTENDED, k]
     values = driving_values(
@@ -156,13 +162,23 @@ def reward(
         state[DISTRACTED, k],
         after[DISTRACTED, k],
     )
+    driver = choose(on, add_up(values, settings.driver_terms), 0.0)
+    vehicle_ai = choose(on, add_up(values, settings.vehicle_ai_terms), 0.0)
     for term in range(_TERMS):
-        rewards[term, k] = choose(on, values[term], 0.0)
-    rewards[OF_DRIVER, k] = choose(on, add_up(values, settings.driver_terms), 0.0)
-    rewards[OF_VEHICLE_AI, k] = choose(on, add_up(values, settings.vehicle_ai_terms), 0.0)
+        value = choose(on, values[term], 0.0)
+        rewards[term, k] = value
+        totals[term, k] += value
+    rewards[OF_DRIVER, k] = driver
+    rewards[OF_VEHICLE_AI, k] = vehicle_ai
+    totals[OF_DRIVER, k] += driver
+    totals[OF_VEHICLE_AI, k] += vehicle_ai
+    totals[OF_BOTH, k] += driver + vehicle_ai
+    totals[LENGTH, k] += choose(on, 1.0, 0.0)
+    totals[ALERTS, k] += choose(on & (alert[k] > 0), 1.0, 0.0)
     terminated = on & crashed & settings.end_at_crash
     late = after[STEPS, k] >= settings.horizon
     truncated = on & np.logical_not(terminated) & late
     ends[TERMINATED, k] = terminated
     ends[TRUNCATED, k] = truncated
+    ends[ENDED, k] = terminated | truncated
     ends[OVER, k] = np.logical_not(on) | terminated | truncated

@@ -10,8 +10,9 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,12 +22,13 @@ from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
 from hmi_marl.envs.execution import Group, Rules, Teams, execution_for, read_world
-from hmi_marl.envs.observation_values import Columns, columns_of
+from hmi_marl.envs.observation_values import columns_of
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.team_step import (
     ALERTED,
     APPLIED,
     DISTRACTED,
+    ENDED,
     FATIGUE,
     INFLATION,
     INTENDED,
@@ -38,6 +40,7 @@ from hmi_marl.envs.team_step import (
     ROWS,
     STEPS,
     TERMINATED,
+    TOTALS,
     TRUNCATED,
 )
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
@@ -66,8 +69,8 @@ class StepResult:
     """The episode ended by a crash."""
     truncated: NDArray[np.bool_]
     """The episode's time is over."""
-    table: NDArray[np.float64]
-    """The reward terms again, shape (8, N), in the order of ``TERMS``."""
+    ended: NDArray[np.bool_]
+    """The episode ended, one way or the other."""
     views: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Observations after the step that were asked for, by name; see :meth:`Teaming.views`."""
 
@@ -99,9 +102,11 @@ class Teaming:
             VEHICLE_AI: obs.vehicle_ai_layout(config),
         }
         self.state_layout = obs.state_layout(config)
-        self._columns: dict[tuple[str, tuple[str, ...] | None], Columns] = {}
+        self._columns: dict[tuple[str, tuple[str, ...] | None], Group] = {}
         self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
+        self._everywhere = np.ones(num_teams, np.bool_)
+        self._totals = np.zeros((TOTALS, num_teams))
         self._every = np.arange(num_teams)
         self._state = np.repeat(_AT_START[:, None], num_teams, axis=1)
         self._traits = np.zeros((len(TRAIT_NAMES), num_teams))
@@ -204,6 +209,7 @@ class Teaming:
         self.over[teams] = self.intent_given[teams] = False
         self._change_drivers(teams, drawn)
         self._state[:, teams] = _AT_START[:, None]  # a copy by now
+        self._totals[:, teams] = 0.0
         if hasattr(self.world, "begin"):
             self.world.begin(teams, seeds, drawn.inflation)
         else:
@@ -280,14 +286,11 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or a second intent in the same step.
         """
-        acts = ~self.over if which is None else check_mask(which, self.num_teams) & ~self.over
-        if (acts & self.intent_given).any():
-            raise ValueError("the drivers have already acted in this step; now alert with step()")
-        actions = self._checked(driver_actions, len(VEHICLE_ACTIONS), "driver", acts)
-        state = self._state.copy()
-        np.copyto(state[PREVIOUS], self.intended, where=acts)
-        np.copyto(state[INTENDED], actions, where=acts)
-        self._state, self.intent_given = state, self.intent_given | acts
+        acts = self._everywhere if which is None else check_mask(which, self.num_teams)
+        actions = self._checked(driver_actions, DRIVER)
+        self._state, self.intent_given = self._execution.intend(
+            actions, len(VEHICLE_ACTIONS), acts, self.over, self._state, self.intent_given
+        )
 
     def withdraw(self) -> None:
         """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called."""
@@ -308,13 +311,13 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        teams = self._teams()
-        if not self.intent_given[teams.active].all():
-            raise ValueError("the driver acts first: call intend() with the driver's action")
-        alert = self._checked(alerts, self.alerts.choices, "vehicle_ai", teams.active)
+        active, alert = self._execution.admit(
+            self._checked(alerts, VEHICLE_AI), self.alerts.choices, self.over, self.intent_given
+        )
         groups = {name: self._group(name, self.num_teams) for name in views}
-        after = self._execution.step(teams, alert, tuple(groups.values()))
-        self._state, self._readings, rewards, ends = after
+        self._state, self._readings, rewards, ends = self._execution.step(
+            self._teams(active), alert, self._totals, tuple(groups.values())
+        )
         self.intent_given = np.zeros(self.num_teams, np.bool_)
         self.over = ends[OVER]
         return StepResult(
@@ -322,13 +325,19 @@ class Teaming:
             dict(zip(TERMS, rewards, strict=False)),
             ends[TERMINATED],
             ends[TRUNCATED],
-            rewards[: len(TERMS)],
+            ends[ENDED],
             {name: group.rows for name, group in groups.items()},
         )
 
-    def _teams(self) -> Teams:
-        state, readings, traits = self._state, self._readings, self._traits
-        return Teams(state, readings, traits, self.seeds, ~self.over, self.intent_given)
+    def totals(self, teams: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Sums over the present episodes of M teams, (13, M); rows as in :mod:`team_step`."""
+        return self._totals[:, teams]
+
+    def _teams(self, active: NDArray[np.bool_] | None = None) -> Teams:
+        active = self._everywhere if active is None else active  # not read where nothing moves
+        return Teams(
+            self._state, self._readings, self._traits, self.seeds, active, self.intent_given
+        )
 
     def observe(self, agent: str, parts: Iterable[str] | None = None) -> NDArray[np.float32]:
         """Return the agent's observations, shape (N, layout's size); see :mod:`observations`.
@@ -343,7 +352,7 @@ class Teaming:
         if parts is None:
             return self.views((agent,))[agent]
         rows = np.zeros((self.num_teams, self.layouts[agent].size), np.float32)
-        group = Group(rows, self._columns_of(agent, tuple(parts)))
+        group = self._columns_of(agent, tuple(parts)).another(rows)
         self._execution.write(self._teams(), self._every, (group,))
         return rows
 
@@ -372,14 +381,21 @@ class Teaming:
     def _group(self, name: str, count: int) -> Group:
         """Room for one observation of so many teams."""
         rows = np.empty((count, self._layout(name).size), np.float32)
-        return Group(rows, self._columns_of(name))
+        return self._columns_of(name).another(rows)
+
+    def write(self, views: Mapping[str, NDArray[np.float32]], teams: NDArray[np.int64]) -> None:
+        """Write the rows of M teams anew into observations that :meth:`views` or step gave."""
+        groups = tuple(self._columns_of(name).another(rows) for name, rows in views.items())
+        self._execution.write(self._teams(), teams, groups, in_place=True)
 
     def _layout(self, name: str) -> obs.Layout:
         return self.state_layout if name == STATE else self.layouts[name]
 
-    def _columns_of(self, name: str, parts: tuple[str, ...] | None = None) -> Columns:
+    def _columns_of(self, name: str, parts: tuple[str, ...] | None = None) -> Group:
+        """An observation's columns, without rows."""
         if (name, parts) not in self._columns:
-            self._columns[name, parts] = columns_of(self._layout(name), name, parts)
+            columns = columns_of(self._layout(name), name, parts)
+            self._columns[name, parts] = Group.of(np.empty((0, 0), np.float32), columns)
         return self._columns[name, parts]
 
     def time_headway(self) -> NDArray[np.float64]:
@@ -387,6 +403,10 @@ class Teaming:
         speed, gap = self._readings.numbers[[SPEED, GAP]]
         moving = speed > 0
         return np.where(moving, np.maximum(gap, 0.0) / np.where(moving, speed, 1.0), np.inf)
+
+    def whole_actions(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
+        """Return actions of shape (N, C) as int64 of shape (C, N); see :meth:`Execution.whole`."""
+        return self._execution.whole(actions, sizes)
 
     def _checked_seeds(self, seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:
         given = np.asarray(seeds)
@@ -398,23 +418,16 @@ class Teaming:
             raise ValueError(f"a seed lies in [0, 2^64), but got {given[fresh].min()}")
         return given.astype(np.uint64)
 
-    def _checked(
-        self, actions: ArrayLike, count: int, agent: str, acts: NDArray[np.bool_]
-    ) -> NDArray[np.int64]:
+    def _checked(self, actions: ArrayLike, agent: str) -> NDArray[np.int64]:
+        """Return actions as int64, or raise if they have another shape or type."""
         given = np.asarray(actions)
         if given.shape != (self.num_teams,):
             raise ValueError(
                 f"{agent} actions have shape ({self.num_teams},), but got {given.shape}"
             )
-        if not np.issubdtype(given.dtype, np.integer):
+        if given.dtype.kind not in "iu":
             raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
-        given = np.require(given, np.int64, ("C", "W"))
-        wrong = self._execution.first_wrong(given, acts, count)
-        if wrong >= 0:
-            raise ValueError(
-                f"{agent} action {given[wrong]} is out of range: it is one of 0 to {count - 1}"
-            )
-        return given if acts.all() else np.where(acts, given, 0)
+        return np.require(given, np.int64, ("C", "W"))
 
 
 def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:

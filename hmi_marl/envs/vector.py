@@ -39,10 +39,12 @@ from tensordict import TensorDict
 from hmi_marl.checks import check_choice
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.envs.execution import WrongActionError
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.envs.rewards import EpisodeTotals
+from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
 from hmi_marl.envs.streams import EpisodeSeeds, check_seed
+from hmi_marl.envs.team_step import ALERTS, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
 from hmi_marl.envs.teaming import STATE, StepResult, Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
@@ -59,7 +61,7 @@ GROUPS = (DRIVER, VEHICLE_AI, TRAITS, CRITIC)
 _VIEW = {DRIVER: DRIVER, VEHICLE_AI: VEHICLE_AI, CRITIC: STATE}
 """Names of groups among the views that a Teaming gives."""
 Views = dict[str, NDArray[np.float32]]
-_LOGGED = tuple(f"Episode/{name}" for name in EpisodeTotals.names)
+_LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "alerts"))
 
 _TRAITS = Layout(
     tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
@@ -125,10 +127,11 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         }
         """Description of the environment, fit for JSON; rsl_rl keeps it with the run."""
         self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
-        self._totals = EpisodeTotals(self.num_envs)
         self._groups = _checked_groups(groups)
         self._views = _views_of(self._groups)
         self._observations: dict[str, torch.Tensor] = {}
+        self._logged = [self._return, *range(len(TERMS)), LENGTH, ALERTS]
+        """Rows of totals that are logged."""
         self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
@@ -256,15 +259,13 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         else:
             result = self._turns.step(columns[0], views)
         rewards = self._rewards(result)
-        self._totals.add(rewards, result.table, self.teaming.alerted, self.teaming.crashed)
-        ended = result.terminated | result.truncated
         extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
         if self.seat == TEAM:
             extras["rewards"] = {
                 agent: self._tensor(values.astype(np.float32))
                 for agent, values in result.rewards.items()
             }
-        teams = np.flatnonzero(ended)
+        teams = np.flatnonzero(result.ended)
         if len(teams):
             extras |= self._final_extras(teams, result.views)
             self._begin(teams, result.views)
@@ -273,7 +274,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         return (
             self.get_observations(),
             self._tensor(rewards.astype(np.float32)),
-            self._tensor(ended.astype(np.int64)),
+            self._tensor(result.ended.astype(np.int64)),
             extras,
         )
 
@@ -300,7 +301,6 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self.teaming.reset(self._series.present)
         if self.partner is not None:
             self.partner.reset(self.teaming.seeds)
-        self._totals.clear()
         self._shown_traits = self._traits_of(np.arange(self.num_envs))
         self._observe({})
 
@@ -315,11 +315,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             which = np.zeros(self.num_envs, np.bool_)
             which[teams] = True
             self.partner.reset(self.teaming.seeds, which)
-        self._totals.clear(teams)
         self._shown_traits = self._shown_traits.copy()
         self._shown_traits[teams] = self._traits_of(teams)
-        for name, rows in self.teaming.views(tuple(views or ()), teams).items():
-            views[name][teams] = rows
+        if views:
+            self.teaming.write(views, teams)
         self._observe(views or {})
 
     def _traits_of(self, teams: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -332,6 +331,13 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._observations = self._as_groups(
             self._groups, views or self.teaming.views(self._views), self._shown_traits
         )
+
+    @property
+    def _return(self) -> int:
+        """Row of totals that holds the seat's return."""
+        if self.seat == TEAM:
+            return OF_BOTH if self.teaming.config.reward == "individual" else OF_DRIVER
+        return OF_DRIVER if self.seat == DRIVER else OF_VEHICLE_AI
 
     def _rewards(self, result: StepResult) -> NDArray[np.float64]:
         if self.seat != TEAM:
@@ -349,11 +355,14 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         else:
             last = self.teaming.views(self._views, teams)
         groups = self._as_groups(self._groups, last, self._shown_traits[teams])
-        totals = torch.from_numpy(self._totals.of(teams).astype(np.float32))
+        totals = self.teaming.totals(teams)[self._logged].astype(np.float32)
+        logged = dict(zip(_LOGGED, map(torch.from_numpy, totals), strict=True))
+        crashed = self.teaming.crashed[teams].astype(np.float32)
+        logged["Episode/crash_rate"] = torch.from_numpy(crashed)
         return {
             "final_teams": self._tensor(teams),
             "final_observation": TensorDict(groups, batch_size=[len(teams)], device=self.device),
-            "log": dict(zip(_LOGGED, totals, strict=True)),
+            "log": logged,
         }
 
     def _as_groups(
@@ -367,7 +376,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         tensor = torch.from_numpy(array)
         return tensor if self._on_cpu else tensor.to(self.device)
 
-    def _checked(self, actions: torch.Tensor) -> list[NDArray[np.int64]]:
+    def _checked(self, actions: torch.Tensor) -> NDArray[np.int64]:
         """The columns of actions as int64, or an error that says what is wrong."""
         if not isinstance(actions, torch.Tensor):
             raise TypeError(f"actions are a torch tensor, not {type(actions).__name__}")
@@ -379,20 +388,16 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             )
         if actions.dtype == torch.bool or actions.is_complex():
             raise ValueError(f"actions are whole numbers, but got {actions.dtype}")
-        exact = torch.float64 if actions.is_floating_point() else torch.int64
-        given = actions.detach().to("cpu", exact).numpy()
-        with np.errstate(invalid="ignore"):  # NaN, which is found below
-            columns = [column.astype(np.int64) for column in given.T]
-        for column, size in enumerate(self.action_sizes):
-            whole, values = columns[column], given[:, column]
-            if whole.min() < 0 or whole.max() >= size or not (whole == values).all():
-                wrong = (whole < 0) | (whole >= size) | (whole != values)
-                team = int(wrong.argmax())
-                raise ValueError(
-                    f"action {values[team]} of {self.agents[column]} in team {team} is not a "
-                    f"whole number from 0 to {size - 1}"
-                )
-        return columns
+        values = actions.detach().cpu()
+        if values.dtype not in (torch.float32, torch.float64, torch.int64):
+            values = values.to(torch.float64 if values.is_floating_point() else torch.int64)
+        try:
+            return self.teaming.whole_actions(values.numpy(), self.action_sizes)
+        except WrongActionError as wrong:
+            raise ValueError(
+                f"action {wrong.value} of {self.agents[wrong.column]} in team {wrong.team} is not "
+                f"a whole number from 0 to {self.action_sizes[wrong.column] - 1}"
+            ) from None
 
 
 def _check_seat(seat: str, partner: Policy | None) -> None:

@@ -65,6 +65,11 @@ def read_ego(f, i, world, lanes, table, rows, numbers, flags, k):
     flags[base.CRASHED, k] = i[m.CRASHED, 0]
 
 
+TAKEN, TRACED, CHANGED = range(3)
+"""A lidar has to be traced again before it is read; was traced; was taken up by a loop elsewhere
+that keeps something of it."""
+
+
 class Merges(NamedTuple):
     """N worlds as the loops see them: arrays with an entry for each world, and constants."""
 
@@ -92,10 +97,11 @@ class Merges(NamedTuple):
     lidar_range: float
     true_lidar: NDArray[np.float32]
     """Shape (N, cells, 2)."""
-    true_stale: NDArray[np.bool_]
-    """Worlds whose lidar has to be traced again before it is read, shape (N,)."""
+    true_news: NDArray[np.uint8]
+    """How far each world's lidar has been read since the world changed, shape (N,): CHANGED,
+    TRACED or TAKEN."""
     perceived_lidar: NDArray[np.float32]
-    perceived_stale: NDArray[np.bool_]
+    perceived_news: NDArray[np.uint8]
 
 
 @inlined
@@ -108,8 +114,8 @@ def move_world(k, merges, action):
     )  # fmt: skip
     read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
     merges.steps[k] += 1
-    merges.true_stale[k] = True
-    merges.perceived_stale[k] = True
+    merges.true_news[k] = CHANGED
+    merges.perceived_news[k] = CHANGED
 
 
 @inlined
@@ -117,8 +123,8 @@ def halt_world(k, merges):
     """Stop the driven car of world k."""
     merges.floats[k, m.SPEED, 0] = 0.0
     merges.numbers[base.SPEED, k] = 0.0
-    merges.true_stale[k] = True
-    merges.perceived_stale[k] = True
+    merges.true_news[k] = CHANGED
+    merges.perceived_news[k] = CHANGED
 
 
 @inlined
@@ -126,12 +132,12 @@ def look(k, merges, true, perceived):
     """Trace those lidars of world k that are wanted and have changed; see :func:`lidar.trace`."""
     f, world = merges.floats[k], merges.worlds[k]
     directions, reach = merges.directions, merges.lidar_range
-    if true and merges.true_stale[k]:
+    if true and merges.true_news[k] == CHANGED:
         trace(f, world, 1.0, directions, reach, merges.true_lidar[k])
-        merges.true_stale[k] = False
-    if perceived and merges.perceived_stale[k]:
+        merges.true_news[k] = TRACED
+    if perceived and merges.perceived_news[k] == CHANGED:
         trace(f, world, merges.inflation[k], directions, reach, merges.perceived_lidar[k])
-        merges.perceived_stale[k] = False
+        merges.perceived_news[k] = TRACED
 
 
 @kernel
@@ -151,8 +157,8 @@ def begin_worlds(progress, merges, which, seeds, inflation, low, high, room):
             read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
             merges.inflation[k] = inflation[place]
             merges.steps[k] = 0
-            merges.true_stale[k] = True
-            merges.perceived_stale[k] = True
+            merges.true_news[k] = CHANGED
+            merges.perceived_news[k] = CHANGED
         first, last = take(progress, last - first, len(which))
 
 

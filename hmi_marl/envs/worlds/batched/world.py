@@ -13,6 +13,7 @@ from hmi_marl.envs.worlds.base import SPEED, Ego, Readings, Snapshot
 from hmi_marl.envs.worlds.batched import memory as m
 from hmi_marl.envs.worlds.batched.compiler import prepare
 from hmi_marl.envs.worlds.batched.kernels import (
+    CHANGED,
     Merges,
     begin_worlds,
     fill_directions,
@@ -69,9 +70,9 @@ class BatchedWorld:
             directions=np.zeros((scene.lidar_cells, 2)),
             lidar_range=float(scene.lidar_range),
             true_lidar=np.zeros(cells, np.float32),
-            true_stale=np.ones(num_worlds, np.bool_),
+            true_news=np.full(num_worlds, CHANGED, np.uint8),
             perceived_lidar=np.zeros(cells, np.float32),
-            perceived_stale=np.ones(num_worlds, np.bool_),
+            perceived_news=np.full(num_worlds, CHANGED, np.uint8),
         )
         self._room = (
             np.zeros((num_worlds, number_of_draws(high))),
@@ -125,13 +126,13 @@ class BatchedWorld:
         """See :meth:`World.halt`."""
         self._floats[which, m.SPEED, 0] = 0.0
         self._merges.numbers[SPEED, which] = 0.0
-        self._merges.true_stale[which] = True
-        self._merges.perceived_stale[which] = True
+        self._merges.true_news[which] = CHANGED
+        self._merges.perceived_news[which] = CHANGED
 
     def perceive(self, inflation: NDArray[np.float64], which: NDArray[np.bool_]) -> None:
         """See :meth:`World.perceive`."""
         np.copyto(self._merges.inflation, inflation, where=which)
-        self._merges.perceived_stale[which] = True
+        self._merges.perceived_news[which] = CHANGED
 
     def ego(self) -> Ego:
         """See :meth:`World.ego`."""
