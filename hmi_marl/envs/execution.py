@@ -44,7 +44,7 @@ class Rules(NamedTuple):
 
 
 class Teams(NamedTuple):
-    """N teams as the rules see them; for the rows see :mod:`team_step`."""
+    """N teams as the rules see them; for the columns see :mod:`team_step`."""
 
     state: NDArray[np.int64]
     readings: Readings
@@ -86,7 +86,7 @@ class After(NamedTuple):
 
 def new_rewards(num_teams: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Arrays for :func:`team_step.reward` to fill in."""
-    return np.empty((SUMS, num_teams)), np.empty((OVER + 1, num_teams), np.bool_)
+    return np.empty((num_teams, SUMS)), np.empty((num_teams, OVER + 1), np.bool_)
 
 
 def read_world(world: World) -> Readings:
@@ -236,11 +236,11 @@ class Execution(ABC):
     def _move_world(self, teams: Teams, after: NDArray[np.int64]) -> Readings:
         """Move the cars, but those that are crashed: these stand."""
         numbers, flags = teams.readings
-        standing = teams.active & (flags[CRASHED] == 1)
-        newly_standing = standing & (numbers[SPEED] != 0.0)
+        standing = teams.active & (flags[:, CRASHED] == 1)
+        newly_standing = standing & (numbers[:, SPEED] != 0.0)
         if newly_standing.any():
             self.world.halt(newly_standing)
-        self.world.step(after[team_step.APPLIED], teams.active & ~standing)
+        self.world.step(after[:, team_step.APPLIED], teams.active & ~standing)
         return read_world(self.world)
 
     def _shown(self, teams: Teams, groups: tuple[Group, ...]) -> Shown:
@@ -297,8 +297,8 @@ class InNumPy(Execution):
         on, after = acts & ~over, state.copy()
         wrong = on & ((actions < 0) | (actions >= choices))
         self.check_intent(_first(on & given, wrong), actions, choices)
-        np.copyto(after[team_step.PREVIOUS], state[team_step.INTENDED], where=on)
-        np.copyto(after[team_step.INTENDED], actions, where=on)
+        np.copyto(after[:, team_step.PREVIOUS], state[:, team_step.INTENDED], where=on)
+        np.copyto(after[:, team_step.INTENDED], actions, where=on)
         return after, given | on
 
     def admit(

@@ -117,11 +117,11 @@ def intend_teams(progress, actions, choices, acts, over, state, given, after, af
             found[0] = k
         if on and not 0 <= actions[k] < choices and found[1] < 0:
             found[1] = k
-        for row in range(len(state)):
-            after[row, k] = state[row, k]
+        for column in range(team_step.COLUMNS):
+            after[k, column] = state[k, column]
         if on:
-            after[team_step.PREVIOUS, k] = state[team_step.INTENDED, k]
-            after[team_step.INTENDED, k] = actions[k]
+            after[k, team_step.PREVIOUS] = state[k, team_step.INTENDED]
+            after[k, team_step.INTENDED] = actions[k]
         after_given[k] = given[k] or on
 
 
@@ -232,9 +232,9 @@ def step_teams(
         for k in range(first, last):
             team_step.decide(k, active, alert, state, seeds, traits, window, effects, after)
             if active[k]:
-                if flags[CRASHED, k] == 0:
-                    move_world(k, merges, after[team_step.APPLIED, k])
-                elif numbers[SPEED, k] != 0.0:
+                if flags[k, CRASHED] == 0:
+                    move_world(k, merges, after[k, team_step.APPLIED])
+                elif numbers[k, SPEED] != 0.0:
                     halt_world(k, merges)
             team_step.reward(
                 k, active, alert, state, after, numbers, flags, settings, rewards, ends, totals

@@ -86,7 +86,7 @@ def columns_of(layout: Layout, agent: str, names: Iterable[str] | None = None) -
 
 
 class Shown(NamedTuple):
-    """Everything about N teams that observations show; for the rows see :mod:`team_step`."""
+    """Everything about N teams that observations show; for the columns see :mod:`team_step`."""
 
     true_lidar: NDArray[np.float32]
     """Shape (N, 2 cells), scaled by :func:`scale_lidar`; not read if no column shows it."""
@@ -159,27 +159,27 @@ def write(
         put_row(rows, row, first[TRUE_LIDAR], shown.true_lidar[k])
     if first[PERCEIVED_LIDAR] >= 0:
         put_row(rows, row, first[PERCEIVED_LIDAR], shown.perceived_lidar[k])
-    put(rows, row, first[SPEED], low, high, numbers[base.SPEED, k] / FASTEST)
-    put(rows, row, first[TARGET_SPEED], low, high, numbers[base.TARGET_SPEED, k] / FASTEST)
-    put(rows, row, first[HEADING], low, high, numbers[base.HEADING, k] / np.pi)
-    put(rows, row, first[LATERAL], low, high, numbers[base.LATERAL, k] / LANE_WIDTH)
-    put_one_hot(rows, row, first[LANE], shown.flags[base.LANE, k], scales.lanes)
-    put(rows, row, first[POSITION], low, high, numbers[base.X, k] / scales.length)
+    put(rows, row, first[SPEED], low, high, numbers[k, base.SPEED] / FASTEST)
+    put(rows, row, first[TARGET_SPEED], low, high, numbers[k, base.TARGET_SPEED] / FASTEST)
+    put(rows, row, first[HEADING], low, high, numbers[k, base.HEADING] / np.pi)
+    put(rows, row, first[LATERAL], low, high, numbers[k, base.LATERAL] / LANE_WIDTH)
+    put_one_hot(rows, row, first[LANE], shown.flags[k, base.LANE], scales.lanes)
+    put(rows, row, first[POSITION], low, high, numbers[k, base.X] / scales.length)
     # Before the driver acts, the latest a^H already is the last step's.
-    latest = state[team_step.INTENDED, k]
-    previous = choose(shown.intent_given[k], state[team_step.PREVIOUS, k], latest)
+    latest = state[k, team_step.INTENDED]
+    previous = choose(shown.intent_given[k], state[k, team_step.PREVIOUS], latest)
     put_one_hot(rows, row, first[INTENDED], latest, _ACTIONS)
     put_one_hot(rows, row, first[PREVIOUS], previous, _ACTIONS)
-    put_one_hot(rows, row, first[APPLIED], state[team_step.APPLIED, k], _ACTIONS)
-    put(rows, row, first[ALERTED], low, high, strengths[state[team_step.ALERTED, k]])
-    put(rows, row, first[TIME], low, high, state[team_step.STEPS, k] / scales.horizon)
-    put(rows, row, first[DISTRACTED], low, high, state[team_step.DISTRACTED, k])
-    put(rows, row, first[ACCEPTED], low, high, strengths[state[team_step.ACCEPTED, k]])
-    put(rows, row, first[COUNTER], low, high, state[team_step.COUNTER, k] / scales.window)
-    put(rows, row, first[FATIGUE], low, high, state[team_step.FATIGUE, k] / scales.levels)
+    put_one_hot(rows, row, first[APPLIED], state[k, team_step.APPLIED], _ACTIONS)
+    put(rows, row, first[ALERTED], low, high, strengths[state[k, team_step.ALERTED]])
+    put(rows, row, first[TIME], low, high, state[k, team_step.STEPS] / scales.horizon)
+    put(rows, row, first[DISTRACTED], low, high, state[k, team_step.DISTRACTED])
+    put(rows, row, first[ACCEPTED], low, high, strengths[state[k, team_step.ACCEPTED]])
+    put(rows, row, first[COUNTER], low, high, state[k, team_step.COUNTER] / scales.window)
+    put(rows, row, first[FATIGUE], low, high, state[k, team_step.FATIGUE] / scales.levels)
     start = first[TRAITS]
     if start >= 0:
-        put(rows, row, start, low, high, traits[team_step.BETA, k])
-        put(rows, row, start + 1, low, high, traits[team_step.ALPHA, k])
-        put(rows, row, start + 2, low, high, traits[team_step.ETA, k])
-        put(rows, row, start + 3, low, high, traits[team_step.INFLATION, k] / MAX_INFLATION)
+        put(rows, row, start, low, high, traits[k, team_step.BETA])
+        put(rows, row, start + 1, low, high, traits[k, team_step.ALPHA])
+        put(rows, row, start + 2, low, high, traits[k, team_step.ETA])
+        put(rows, row, start + 3, low, high, traits[k, team_step.INFLATION] / MAX_INFLATION)

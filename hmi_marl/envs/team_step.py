@@ -2,7 +2,7 @@
 
 Both rules take k, which is a team's number where they are compiled and a slice of all teams in
 NumPy; see :mod:`hmi_marl.envs.elementwise`. What is known about N teams stands in a few arrays with
-a row for each quantity: whole numbers in ``state``, traits in ``traits``, the driven cars in
+a column for each quantity: whole numbers in ``state``, traits in ``traits``, the driven cars in
 :class:`hmi_marl.envs.worlds.base.Readings`.
 """
 
@@ -26,25 +26,25 @@ NO_ACTION = -1
 _MOVE_LEFT, _MOVE_RIGHT = VEHICLE_ACTIONS.index("move_left"), VEHICLE_ACTIONS.index("move_right")
 _STREAM = np.uint64(Stream.ATTENTION)
 
-# Rows of a state, int64 of shape (9, N).
+# Columns of a state, int64 of shape (N, 9).
 STEPS, INTENDED, PREVIOUS, APPLIED, ALERTED = range(5)
 DISTRACTED, ACCEPTED, COUNTER, FATIGUE = range(5, 9)
-ROWS = 9
+COLUMNS = 9
 """STEPS: taken in the episode. INTENDED, PREVIOUS: the latest a^H and the one before it; APPLIED:
 the latest v, -1 before the first. ALERTED: the latest a^A. Then d, i, c and f."""
 
 BETA, ALPHA, ETA, INFLATION = range(len(TRAIT_NAMES))
-"""Rows of traits, float64 of shape (4, N)."""
+"""Columns of traits, float64 of shape (N, 4)."""
 
 _TERMS = len(TERMS)
 OF_DRIVER, OF_VEHICLE_AI = _TERMS, _TERMS + 1
 SUMS = _TERMS + 2
-"""Rows of rewards, float64 of shape (10, N): each of ``TERMS``, then each agent's sum."""
+"""Columns of rewards, float64 of shape (N, 10): each of ``TERMS``, then each agent's sum."""
 TERMINATED, TRUNCATED, ENDED, OVER = range(4)
-"""Rows of ends, bool of shape (4, N). ENDED: in this step; OVER: in this or an earlier one."""
+"""Columns of ends, bool of shape (N, 4). ENDED: in this step; OVER: in this or an earlier one."""
 OF_BOTH, LENGTH, ALERTS = range(SUMS, SUMS + 3)
 TOTALS = SUMS + 3
-"""Rows of totals, sums over the present episode, float64 of shape (13, N): those of rewards, then
+"""Columns of totals, sums over the present episode, float64 of shape (N, 13): those of rewards, then
 the sum of both agents, the number of steps and of alerts."""
 
 
@@ -72,30 +72,30 @@ def decide(
         effects: of the alerts.
         after: state after the step, to be filled.
     """
-    on, applied, intended = active[k], state[APPLIED, k], state[INTENDED, k]
+    on, applied, intended = active[k], state[k, APPLIED], state[k, INTENDED]
     d, i, c, f = next_attention(
-        state[DISTRACTED, k],
-        state[ACCEPTED, k],
-        state[COUNTER, k],
-        state[FATIGUE, k],
+        state[k, DISTRACTED],
+        state[k, ACCEPTED],
+        state[k, COUNTER],
+        state[k, FATIGUE],
         alert[k],
-        traits[BETA, k],
-        traits[ALPHA, k],
-        traits[ETA, k],
-        unit_draw(seeds[k], _STREAM, np.uint64(state[STEPS, k])),
+        traits[k, BETA],
+        traits[k, ALPHA],
+        traits[k, ETA],
+        unit_draw(seeds[k], _STREAM, np.uint64(state[k, STEPS])),
         window,
         effects,
     )
     keeps = (d == 1) & (applied != NO_ACTION)
-    after[STEPS, k] = state[STEPS, k] + choose(on, 1, 0)
-    after[INTENDED, k] = intended
-    after[PREVIOUS, k] = state[PREVIOUS, k]
-    after[APPLIED, k] = choose(on, choose(keeps, applied, intended), applied)
-    after[ALERTED, k] = choose(on, alert[k], state[ALERTED, k])
-    after[DISTRACTED, k] = choose(on, d, state[DISTRACTED, k])
-    after[ACCEPTED, k] = choose(on, i, state[ACCEPTED, k])
-    after[COUNTER, k] = choose(on, c, state[COUNTER, k])
-    after[FATIGUE, k] = choose(on, f, state[FATIGUE, k])
+    after[k, STEPS] = state[k, STEPS] + choose(on, 1, 0)
+    after[k, INTENDED] = intended
+    after[k, PREVIOUS] = state[k, PREVIOUS]
+    after[k, APPLIED] = choose(on, choose(keeps, applied, intended), applied)
+    after[k, ALERTED] = choose(on, alert[k], state[k, ALERTED])
+    after[k, DISTRACTED] = choose(on, d, state[k, DISTRACTED])
+    after[k, ACCEPTED] = choose(on, i, state[k, ACCEPTED])
+    after[k, COUNTER] = choose(on, c, state[k, COUNTER])
+    after[k, FATIGUE] = choose(on, f, state[k, FATIGUE])
 
 
 class Settings(NamedTuple):
@@ -148,37 +148,37 @@ def reward(
         rewards, ends: to be filled.
         totals: to be added to.
     """
-    on, crashed, intended = active[k], flags[CRASHED, k] == 1, state[INTENDED, k]
+    on, crashed, intended = active[k], flags[k, CRASHED] == 1, state[k, INTENDED]
     values = driving_values(
         settings.weights,
         crashed,
-        numbers[SPEED, k],
-        flags[LANE, k] == settings.right_lane,
-        numbers[MERGING_SLOWNESS, k],
+        numbers[k, SPEED],
+        flags[k, LANE] == settings.right_lane,
+        numbers[k, MERGING_SLOWNESS],
         (intended == _MOVE_LEFT) | (intended == _MOVE_RIGHT),
     ) + attention_values(
         settings.weights,
         settings.strengths[alert[k]],
-        state[DISTRACTED, k],
-        after[DISTRACTED, k],
+        state[k, DISTRACTED],
+        after[k, DISTRACTED],
     )
     driver = choose(on, add_up(values, settings.driver_terms), 0.0)
     vehicle_ai = choose(on, add_up(values, settings.vehicle_ai_terms), 0.0)
     for term in range(_TERMS):
         value = choose(on, values[term], 0.0)
-        rewards[term, k] = value
-        totals[term, k] += value
-    rewards[OF_DRIVER, k] = driver
-    rewards[OF_VEHICLE_AI, k] = vehicle_ai
-    totals[OF_DRIVER, k] += driver
-    totals[OF_VEHICLE_AI, k] += vehicle_ai
-    totals[OF_BOTH, k] += driver + vehicle_ai
-    totals[LENGTH, k] += choose(on, 1.0, 0.0)
-    totals[ALERTS, k] += choose(on & (alert[k] > 0), 1.0, 0.0)
+        rewards[k, term] = value
+        totals[k, term] += value
+    rewards[k, OF_DRIVER] = driver
+    rewards[k, OF_VEHICLE_AI] = vehicle_ai
+    totals[k, OF_DRIVER] += driver
+    totals[k, OF_VEHICLE_AI] += vehicle_ai
+    totals[k, OF_BOTH] += driver + vehicle_ai
+    totals[k, LENGTH] += choose(on, 1.0, 0.0)
+    totals[k, ALERTS] += choose(on & (alert[k] > 0), 1.0, 0.0)
     terminated = on & crashed & settings.end_at_crash
-    late = after[STEPS, k] >= settings.horizon
+    late = after[k, STEPS] >= settings.horizon
     truncated = on & np.logical_not(terminated) & late
-    ends[TERMINATED, k] = terminated
-    ends[TRUNCATED, k] = truncated
-    ends[ENDED, k] = terminated | truncated
-    ends[OVER, k] = np.logical_not(on) | terminated | truncated
+    ends[k, TERMINATED] = terminated
+    ends[k, TRUNCATED] = truncated
+    ends[k, ENDED] = terminated | truncated
+    ends[k, OVER] = np.logical_not(on) | terminated | truncated

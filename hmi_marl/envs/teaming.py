@@ -27,6 +27,7 @@ from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.team_step import (
     ALERTED,
     APPLIED,
+    COLUMNS,
     DISTRACTED,
     ENDED,
     FATIGUE,
@@ -37,7 +38,6 @@ from hmi_marl.envs.team_step import (
     OF_VEHICLE_AI,
     OVER,
     PREVIOUS,
-    ROWS,
     STEPS,
     TERMINATED,
     TOTALS,
@@ -53,7 +53,7 @@ STATE = "state"
 """Name of the whole team's state among what :meth:`Teaming.views` gives."""
 
 
-_AT_START = np.zeros(ROWS, np.int64)
+_AT_START = np.zeros(COLUMNS, np.int64)
 _AT_START[[INTENDED, PREVIOUS, APPLIED]] = NO_ACTION
 
 
@@ -106,10 +106,10 @@ class Teaming:
         self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
         self._everywhere = np.ones(num_teams, np.bool_)
-        self._totals = np.zeros((TOTALS, num_teams))
+        self._totals = np.zeros((num_teams, TOTALS))
         self._every = np.arange(num_teams)
-        self._state = np.repeat(_AT_START[:, None], num_teams, axis=1)
-        self._traits = np.zeros((len(TRAIT_NAMES), num_teams))
+        self._state = np.repeat(_AT_START[None], num_teams, axis=0)
+        self._traits = np.zeros((num_teams, len(TRAIT_NAMES)))
         self._readings = read_world(self.world)
         self.seeds = np.zeros(num_teams, np.uint64)
         """Seeds of the episodes, uint64."""
@@ -123,51 +123,51 @@ class Teaming:
     @property
     def steps(self) -> NDArray[np.int64]:
         """Steps taken in each team's episode. May be assigned, which moves the teams' clocks."""
-        return self._state[STEPS]
+        return self._state[:, STEPS]
 
     @steps.setter
     def steps(self, steps: NDArray[np.int64]) -> None:
         self._state = self._state.copy()
-        self._state[STEPS] = steps
+        self._state[:, STEPS] = steps
 
     @property
     def intended(self) -> NDArray[np.int64]:
         """The latest a^H of each team, -1 before the first."""
-        return self._state[INTENDED]
+        return self._state[:, INTENDED]
 
     @property
     def previous_intended(self) -> NDArray[np.int64]:
         """The a^H before the latest one, -1 if there is none."""
-        return self._state[PREVIOUS]
+        return self._state[:, PREVIOUS]
 
     @property
     def applied(self) -> NDArray[np.int64]:
         """The latest v, -1 before the first."""
-        return self._state[APPLIED]
+        return self._state[:, APPLIED]
 
     @property
     def alerted(self) -> NDArray[np.int64]:
         """The latest a^A, 0 to k."""
-        return self._state[ALERTED]
+        return self._state[:, ALERTED]
 
     @property
     def attention(self) -> Attention:
         """The drivers' attention after the last step."""
-        return Attention(*self._state[DISTRACTED : FATIGUE + 1])
+        return Attention(*self._state.T[DISTRACTED : FATIGUE + 1])
 
     @property
     def traits(self) -> Traits:
         """The drivers' traits. May be assigned, which does not change what the lidars perceive."""
-        return Traits(*self._traits)
+        return Traits(*self._traits.T)
 
     @traits.setter
     def traits(self, traits: Traits) -> None:
-        self._traits = np.array(list(vars(traits).values()), np.float64)
+        self._traits = traits.as_array()
 
     @property
     def crashed(self) -> NDArray[np.bool_]:
         """Teams whose car is crashed."""
-        return self._readings.flags[CRASHED] == 1
+        return self._readings.flags[:, CRASHED] == 1
 
     @property
     def ego(self) -> Ego:
@@ -208,14 +208,14 @@ class Teaming:
         self.seeds[teams] = seeds
         self.over[teams] = self.intent_given[teams] = False
         self._change_drivers(teams, drawn)
-        self._state[:, teams] = _AT_START[:, None]  # a copy by now
-        self._totals[:, teams] = 0.0
+        self._state[teams] = _AT_START  # a copy by now
+        self._totals[teams] = 0.0
         if hasattr(self.world, "begin"):
             self.world.begin(teams, seeds, drawn.inflation)
         else:
             which = np.zeros(self.num_teams, np.bool_)
             which[teams] = True
-            self.world.reset(self.seeds, self._traits[INFLATION], which)
+            self.world.reset(self.seeds, self._traits[:, INFLATION], which)
         self._readings = read_world(self.world)
 
     def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
@@ -234,13 +234,13 @@ class Teaming:
             raise ValueError("the wheel is handed over between turns; alert with step() first")
         new = check_traits(traits, self.num_teams).as_array()[fresh]
         self._change_drivers(np.flatnonzero(fresh), Traits.from_array(new))
-        self.world.perceive(self._traits[INFLATION], fresh)
+        self.world.perceive(self._traits[:, INFLATION], fresh)
 
     def _change_drivers(self, teams: NDArray[np.int64], traits: Traits) -> None:
         """Put attentive drivers of these traits into M teams."""
         self._traits, self._state = self._traits.copy(), self._state.copy()
-        self._traits[:, teams] = list(vars(traits).values())
-        self._state[DISTRACTED:, teams] = 0
+        self._traits[teams] = traits.as_array()
+        self._state[teams, DISTRACTED:] = 0
 
     def turn(
         self, driver: Actor, hmi: Actor, sequential: bool = True, views: Sequence[str] = ()
@@ -295,7 +295,7 @@ class Teaming:
     def withdraw(self) -> None:
         """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called."""
         given, state = self.intent_given, self._state.copy()
-        state[INTENDED] = np.where(given, self.previous_intended, self.intended)
+        state[:, INTENDED] = np.where(given, self.previous_intended, self.intended)
         self._state, self.intent_given = state, np.zeros(self.num_teams, np.bool_)
 
     def step(self, alerts: ArrayLike, views: Sequence[str] = ()) -> StepResult:
@@ -319,19 +319,19 @@ class Teaming:
             self._teams(active), alert, self._totals, tuple(groups.values())
         )
         self.intent_given = np.zeros(self.num_teams, np.bool_)
-        self.over = ends[OVER]
+        self.over = ends[:, OVER].copy()
         return StepResult(
-            {DRIVER: rewards[OF_DRIVER], VEHICLE_AI: rewards[OF_VEHICLE_AI]},
-            dict(zip(TERMS, rewards, strict=False)),
-            ends[TERMINATED],
-            ends[TRUNCATED],
-            ends[ENDED],
+            {DRIVER: rewards[:, OF_DRIVER], VEHICLE_AI: rewards[:, OF_VEHICLE_AI]},
+            dict(zip(TERMS, rewards.T, strict=False)),
+            ends[:, TERMINATED],
+            ends[:, TRUNCATED],
+            ends[:, ENDED],
             {name: group.rows for name, group in groups.items()},
         )
 
     def totals(self, teams: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Sums over the present episodes of M teams, (13, M); rows as in :mod:`team_step`."""
-        return self._totals[:, teams]
+        """Sums over the present episodes of M teams, (M, 13); columns as in :mod:`team_step`."""
+        return self._totals[teams]
 
     def _teams(self, active: NDArray[np.bool_] | None = None) -> Teams:
         active = self._everywhere if active is None else active  # not read where nothing moves
@@ -400,7 +400,8 @@ class Teaming:
 
     def time_headway(self) -> NDArray[np.float64]:
         """Time to the next object ahead in the lane [s], shape (N,); inf if none, or at 0 m/s."""
-        speed, gap = self._readings.numbers[[SPEED, GAP]]
+        numbers = self._readings.numbers
+        speed, gap = numbers[:, SPEED], numbers[:, GAP]
         moving = speed > 0
         return np.where(moving, np.maximum(gap, 0.0) / np.where(moving, speed, 1.0), np.inf)
 

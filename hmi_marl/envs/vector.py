@@ -131,7 +131,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._views = _views_of(self._groups)
         self._observations: dict[str, torch.Tensor] = {}
         self._logged = [self._return, *range(len(TERMS)), LENGTH, ALERTS]
-        """Rows of totals that are logged."""
+        """Columns of totals that are logged."""
         self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
@@ -259,7 +259,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         else:
             result = self._turns.step(columns[0], views)
         rewards = self._rewards(result)
-        extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
+        extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated.copy())}
         if self.seat == TEAM:
             extras["rewards"] = {
                 agent: self._tensor(values.astype(np.float32))
@@ -334,7 +334,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     @property
     def _return(self) -> int:
-        """Row of totals that holds the seat's return."""
+        """Column of totals that holds the seat's return."""
         if self.seat == TEAM:
             return OF_BOTH if self.teaming.config.reward == "individual" else OF_DRIVER
         return OF_DRIVER if self.seat == DRIVER else OF_VEHICLE_AI
@@ -355,7 +355,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         else:
             last = self.teaming.views(self._views, teams)
         groups = self._as_groups(self._groups, last, self._shown_traits[teams])
-        totals = self.teaming.totals(teams)[self._logged].astype(np.float32)
+        totals = self.teaming.totals(teams).T[self._logged].astype(np.float32)
         logged = dict(zip(_LOGGED, map(torch.from_numpy, totals), strict=True))
         crashed = self.teaming.crashed[teams].astype(np.float32)
         logged["Episode/crash_rate"] = torch.from_numpy(crashed)

@@ -55,9 +55,9 @@ class Ego:
 
 
 X, Y, HEADING, SPEED, TARGET_SPEED, LATERAL, GAP, MERGING_SLOWNESS = range(8)
-"""Rows of the numbers of :class:`Readings`."""
+"""Columns of the numbers of :class:`Readings`."""
 LANE, CRASHED = range(2)
-"""Rows of its flags."""
+"""Columns of its flags."""
 _NUMBERS = (
     "x", "y", "heading", "speed", "target_speed", "lateral", "gap", "merging_slowness",
 )  # fmt: skip
@@ -68,20 +68,21 @@ class Readings(NamedTuple):
     """The fields of :class:`Ego` in two arrays, as the loops over teams read them."""
 
     numbers: NDArray[np.float64]
-    """Shape (8, N)."""
+    """Shape (N, 8)."""
     flags: NDArray[np.int64]
-    """Shape (2, N)."""
+    """Shape (N, 2)."""
 
     @classmethod
     def of(cls, ego: Ego) -> Readings:
         """Put the fields together."""
-        numbers = np.array([getattr(ego, name) for name in _NUMBERS], np.float64)
-        return cls(numbers, np.array([getattr(ego, name) for name in _FLAGS], np.int64))
+        numbers = np.stack([getattr(ego, name) for name in _NUMBERS], axis=1, dtype=np.float64)
+        flags = [np.asarray(getattr(ego, name), np.int64) for name in _FLAGS]
+        return cls(numbers, np.stack(flags, axis=1))
 
     def ego(self) -> Ego:
         """The fields one by one, which share the memory of these arrays."""
-        numbers = dict(zip(_NUMBERS, self.numbers, strict=True))
-        return Ego(**numbers, lane=self.flags[LANE], crashed=self.flags[CRASHED] == 1)
+        numbers = dict(zip(_NUMBERS, self.numbers.T, strict=True))
+        return Ego(**numbers, lane=self.flags[:, LANE], crashed=self.flags[:, CRASHED] == 1)
 
 
 @dataclass(frozen=True)

@@ -43,26 +43,26 @@ def advance(f, i, world, lanes, table, rows, speeds, action, substeps, dt):
 
 @compiled
 def read_ego(f, i, world, lanes, table, rows, numbers, flags, k):
-    """Fill column k of the numbers and flags of :class:`worlds.base.Readings`."""
+    """Fill row k of the numbers and flags of :class:`worlds.base.Readings`."""
     lane = i[m.LANE, 0]
-    numbers[base.X, k], numbers[base.Y, k] = f[m.X, 0], f[m.Y, 0]
-    numbers[base.HEADING, k] = f[m.HEADING, 0]
-    numbers[base.SPEED, k], numbers[base.TARGET_SPEED, k] = f[m.SPEED, 0], f[m.TARGET_SPEED, 0]
+    numbers[k, base.X], numbers[k, base.Y] = f[m.X, 0], f[m.Y, 0]
+    numbers[k, base.HEADING] = f[m.HEADING, 0]
+    numbers[k, base.SPEED], numbers[k, base.TARGET_SPEED] = f[m.SPEED, 0], f[m.TARGET_SPEED, 0]
     across = lateral(lanes, lane, f[m.X, 0] - lanes[lane, m.X0], f[m.Y, 0])
-    numbers[base.LATERAL, k] = across
+    numbers[k, base.LATERAL] = across
     front = front_of(f, i, world, lanes, table, 0, lane)
     gap = np.inf
     if front != NO_OBJECT:
         length = m.OBSTACLE_SIZE if front == world[m.VEHICLES] else m.CAR_LENGTH
         gap = f[m.X, front] - f[m.X, 0] - (m.CAR_LENGTH + length) / 2
-    numbers[base.GAP, k] = gap
+    numbers[k, base.GAP] = gap
     slowness = 0.0
     for v in range(world[m.VEHICLES]):
         if i[m.LANE, v] == 2 * rows:
             slowness += (f[m.TARGET_SPEED, v] - f[m.SPEED, v]) / f[m.TARGET_SPEED, v]
-    numbers[base.MERGING_SLOWNESS, k] = slowness
-    flags[base.LANE, k] = rows if table[lane, m.ROW] < 0 else table[lane, m.ROW]
-    flags[base.CRASHED, k] = i[m.CRASHED, 0]
+    numbers[k, base.MERGING_SLOWNESS] = slowness
+    flags[k, base.LANE] = rows if table[lane, m.ROW] < 0 else table[lane, m.ROW]
+    flags[k, base.CRASHED] = i[m.CRASHED, 0]
 
 
 TAKEN, TRACED, CHANGED = range(3)
@@ -122,7 +122,7 @@ def move_world(k, merges, action):
 def halt_world(k, merges):
     """Stop the driven car of world k."""
     merges.floats[k, m.SPEED, 0] = 0.0
-    merges.numbers[base.SPEED, k] = 0.0
+    merges.numbers[k, base.SPEED] = 0.0
     merges.true_news[k] = CHANGED
     merges.perceived_news[k] = CHANGED
 

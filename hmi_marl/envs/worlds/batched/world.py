@@ -64,8 +64,8 @@ class BatchedWorld:
             substeps=scene.simulation_frequency // scene.policy_frequency,
             dt=1 / scene.simulation_frequency,
             steps=np.zeros(num_worlds, np.int64),
-            numbers=np.zeros((8, num_worlds)),
-            flags=np.zeros((2, num_worlds), np.int64),
+            numbers=np.zeros((num_worlds, 8)),
+            flags=np.zeros((num_worlds, 2), np.int64),
             inflation=np.ones(num_worlds),
             directions=np.zeros((scene.lidar_cells, 2)),
             lidar_range=float(scene.lidar_range),
@@ -125,7 +125,7 @@ class BatchedWorld:
     def halt(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`World.halt`."""
         self._floats[which, m.SPEED, 0] = 0.0
-        self._merges.numbers[SPEED, which] = 0.0
+        self._merges.numbers[which, SPEED] = 0.0
         self._merges.true_news[which] = CHANGED
         self._merges.perceived_news[which] = CHANGED
 
@@ -144,13 +144,12 @@ class BatchedWorld:
 
     def lidar(self, inflated: bool) -> NDArray[np.float32]:
         """See :meth:`World.lidar`; traced when asked for, where something has moved since."""
-        name, stale = (
-            _LIDARS[inflated],
-            getattr(self._merges, _LIDARS[inflated].replace("lidar", "stale")),
-        )
-        if stale.any():
+        name = _LIDARS[inflated]
+        news = self._merges.perceived_news if inflated else self._merges.true_news
+        changed = int((news == CHANGED).sum())
+        if changed:
             self._keep_returned()
-            threads = self.sharing(int(stale.sum()))
+            threads = self.sharing(changed)
             share(look_around, self.num_worlds, threads, self._merges, not inflated, inflated)
         self._returned[name] = True
         return getattr(self._merges, name)
