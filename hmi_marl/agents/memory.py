@@ -11,7 +11,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.streams import Stream, uniform
-from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.exact.bayes_filter import BayesFilter
 from hmi_marl.exact.evidence import ChainEvidence
 

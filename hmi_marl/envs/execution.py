@@ -19,6 +19,7 @@ from hmi_marl.envs.alerts import Effects
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.elementwise import EVERY
 from hmi_marl.envs.observation_values import Columns, Scales, Shown, scales_of
+from hmi_marl.envs.series import Series
 from hmi_marl.envs.team_step import OVER, SUMS, Settings, settings_of
 from hmi_marl.envs.worlds import World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
@@ -82,6 +83,11 @@ class After(NamedTuple):
     readings: Readings
     rewards: NDArray[np.float64]
     ends: NDArray[np.bool_]
+    traits: NDArray[np.float64]
+    seeds: NDArray[np.uint64]
+    last_totals: NDArray[np.float64] | None = None
+    """Totals of the episodes that ended, if the next ones began: shape (N, 14), of which only the
+    rows of these teams are filled in."""
 
 
 def new_rewards(num_teams: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -193,6 +199,8 @@ class Execution(ABC):
         alert: NDArray[np.int64],
         totals: NDArray[np.float64],
         groups: tuple[Group, ...] = (),
+        finals: tuple[Group, ...] = (),
+        series: Series | None = None,
     ) -> After:
         """Take a step in which both agents have acted.
 
@@ -201,17 +209,59 @@ class Execution(ABC):
             alert: a^A_t.
             totals: sums over the episodes, added to.
             groups: observations after the step, to be written for every team.
+            finals: observations at the end of episodes, to be written in the rows of those teams
+                whose episode ends; read only if there are ``series``.
+            series: of episodes. Teams whose episode ends begin their next one at once; without
+                series they stay as they are.
         """
+        count = len(alert)
         state = np.empty_like(teams.state)
         self.decide(teams, alert, state)
         readings = self._move_world(teams, state)
-        after = After(state, readings, *new_rewards(len(alert)))
+        after = After(state, readings, *new_rewards(count), teams.traits, teams.seeds)
         self.reward(teams, alert, after, totals)
+        now = teams._replace(state=state, readings=readings, intent_given=np.zeros(count, np.bool_))
+        which = np.flatnonzero(after.ends[:, team_step.ENDED])
+        if series is not None and len(which):
+            if finals:
+                self.write(now, which, finals, in_place=True)
+            after = after._replace(last_totals=totals.copy())
+            seeds, traits = series.go_on(which)
+            now = self.begin(now, which, seeds, traits, totals)
+            after.ends[which, OVER] = False
+            after = after._replace(readings=now.readings, traits=now.traits, seeds=now.seeds)
         if groups:
-            none = np.zeros(len(alert), np.bool_)
-            then = teams._replace(state=state, readings=readings, intent_given=none)
-            self.write(then, np.arange(len(alert)), groups)
+            self.write(now, np.arange(count), groups)
         return after
+
+    def begin(
+        self,
+        teams: Teams,
+        which: NDArray[np.int64],
+        seeds: NDArray[np.uint64],
+        traits: NDArray[np.float64],
+        totals: NDArray[np.float64],
+    ) -> Teams:
+        """Begin episodes in M teams; return all teams after it.
+
+        Args:
+            teams: before; the state is written into.
+            which: numbers of the M teams.
+            seeds: of the episodes, shape (M,).
+            traits: of their drivers, shape (M, 4).
+            totals: of all teams, written into.
+        """
+        teams = teams._replace(traits=teams.traits.copy(), seeds=teams.seeds.copy())
+        begin = team_step.begin
+        start, none = team_step.AT_START, np.zeros(team_step.TOTALS)
+        begin(which, seeds, traits, start, teams.state, teams.traits, teams.seeds, totals, none)
+        if hasattr(self.world, "begin"):
+            self.world.begin(which, seeds, traits[:, team_step.INFLATION])
+        else:
+            marks = np.zeros(len(teams.active), np.bool_)
+            marks[which] = True
+            self.world.reset(teams.seeds, teams.traits[:, team_step.INFLATION], marks)
+        return teams._replace(readings=read_world(self.world))
 
     def wrong_action(self, actions: NDArray[Any], team: int, column: int) -> WrongActionError:
         """Error about an action of :meth:`whole`."""
@@ -324,7 +374,7 @@ class InNumPy(Execution):
         self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
     ) -> None:
         """See :meth:`Execution.reward`."""
-        state, readings, rewards, ends = after
+        state, readings, rewards, ends, *_ = after
         before, active, settings = teams.state, teams.active, self.rules.settings
         team_step.reward(
             EVERY, active, alert, before, state, *readings, settings, rewards, ends, totals

@@ -6,7 +6,7 @@ here numba learns what they consist of. Importing this module imports numba.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload, register_jitable
@@ -15,10 +15,20 @@ from numpy.typing import NDArray
 from hmi_marl.envs import alerts, attention, elementwise, rewards, streams, team_step
 from hmi_marl.envs import observation_values as values
 from hmi_marl.envs.execution import After, Execution, Group, Rules, Teams, new_rewards
+from hmi_marl.envs.series import Series
+from hmi_marl.envs.team_step import AT_START, TOTALS
 from hmi_marl.envs.worlds.base import CRASHED, SPEED
 from hmi_marl.envs.worlds.batched import BatchedWorld
 from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare
-from hmi_marl.envs.worlds.batched.kernels import TAKEN, TRACED, Merges, halt_world, look, move_world
+from hmi_marl.envs.worlds.batched.kernels import (
+    TAKEN,
+    TRACED,
+    Merges,
+    begin_world,
+    halt_world,
+    look,
+    move_world,
+)
 from hmi_marl.envs.worlds.batched.threads import share, take
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
@@ -33,6 +43,7 @@ for rule in (
     rewards.driving_values,
     streams.mix_bits,
     streams.unit_draw,
+    team_step.begin,
     team_step.decide,
     team_step.reward,
     values.scale_lidar,
@@ -214,12 +225,28 @@ def look_and_write_teams(
         first, last = take(progress, last - first, len(which))
 
 
+class NextEpisodes(NamedTuple):
+    """Where a step finds the next episodes of teams that end, and leaves their last views."""
+
+    wanted: bool
+    """Whether teams that end begin their next episode."""
+    episodes: NDArray[np.int64]
+    seeds_ahead: NDArray[np.uint64]
+    traits_ahead: NDArray[np.float64]
+    """See :class:`Series`."""
+    start: NDArray[np.int64]
+    no_totals: NDArray[np.float64]
+    """See :func:`team_step.begin`."""
+    last_totals: NDArray[np.float64]
+    """Totals of the episodes that end, shape (N, 14); only their rows are written."""
+
+
 @kernel
 def step_teams(
-    progress, merges, teams, alert, rules, after, rewards, ends, totals,
-    true, perceived, lidars, shown, groups,
+    progress, merges, room, teams, alert, rules, after, rewards, ends, totals,
+    following, lidars, shown, finals, groups,
 ):  # fmt: skip
-    """Take a whole step of every team: decide, move, reward, look and write.
+    """Take a whole step of every team: decide, move, reward, look and write; begin what follows.
 
     One loop for all of it, since starting one on several threads costs as much as some of its
     parts, and what a team needs stays in the processor's cache.
@@ -227,6 +254,9 @@ def step_teams(
     state, _, traits, seeds, active, _ = teams
     window, effects, settings, scales = rules
     numbers, flags = merges.numbers, merges.flags
+    final_true, final_perceived, final_groups = finals
+    true, perceived, all_groups = groups
+    ahead = following.seeds_ahead.shape[1]
     first, last = take(progress, 0, len(active))
     while first < last:
         for k in range(first, last):
@@ -239,8 +269,24 @@ def step_teams(
             team_step.reward(
                 k, active, alert, state, after, numbers, flags, settings, rewards, ends, totals
             )
+            if following.wanted and ends[k, team_step.ENDED]:
+                look_and_scale(k, merges, final_true, final_perceived, lidars, shown, scales)
+                for rows, columns in final_groups:
+                    if len(rows):
+                        values.write(rows, k, columns, k, shown, scales)
+                for column in range(team_step.TOTALS):
+                    following.last_totals[k, column] = totals[k, column]
+                following.episodes[k] += 1
+                place = following.episodes[k] % ahead
+                seed, driver = following.seeds_ahead[k, place], following.traits_ahead[k, place]
+                team_step.begin(
+                    k, seed, driver, following.start, after, traits, seeds, totals,
+                    following.no_totals,
+                )  # fmt: skip
+                begin_world(k, merges, room, seed, driver[team_step.INFLATION])
+                ends[k, team_step.OVER] = False
             look_and_scale(k, merges, true, perceived, lidars, shown, scales)
-            for rows, columns in groups:
+            for rows, columns in all_groups:
                 if len(rows):
                     values.write(rows, k, columns, k, shown, scales)
         first, last = take(progress, last - first, len(active))
@@ -303,8 +349,7 @@ class InLoops(Execution):
         self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
     ) -> None:
         """See :meth:`Execution.reward`."""
-        state, readings, rewards, ends = after
-        results = state, readings, rewards, ends, totals
+        results = after.state, after.readings, after.rewards, after.ends, totals
         self._run(reward_teams, len(alert), teams, alert, self.rules, *results)
 
     def write(
@@ -334,6 +379,10 @@ class InOneLoop(InLoops):
         cells = 2 * world.scene.lidar_cells
         self._lidars = tuple(np.zeros((world.num_worlds, cells), np.float32) for _ in range(2))
         """The lidars as they are shown."""
+        nothing = np.zeros((0, 1), np.uint64), np.zeros((0, 1, 4))
+        self._nothing_follows = NextEpisodes(
+            False, np.zeros(0, np.int64), *nothing, AT_START, _NO_TOTALS, np.zeros((0, TOTALS))
+        )
 
     def write(
         self,
@@ -348,7 +397,8 @@ class InOneLoop(InLoops):
             *self._lidars, *teams.readings, teams.state, teams.intent_given, teams.traits
         )
         arguments = (
-            *self._looking(merges, groups), which, in_place, shown, self.rules, _filled_up(groups),
+            *_lidars(groups), self._in_shape(merges), which, in_place, shown, self.rules,
+            _filled_up(groups),
         )  # fmt: skip
         _prepare(look_and_write_teams, merges, *arguments)
         threads = self.world.sharing(len(which))
@@ -360,27 +410,45 @@ class InOneLoop(InLoops):
         alert: NDArray[np.int64],
         totals: NDArray[np.float64],
         groups: tuple[Group, ...] = (),
+        finals: tuple[Group, ...] = (),
+        series: Series | None = None,
     ) -> After:
         """See :meth:`Execution.step`."""
-        merges, state = self.world.arrays(), np.empty_like(teams.state)
-        rewards, ends = new_rewards(len(alert))
-        none = np.zeros(len(alert), np.bool_)
+        world, count = self.world, len(alert)
+        merges, state = world.arrays(), np.empty_like(teams.state)
+        rewards, ends = new_rewards(count)
+        if series is None:
+            following = self._nothing_follows
+        else:
+            following = NextEpisodes(
+                True, series.episodes, series.seeds, series.traits, AT_START, _NO_TOTALS,
+                np.empty_like(totals),
+            )  # fmt: skip
+            teams = teams._replace(traits=teams.traits.copy(), seeds=teams.seeds.copy())
+        none = np.zeros(count, np.bool_)
         shown = values.Shown(*self._lidars, merges.numbers, merges.flags, state, none, teams.traits)
         arguments = (
-            merges, teams, alert, self.rules, state, rewards, ends, totals,
-            *self._looking(merges, groups), shown, _filled_up(groups),
+            merges, world.room, teams, alert, self.rules, state, rewards, ends, totals,
+            following, self._in_shape(merges), shown, (*_lidars(finals), _filled_up(finals)),
+            (*_lidars(groups), _filled_up(groups)),
         )  # fmt: skip
         _prepare(step_teams, *arguments)
-        self.world.take_step(step_teams, *arguments)
-        return After(state, self.world.readings(), rewards, ends)
+        world.take_step(step_teams, *arguments)
+        after = After(state, world.readings(), rewards, ends, teams.traits, teams.seeds)
+        if series is not None:
+            after = after._replace(last_totals=following.last_totals)
+        return after
 
-    def _looking(self, merges: Merges, groups: tuple[Group, ...]) -> tuple[Any, ...]:
-        """Which lidars are read, and the lidars in the shape in which they are shown."""
-        true = any(group.shows_true_lidar for group in groups)
-        perceived = any(group.shows_perceived_lidar for group in groups)
+    def _in_shape(self, merges: Merges) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The lidars in the shape in which they are shown."""
         shape = self._lidars[0].shape
-        lidars = merges.true_lidar.reshape(shape), merges.perceived_lidar.reshape(shape)
-        return true, perceived, lidars
+        return merges.true_lidar.reshape(shape), merges.perceived_lidar.reshape(shape)
+
+
+def _lidars(groups: tuple[Group, ...]) -> tuple[bool, bool]:
+    """Whether the groups show the true lidar, and the perceived one."""
+    true = any(group.shows_true_lidar for group in groups)
+    return true, any(group.shows_perceived_lidar for group in groups)
 
 
 def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[Any, Any], ...]:
@@ -389,6 +457,7 @@ def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[Any, Any], ...]:
     return (*given, *[_NO_GROUP] * (_GROUPS - len(groups)))
 
 
+_NO_TOTALS = np.zeros(TOTALS)
 _NO_PROGRESS = np.zeros(2, np.int64)
 """For loops that one thread alone runs."""
 _prepared: set[str] = set()

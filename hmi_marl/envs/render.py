@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import known_name
 from hmi_marl.envs.scene import LANE_WIDTH
-from hmi_marl.envs.teaming import NO_ACTION, Teaming
+from hmi_marl.envs.team_step import NO_ACTION
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Snapshot
 from hmi_marl.envs.worlds.highway import MergeScene
 

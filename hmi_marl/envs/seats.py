@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.teaming import StepResult, Teaming, Then
 
 
 @runtime_checkable
@@ -101,14 +101,19 @@ class PartnerTurns:
         if self._seat == VEHICLE_AI and not self._teaming.intent_given.all():
             self._teaming.intend(self._teaming.ask(DRIVER, self._asked))
 
-    def step(self, actions: NDArray[np.int64] | list[int], views: Sequence[str] = ()) -> StepResult:
+    def step(
+        self,
+        actions: NDArray[np.int64] | list[int],
+        views: Sequence[str] = (),
+        then: Then | None = None,
+    ) -> StepResult:
         """Take one step of every team from this seat's actions, shape (N,).
 
         Where the partner fails, no team has moved, and the step can be taken again. For ``views``
-        see :meth:`Teaming.step`.
+        and ``then`` see :meth:`Teaming.step`.
         """
         if self._seat == DRIVER:
             sequential = moves_sequentially(self._partner)
-            return self._teaming.turn(actions, self._asked, sequential, views)
+            return self._teaming.turn(actions, self._asked, sequential, views, then)
         self.prepare()  # again, if the partner failed when it was asked first
-        return self._teaming.step(actions, views)
+        return self._teaming.step(actions, views, then)

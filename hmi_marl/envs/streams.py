@@ -85,42 +85,6 @@ def episode_seed(seed: ArrayLike, episode: ArrayLike) -> NDArray[np.uint64]:
     return np.where(episode == 0, seed, mix(seed, Stream.EPISODE, episode))
 
 
-class EpisodeSeeds:
-    """Seeds of the episodes of N series, by :func:`episode_seed`, some of each ahead.
-
-    Args:
-        seeds: of the series, uint64 of shape (N,).
-    """
-
-    AHEAD = 32
-    """Episodes of a series whose seeds are computed at a time."""
-
-    def __init__(self, seeds: NDArray[np.uint64]) -> None:
-        self._seeds = seeds
-        self._episodes = np.zeros(len(seeds), np.uint64)
-        self._ahead = self._compute(np.arange(len(seeds)))
-
-    @property
-    def present(self) -> NDArray[np.uint64]:
-        """Seeds of the present episodes, shape (N,)."""
-        return self._of(np.arange(len(self._seeds)))
-
-    def go_on(self, teams: NDArray[np.int64]) -> NDArray[np.uint64]:
-        """Go on to the next episode in M series; return their seeds, shape (M,)."""
-        self._episodes[teams] += np.uint64(1)
-        at_end = teams[self._episodes[teams] % np.uint64(self.AHEAD) == 0]
-        if len(at_end):
-            self._ahead[at_end] = self._compute(at_end)
-        return self._of(teams)
-
-    def _of(self, teams: NDArray[np.int64]) -> NDArray[np.uint64]:
-        return self._ahead[teams, self._episodes[teams] % np.uint64(self.AHEAD)]
-
-    def _compute(self, teams: NDArray[np.int64]) -> NDArray[np.uint64]:
-        episodes = self._episodes[teams, None] + np.arange(self.AHEAD, dtype=np.uint64)
-        return episode_seed(self._seeds[teams, None], episodes)
-
-
 def check_whole(name: str, value: int, unit: str = "") -> int:
     """Return an integer of Python or NumPy as an int.
 

@@ -17,7 +17,7 @@ from hmi_marl.envs.alerts import Effects
 from hmi_marl.envs.attention import next_attention
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES
-from hmi_marl.envs.elementwise import choose
+from hmi_marl.envs.elementwise import choose, put_row
 from hmi_marl.envs.rewards import TERMS, Weights, add_up, attention_values, driving_values, places
 from hmi_marl.envs.streams import Stream, unit_draw
 from hmi_marl.envs.worlds.base import CRASHED, LANE, MERGING_SLOWNESS, SPEED, VEHICLE_ACTIONS
@@ -33,6 +33,10 @@ COLUMNS = 9
 """STEPS: taken in the episode. INTENDED, PREVIOUS: the latest a^H and the one before it; APPLIED:
 the latest v, -1 before the first. ALERTED: the latest a^A. Then d, i, c and f."""
 
+AT_START = np.zeros(COLUMNS, np.int64)
+AT_START[[INTENDED, PREVIOUS, APPLIED]] = NO_ACTION
+"""State of a team at the start of an episode."""
+
 BETA, ALPHA, ETA, INFLATION = range(len(TRAIT_NAMES))
 """Columns of traits, float64 of shape (N, 4)."""
 
@@ -42,10 +46,37 @@ SUMS = _TERMS + 2
 """Columns of rewards, float64 of shape (N, 10): each of ``TERMS``, then each agent's sum."""
 TERMINATED, TRUNCATED, ENDED, OVER = range(4)
 """Columns of ends, bool of shape (N, 4). ENDED: in this step; OVER: in this or an earlier one."""
-OF_BOTH, LENGTH, ALERTS = range(SUMS, SUMS + 3)
-TOTALS = SUMS + 3
-"""Columns of totals, sums over the present episode, float64 of shape (N, 13): those of rewards, then
-the sum of both agents, the number of steps and of alerts."""
+OF_BOTH, LENGTH, ALERTS, CRASHES = range(SUMS, SUMS + 4)
+TOTALS = SUMS + 4
+"""Columns of totals, sums over the present episode, float64 of shape (N, 14): those of rewards,
+then the sum of both agents, the number of steps and of alerts, and 1 if the car is crashed."""
+
+
+def begin(
+    k: Any,
+    seed: Any,
+    driver: NDArray[np.float64],
+    start: NDArray[np.int64],
+    state: NDArray[np.int64],
+    traits: NDArray[np.float64],
+    seeds: NDArray[np.uint64],
+    totals: NDArray[np.float64],
+    no_totals: NDArray[np.float64],
+) -> None:
+    """Begin an episode in team k.
+
+    Args:
+        k: number of the team, or numbers of M teams.
+        seed: of the episode.
+        driver: traits of its driver.
+        start: :data:`AT_START`.
+        state, traits, seeds, totals: of all teams, written into.
+        no_totals: zeros.
+    """
+    seeds[k] = seed
+    put_row(state, k, 0, start)
+    put_row(traits, k, 0, driver)
+    put_row(totals, k, 0, no_totals)
 
 
 def decide(
@@ -175,6 +206,7 @@ def reward(
     totals[k, OF_BOTH] += driver + vehicle_ai
     totals[k, LENGTH] += choose(on, 1.0, 0.0)
     totals[k, ALERTS] += choose(on & (alert[k] > 0), 1.0, 0.0)
+    totals[k, CRASHES] = choose(crashed, 1.0, 0.0)
     terminated = on & crashed & settings.end_at_crash
     late = after[k, STEPS] >= settings.horizon
     truncated = on & np.logical_not(terminated) & late

@@ -10,8 +10,8 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,16 +24,16 @@ from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
 from hmi_marl.envs.execution import Group, Rules, Teams, execution_for, read_world
 from hmi_marl.envs.observation_values import columns_of
 from hmi_marl.envs.rewards import TERMS
+from hmi_marl.envs.series import Series
 from hmi_marl.envs.team_step import (
     ALERTED,
     APPLIED,
-    COLUMNS,
+    AT_START,
     DISTRACTED,
     ENDED,
     FATIGUE,
     INFLATION,
     INTENDED,
-    NO_ACTION,
     OF_DRIVER,
     OF_VEHICLE_AI,
     OVER,
@@ -53,8 +53,25 @@ STATE = "state"
 """Name of the whole team's state among what :meth:`Teaming.views` gives."""
 
 
-_AT_START = np.zeros(COLUMNS, np.int64)
-_AT_START[[INTENDED, PREVIOUS, APPLIED]] = NO_ACTION
+@dataclass(frozen=True)
+class Then:
+    """Begin the next episode of its series in each team whose episode ends."""
+
+    series: Series
+    views: tuple[str, ...] = ()
+    """Observations at the end of the episode to compute."""
+
+
+@dataclass(frozen=True)
+class EndedTeams:
+    """M teams whose episode ended in a step."""
+
+    teams: NDArray[np.int64]
+    """Their numbers, shape (M,)."""
+    views: dict[str, NDArray[np.float32]]
+    """What was seen at the end, by name; shape (M, size of the layout) each."""
+    totals: NDArray[np.float64]
+    """Sums over the episode, (M, 14); for the columns see :mod:`team_step`."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +90,8 @@ class StepResult:
     """The episode ended, one way or the other."""
     views: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Observations after the step that were asked for, by name; see :meth:`Teaming.views`."""
+    ended_teams: EndedTeams | None = None
+    """What is known about the episodes that ended, if the next ones have begun already."""
 
 
 class Teaming:
@@ -108,7 +127,7 @@ class Teaming:
         self._everywhere = np.ones(num_teams, np.bool_)
         self._totals = np.zeros((num_teams, TOTALS))
         self._every = np.arange(num_teams)
-        self._state = np.repeat(_AT_START[None], num_teams, axis=0)
+        self._state = np.repeat(AT_START[None], num_teams, axis=0)
         self._traits = np.zeros((num_teams, len(TRAIT_NAMES)))
         self._readings = read_world(self.world)
         self.seeds = np.zeros(num_teams, np.uint64)
@@ -202,21 +221,12 @@ class Teaming:
         """
         if not len(teams):
             return
-        drawn = check_traits(self._population.draw(seeds), len(teams))
-        for name in ("seeds", "over", "intent_given"):  # others may hold them as they are
+        drawn = check_traits(self._population.draw(seeds), len(teams)).as_array()
+        for name in ("_state", "over", "intent_given"):  # others may hold them as they are
             setattr(self, name, getattr(self, name).copy())
-        self.seeds[teams] = seeds
         self.over[teams] = self.intent_given[teams] = False
-        self._change_drivers(teams, drawn)
-        self._state[teams] = _AT_START  # a copy by now
-        self._totals[teams] = 0.0
-        if hasattr(self.world, "begin"):
-            self.world.begin(teams, seeds, drawn.inflation)
-        else:
-            which = np.zeros(self.num_teams, np.bool_)
-            which[teams] = True
-            self.world.reset(self.seeds, self._traits[:, INFLATION], which)
-        self._readings = read_world(self.world)
+        after = self._execution.begin(self._teams(), teams, seeds, drawn, self._totals)
+        self._readings, self._traits, self.seeds = after.readings, after.traits, after.seeds
 
     def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
         """Change drivers in mid-episode. The new ones are attentive; car, time and v stay.
@@ -232,18 +242,19 @@ class Teaming:
         fresh = check_mask(which, self.num_teams)
         if (fresh & self.intent_given).any():
             raise ValueError("the wheel is handed over between turns; alert with step() first")
-        new = check_traits(traits, self.num_teams).as_array()[fresh]
-        self._change_drivers(np.flatnonzero(fresh), Traits.from_array(new))
+        new = check_traits(traits, self.num_teams).as_array()
+        self._traits, self._state = self._traits.copy(), self._state.copy()
+        self._traits[fresh] = new[fresh]
+        self._state[fresh, DISTRACTED:] = AT_START[DISTRACTED:]
         self.world.perceive(self._traits[:, INFLATION], fresh)
 
-    def _change_drivers(self, teams: NDArray[np.int64], traits: Traits) -> None:
-        """Put attentive drivers of these traits into M teams."""
-        self._traits, self._state = self._traits.copy(), self._state.copy()
-        self._traits[teams] = traits.as_array()
-        self._state[teams, DISTRACTED:] = 0
-
     def turn(
-        self, driver: Actor, hmi: Actor, sequential: bool = True, views: Sequence[str] = ()
+        self,
+        driver: Actor,
+        hmi: Actor,
+        sequential: bool = True,
+        views: Sequence[str] = (),
+        then: Then | None = None,
     ) -> StepResult:
         """Take one step of every team, each seat in its turn.
 
@@ -252,7 +263,7 @@ class Teaming:
             hmi: a^A_t, or a function from the vehicle AI's observations to them.
             sequential: whether the vehicle AI is asked after the driver and so sees a^H_t. If
                 not, it is asked first and sees a^H_{t-1}.
-            views: see :meth:`step`.
+            views, then: see :meth:`step`.
 
         Raises:
             ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
@@ -261,14 +272,14 @@ class Teaming:
         if not sequential:
             alerts = self.ask(VEHICLE_AI, hmi)
             self.intend(self.ask(DRIVER, driver))
-            return self.step(alerts, views)
+            return self.step(alerts, views, then)
         self.intend(self.ask(DRIVER, driver))
         try:
             alerts = self.ask(VEHICLE_AI, hmi)
         except Exception:
             self.withdraw()
             raise
-        return self.step(alerts, views)
+        return self.step(alerts, views, then)
 
     def ask(self, agent: str, actor: Actor) -> ArrayLike:
         """Return an actor's actions; one with an attribute ``reads`` is shown these parts only."""
@@ -298,7 +309,9 @@ class Teaming:
         state[:, INTENDED] = np.where(given, self.previous_intended, self.intended)
         self._state, self.intent_given = state, np.zeros(self.num_teams, np.bool_)
 
-    def step(self, alerts: ArrayLike, views: Sequence[str] = ()) -> StepResult:
+    def step(
+        self, alerts: ArrayLike, views: Sequence[str] = (), then: Then | None = None
+    ) -> StepResult:
         """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
 
         Ended teams stay as they are and get zeros.
@@ -307,6 +320,7 @@ class Teaming:
             alerts: a^A_t, shape (N,), integers: 0 or 1 with the paper's alerts, 0 to k with k
                 strengths.
             views: observations after the step to compute along with it; see :meth:`views`.
+            then: what teams do whose episode ends; by default nothing.
 
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
@@ -315,12 +329,19 @@ class Teaming:
             self._checked(alerts, VEHICLE_AI), self.alerts.choices, self.over, self.intent_given
         )
         groups = {name: self._group(name, self.num_teams) for name in views}
-        self._state, self._readings, rewards, ends = self._execution.step(
-            self._teams(active), alert, self._totals, tuple(groups.values())
+        finals = {name: self._group(name, self.num_teams) for name in then.views} if then else {}
+        after = self._execution.step(
+            self._teams(active),
+            alert,
+            self._totals,
+            tuple(groups.values()),
+            tuple(finals.values()),
+            then.series if then else None,
         )
+        self._state, self._readings, rewards, ends, self._traits, self.seeds, last = after
         self.intent_given = np.zeros(self.num_teams, np.bool_)
         self.over = ends[:, OVER].copy()
-        return StepResult(
+        result = StepResult(
             {DRIVER: rewards[:, OF_DRIVER], VEHICLE_AI: rewards[:, OF_VEHICLE_AI]},
             dict(zip(TERMS, rewards.T, strict=False)),
             ends[:, TERMINATED],
@@ -328,10 +349,15 @@ class Teaming:
             ends[:, ENDED],
             {name: group.rows for name, group in groups.items()},
         )
-
-    def totals(self, teams: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Sums over the present episodes of M teams, (M, 13); columns as in :mod:`team_step`."""
-        return self._totals[teams]
+        if then is None:
+            return result
+        teams = np.flatnonzero(result.ended)
+        if not len(teams):
+            return result
+        then.series.look_ahead(teams)
+        seen = {name: group.rows[teams] for name, group in finals.items()}
+        assert last is not None
+        return replace(result, ended_teams=EndedTeams(teams, seen, last[teams]))
 
     def _teams(self, active: NDArray[np.bool_] | None = None) -> Teams:
         active = self._everywhere if active is None else active  # not read where nothing moves
@@ -382,11 +408,6 @@ class Teaming:
         """Room for one observation of so many teams."""
         rows = np.empty((count, self._layout(name).size), np.float32)
         return self._columns_of(name).another(rows)
-
-    def write(self, views: Mapping[str, NDArray[np.float32]], teams: NDArray[np.int64]) -> None:
-        """Write the rows of M teams anew into observations that :meth:`views` or step gave."""
-        groups = tuple(self._columns_of(name).another(rows) for name, rows in views.items())
-        self._execution.write(self._teams(), teams, groups, in_place=True)
 
     def _layout(self, name: str) -> obs.Layout:
         return self.state_layout if name == STATE else self.layouts[name]

@@ -43,9 +43,10 @@ from hmi_marl.envs.execution import WrongActionError
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
-from hmi_marl.envs.streams import EpisodeSeeds, check_seed
-from hmi_marl.envs.team_step import ALERTS, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
-from hmi_marl.envs.teaming import STATE, StepResult, Teaming
+from hmi_marl.envs.series import Series
+from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
+from hmi_marl.envs.teaming import STATE, EndedTeams, StepResult, Teaming, Then
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
@@ -61,7 +62,7 @@ GROUPS = (DRIVER, VEHICLE_AI, TRAITS, CRITIC)
 _VIEW = {DRIVER: DRIVER, VEHICLE_AI: VEHICLE_AI, CRITIC: STATE}
 """Names of groups among the views that a Teaming gives."""
 Views = dict[str, NDArray[np.float32]]
-_LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "alerts"))
+_LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "alerts", "crash_rate"))
 
 _TRAITS = Layout(
     tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
@@ -130,7 +131,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._groups = _checked_groups(groups)
         self._views = _views_of(self._groups)
         self._observations: dict[str, torch.Tensor] = {}
-        self._logged = [self._return, *range(len(TERMS)), LENGTH, ALERTS]
+        self._logged = [self._return, *range(len(TERMS)), LENGTH, ALERTS, CRASHES]
         """Columns of totals that are logged."""
         self._viewer: Viewer | None = None
         self._start_series(seed)
@@ -210,7 +211,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         if seed is not None:
             self._start_series(seed)
         elif not self._untouched:
-            self._begin(np.arange(self.num_envs))
+            self._series.go_on(np.arange(self.num_envs))
+            self._begin()
         self._untouched = False
         return self.get_observations(), {}
 
@@ -254,10 +256,11 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._untouched = False
         # A partner who drives acts before the groups are complete.
         views = () if self.seat == VEHICLE_AI else self._views
+        then = Then(self._series, self._views)
         if self._turns is None:
-            result = self.teaming.turn(columns[0], columns[1], views=views)
+            result = self.teaming.turn(columns[0], columns[1], views=views, then=then)
         else:
-            result = self._turns.step(columns[0], views)
+            result = self._turns.step(columns[0], views, then)
         rewards = self._rewards(result)
         extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated.copy())}
         if self.seat == TEAM:
@@ -265,12 +268,12 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
                 agent: self._tensor(values.astype(np.float32))
                 for agent, values in result.rewards.items()
             }
-        teams = np.flatnonzero(result.ended)
-        if len(teams):
-            extras |= self._final_extras(teams, result.views)
-            self._begin(teams, result.views)
-        else:
-            self._observe(result.views)
+        if result.ended_teams is not None:
+            extras |= self._extras_of(result.ended_teams)
+            self._shown_traits = self.teaming.traits.as_array().astype(np.float32)
+            if self.partner is not None:
+                self.partner.reset(self.teaming.seeds, result.ended.copy())
+        self._observe(result.views)
         return (
             self.get_observations(),
             self._tensor(rewards.astype(np.float32)),
@@ -297,32 +300,16 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def _start_series(self, seed: int) -> None:
         first = np.uint64(check_seed(seed))
         series = first + np.arange(self.num_envs, dtype=np.uint64)  # modulo 2^64
-        self._series = EpisodeSeeds(series)
+        self._series = Series(series, self.teaming.config.population)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin the present episodes of the series."""
         self.teaming.reset(self._series.present)
         if self.partner is not None:
             self.partner.reset(self.teaming.seeds)
-        self._shown_traits = self._traits_of(np.arange(self.num_envs))
+        self._shown_traits = self.teaming.traits.as_array().astype(np.float32)
         self._observe({})
-
-    def _begin(self, teams: NDArray[np.int64], views: Views | None = None) -> None:
-        """Begin the next episode of the series in M teams, and observe.
-
-        ``views`` are those of all teams after the last step, if there was one; the rows of these
-        teams are written anew.
-        """
-        self.teaming.begin(teams, self._series.go_on(teams))
-        if self.partner is not None:
-            which = np.zeros(self.num_envs, np.bool_)
-            which[teams] = True
-            self.partner.reset(self.teaming.seeds, which)
-        self._shown_traits = self._shown_traits.copy()
-        self._shown_traits[teams] = self._traits_of(teams)
-        if views:
-            self.teaming.write(views, teams)
-        self._observe(views or {})
-
-    def _traits_of(self, teams: NDArray[np.int64]) -> NDArray[np.float32]:
-        return self.teaming.traits.as_array()[teams].astype(np.float32)
 
     def _observe(self, views: Views) -> None:
         """Let a partner who drives act, and take the views, or compute those that are not given."""
@@ -345,24 +332,15 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         driver, vehicle_ai = result.rewards[DRIVER], result.rewards[VEHICLE_AI]
         return driver + vehicle_ai if self.teaming.config.reward == "individual" else driver
 
-    def _final_extras(self, teams: NDArray[np.int64], views: Views) -> dict[str, Any]:
-        """``extras`` about the episodes that ended in M teams, before the next ones begin.
-
-        ``views`` are those of all teams, if they are known.
-        """
-        if views:
-            last = {name: rows[teams] for name, rows in views.items()}
-        else:
-            last = self.teaming.views(self._views, teams)
-        groups = self._as_groups(self._groups, last, self._shown_traits[teams])
-        totals = self.teaming.totals(teams).T[self._logged].astype(np.float32)
-        logged = dict(zip(_LOGGED, map(torch.from_numpy, totals), strict=True))
-        crashed = self.teaming.crashed[teams].astype(np.float32)
-        logged["Episode/crash_rate"] = torch.from_numpy(crashed)
+    def _extras_of(self, ended: EndedTeams) -> dict[str, Any]:
+        """``extras`` about the episodes that ended."""
+        groups = self._as_groups(self._groups, ended.views, self._shown_traits[ended.teams])
+        size = [len(ended.teams)]
+        totals = torch.from_numpy(ended.totals[:, self._logged].T.astype(np.float32))
         return {
-            "final_teams": self._tensor(teams),
-            "final_observation": TensorDict(groups, batch_size=[len(teams)], device=self.device),
-            "log": logged,
+            "final_teams": self._tensor(ended.teams),
+            "final_observation": TensorDict(groups, batch_size=size, device=self.device),
+            "log": dict(zip(_LOGGED, totals.unbind(0), strict=True)),
         }
 
     def _as_groups(

@@ -30,7 +30,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, Traits, get_driver
-from hmi_marl.envs.teaming import NO_ACTION, check_mask
+from hmi_marl.envs.team_step import NO_ACTION
+from hmi_marl.envs.teaming import check_mask
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 _ROUNDING = 1e-6

@@ -27,7 +27,7 @@ from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.observations import one_hot, vehicle_ai_layout
-from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.bayes_filter import BayesFilter, check_candidates
 

@@ -33,7 +33,7 @@ from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits
 from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
-from hmi_marl.envs.teaming import NO_ACTION
+from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.bayes_filter import check_candidates
 from hmi_marl.files import sha256

@@ -104,6 +104,21 @@ class Merges(NamedTuple):
     perceived_news: NDArray[np.uint8]
 
 
+class Room(NamedTuple):
+    """Room for drawing the scenes of N worlds."""
+
+    draws: NDArray[np.float64]
+    """Shape (N, draws of a scene)."""
+    lane: NDArray[np.int64]
+    """Shape (N, most vehicles)."""
+    start: NDArray[np.float64]
+    """Places and speeds, shape (N, 2, most vehicles)."""
+    low: int
+    """Least other vehicles."""
+    high: int
+    """Most other vehicles."""
+
+
 @inlined
 def move_world(k, merges, action):
     """Take one policy step in world k, and read its driven car."""
@@ -140,25 +155,30 @@ def look(k, merges, true, perceived):
         merges.perceived_news[k] = TRACED
 
 
-@kernel
-def begin_worlds(progress, merges, which, seeds, inflation, low, high, room):
-    """Begin the episodes of the worlds whose numbers stand in ``which``; see spawn.begin."""
-    draws, lane, start = room
+@inlined
+def begin_world(k, merges, room, seed, inflation):
+    """Begin the episode of a seed in world k; see :func:`spawn.begin`."""
+    draws, lane, start = room.draws, room.lane, room.start
+    f, i, world = merges.floats[k], merges.integers[k], merges.worlds[k]
     lanes, table, rows = merges.lanes, merges.table, merges.rows
+    begin(
+        f, i, world, lanes, table, rows, merges.speeds,
+        seed, room.low, room.high, draws[k], lane[k], start[k],
+    )  # fmt: skip
+    read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
+    merges.inflation[k] = inflation
+    merges.steps[k] = 0
+    merges.true_news[k] = CHANGED
+    merges.perceived_news[k] = CHANGED
+
+
+@kernel
+def begin_worlds(progress, merges, room, which, seeds, inflation):
+    """Begin the episodes of the worlds whose numbers stand in ``which``."""
     first, last = take(progress, 0, len(which))
     while first < last:
         for place in range(first, last):
-            k = which[place]
-            f, i, world = merges.floats[k], merges.integers[k], merges.worlds[k]
-            begin(
-                f, i, world, lanes, table, rows, merges.speeds,
-                seeds[place], low, high, draws[k], lane[k], start[k],
-            )  # fmt: skip
-            read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
-            merges.inflation[k] = inflation[place]
-            merges.steps[k] = 0
-            merges.true_news[k] = CHANGED
-            merges.perceived_news[k] = CHANGED
+            begin_world(which[place], merges, room, seeds[place], inflation[place])
         first, last = take(progress, last - first, len(which))
 
 

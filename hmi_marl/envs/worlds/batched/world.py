@@ -15,6 +15,7 @@ from hmi_marl.envs.worlds.batched.compiler import prepare
 from hmi_marl.envs.worlds.batched.kernels import (
     CHANGED,
     Merges,
+    Room,
     begin_worlds,
     fill_directions,
     look_around,
@@ -74,12 +75,13 @@ class BatchedWorld:
             perceived_lidar=np.zeros(cells, np.float32),
             perceived_news=np.full(num_worlds, CHANGED, np.uint8),
         )
-        self._room = (
+        self.room = Room(
             np.zeros((num_worlds, number_of_draws(high))),
             np.zeros((num_worlds, high), np.int64),
             np.zeros((num_worlds, 2, high)),
+            *scene.vehicle_range,
         )
-        """Room for drawing a scene: the draws, the lanes, the places and speeds."""
+        """Room for drawing scenes."""
         self._returned = dict.fromkeys(_LIDARS.values(), False)
         """Whether a lidar was returned as it is now, so that it must not be written into."""
         self._prepare()
@@ -90,7 +92,7 @@ class BatchedWorld:
     @property
     def bytes_per_world(self) -> int:
         """Memory that each world takes, without the arrays it has returned."""
-        arrays = (*self._merges, *self._room)
+        arrays = (*self._merges, *self.room)
         sizes = [each.nbytes for each in arrays if isinstance(each, np.ndarray)]
         return sum(sizes) // self.num_worlds
 
@@ -191,7 +193,7 @@ class BatchedWorld:
     ) -> tuple[Any, ...]:
         seeds = np.require(seeds, np.uint64, _CARRAY)
         inflation = np.require(inflation, np.float64, _CARRAY)
-        return self._merges, worlds, seeds, inflation, *self.scene.vehicle_range, self._room
+        return self._merges, self.room, worlds, seeds, inflation
 
     def _prepare(self) -> None:
         """Compile the loops, or load them."""
@@ -221,8 +223,8 @@ def _writeable(value: Any) -> Any:
     """``value`` with copies in place of arrays that cannot be written to."""
     if isinstance(value, np.ndarray):
         return value if value.flags.writeable else value.copy()
-    if isinstance(value, Merges):
-        return Merges(*map(_writeable, value))
+    if isinstance(value, (Merges, Room)):
+        return type(value)(*map(_writeable, value))
     if type(value) is tuple:
         return tuple(_writeable(each) for each in value)
     if type(value) is dict:

@@ -1,0 +1,64 @@
+"""Series of episodes: which seed and driver each team's next episode has."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.envs.drivers import TRAIT_NAMES, Population, check_traits
+from hmi_marl.envs.streams import episode_seed
+
+
+class Series:
+    """N series of episodes: the e-th of series k has the seed ``episode_seed(seeds[k], e)``.
+
+    Seeds and drivers are computed some episodes ahead, for many at a time.
+
+    Args:
+        seeds: of the series, uint64 of shape (N,).
+        population: draws the driver of each episode.
+
+    Raises:
+        ValueError, TypeError: a population that draws impossible traits.
+    """
+
+    AHEAD = 16
+    """Episodes of a series that are computed at a time."""
+
+    def __init__(self, seeds: NDArray[np.uint64], population: Population) -> None:
+        self._first, self._population = seeds, population
+        count = len(seeds)
+        self.episodes = np.zeros(count, np.int64)
+        """Number of the present episode of each series, shape (N,)."""
+        self.seeds = np.zeros((count, self.AHEAD), np.uint64)
+        """Seeds of episodes, in the column of the episode's number modulo AHEAD."""
+        self.traits = np.zeros((count, self.AHEAD, len(TRAIT_NAMES)))
+        """Traits of their drivers."""
+        self._compute(np.arange(count), 0)
+
+    @property
+    def present(self) -> NDArray[np.uint64]:
+        """Seeds of the present episodes, shape (N,)."""
+        return episode_seed(self._first, self.episodes.astype(np.uint64))
+
+    def go_on(self, series: NDArray[np.int64]) -> tuple[NDArray[np.uint64], NDArray[np.float64]]:
+        """Go on to the next episode in M series; return the seeds, (M,), and traits, (M, 4)."""
+        self.episodes[series] += 1
+        place = series, self.episodes[series] % self.AHEAD
+        seeds, traits = self.seeds[place], self.traits[place]
+        self.look_ahead(series)
+        return seeds, traits
+
+    def look_ahead(self, series: NDArray[np.int64]) -> None:
+        """Compute more of those series whose last computed episode has begun."""
+        at_end = series[self.episodes[series] % self.AHEAD == self.AHEAD - 1]
+        if len(at_end):
+            self._compute(at_end, 1)
+
+    def _compute(self, series: NDArray[np.int64], first: int) -> None:
+        """Compute AHEAD episodes, from the ``first`` after the present one on."""
+        numbers = self.episodes[series, None] + first + np.arange(self.AHEAD)
+        seeds = episode_seed(self._first[series, None], numbers.astype(np.uint64))
+        drawn = check_traits(self._population.draw(seeds.ravel()), seeds.size)
+        self.seeds[series] = seeds
+        self.traits[series] = drawn.as_array().reshape(*seeds.shape, -1)
