@@ -25,6 +25,9 @@ class RuleBasedDriver(Memoryless):
     gaps, a higher inflation makes it more careful.
     """
 
+    reads: tuple[str, ...] = ("lidar", "speed", "target_speed")
+    """Parts of the observation that it reads."""
+
     def __init__(
         self,
         config: TeamConfig,
@@ -53,6 +56,9 @@ class RuleBasedDriver(Memoryless):
 
 class RandomDriver:
     """Choose any of the five actions with equal probability."""
+
+    reads: tuple[str, ...] = ()
+    """Parts of the observation that it reads."""
 
     def __init__(self) -> None:
         self._draws = Draws(Stream.DRIVER_POLICY)

@@ -53,6 +53,9 @@ def strongest_alert(alerts: Alerts, *probability: float) -> NDArray[np.float64]:
 class RandomAlert:
     """Alert in each step with probability ``rate``, in [0, 1], by the strongest of ``alerts``."""
 
+    reads: tuple[str, ...] = ()
+    """Parts of the observation that it reads."""
+
     def __init__(self, rate: float, alerts: Alerts = PLAIN) -> None:
         if not 0.0 <= rate <= 1.0:
             raise ValueError(f"an alert rate lies in [0, 1], but got {rate}")
@@ -66,6 +69,8 @@ class RandomAlert:
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
+        if self.rate in (0.0, 1.0):  # no draw decides
+            return np.full(len(observations), self._alerts.strongest * int(self.rate))
         return self._alerts.strongest * (self._draws.next() < self.rate).astype(np.int64)
 
     def alert_probability(self) -> NDArray[np.float64]:
@@ -75,6 +80,9 @@ class RandomAlert:
 
 class AlertWhenDistracted(Memoryless):
     """Alert exactly when the driver was distracted in the last step, as strongly as possible."""
+
+    reads: tuple[str, ...] = ("distracted",)
+    """Parts of the observation that it reads."""
 
     def __init__(self, config: TeamConfig) -> None:
         _need_attention(config, "'when-distracted'")
@@ -100,6 +108,9 @@ class OptimalAlert(Memoryless):
         self._layout = vehicle_ai_layout(config)
         self._alerts = config.alerts
         self._horizon, self._window = config.horizon, config.alert_window
+        fatigue = () if config.fatigue is None else ("fatigue",)
+        self.reads: tuple[str, ...] = ("time", "distracted", "accepted", "counter", *fatigue)
+        """Parts of the observation that it reads."""
         self._solution = solve_alerts(
             self.model,
             config.alert_window,

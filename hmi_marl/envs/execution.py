@@ -14,14 +14,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.envs import observation_values, team_step
+from hmi_marl.envs import team_step
 from hmi_marl.envs.alerts import Effects
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.elementwise import EVERY
-from hmi_marl.envs.observation_values import Columns, Scales, Shown, scales_of
+from hmi_marl.envs.observation_values import (
+    Columns,
+    Scales,
+    Shown,
+    scale_lidar,
+    scales_of,
+    write,
+)
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.team_step import OVER, SUMS, Settings, settings_of
-from hmi_marl.envs.worlds import World
+from hmi_marl.envs.team_step import Settings, settings_of
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 
 FEW = 16
@@ -45,15 +53,28 @@ class Rules(NamedTuple):
 
 
 class Teams(NamedTuple):
-    """N teams as the rules see them; for the columns see :mod:`team_step`."""
+    """N teams as the rules see them, in arrays that are written into; see :mod:`team_step`."""
 
     state: NDArray[np.int64]
-    readings: Readings
     traits: NDArray[np.float64]
     seeds: NDArray[np.uint64]
-    active: NDArray[np.bool_]
-    """Teams whose episode goes on, shape (N,)."""
+    over: NDArray[np.bool_]
+    """Teams without a running episode: ended, or not begun. Shape (N,)."""
     intent_given: NDArray[np.bool_]
+    """Teams in mid-turn: the driver has acted, the vehicle AI has not. Shape (N,)."""
+    totals: NDArray[np.float64]
+
+    @classmethod
+    def new(cls, count: int) -> Teams:
+        """N teams without episodes."""
+        return cls(
+            np.repeat(team_step.AT_START[None], count, axis=0),
+            np.zeros((count, len(TRAIT_NAMES))),
+            np.zeros(count, np.uint64),
+            np.ones(count, np.bool_),
+            np.zeros(count, np.bool_),
+            np.zeros((count, team_step.TOTALS)),
+        )
 
 
 @dataclass(frozen=True)
@@ -77,22 +98,19 @@ class Group:
 
 
 class After(NamedTuple):
-    """N teams after a step."""
+    """What a step gave N teams. The arrays are new in every step."""
 
-    state: NDArray[np.int64]
-    readings: Readings
     rewards: NDArray[np.float64]
     ends: NDArray[np.bool_]
-    traits: NDArray[np.float64]
-    seeds: NDArray[np.uint64]
-    last_totals: NDArray[np.float64] | None = None
+    last_totals: NDArray[np.float64] | None
     """Totals of the episodes that ended, if the next ones began: shape (N, 14), of which only the
     rows of these teams are filled in."""
 
-
-def new_rewards(num_teams: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Arrays for :func:`team_step.reward` to fill in."""
-    return np.empty((num_teams, SUMS)), np.empty((num_teams, OVER + 1), np.bool_)
+    @classmethod
+    def new(cls, count: int, last_totals: NDArray[np.float64] | None = None) -> After:
+        """Arrays to be filled in."""
+        rewards = np.empty((count, team_step.SUMS))
+        return cls(rewards, np.empty((count, team_step.OVER + 1), np.bool_), last_totals)
 
 
 def read_world(world: World) -> Readings:
@@ -110,12 +128,24 @@ class WrongActionError(ValueError):
 
 
 class Execution(ABC):
-    """A way to take steps and to write observations of N teams in a world."""
+    """A way to take steps and to write observations of N teams in a world.
+
+    Args:
+        world: with N copies of a scene.
+        rules: constants of the settings.
+    """
 
     def __init__(self, world: World, rules: Rules) -> None:
         self.world, self.rules = world, rules
-        cells = world.scene.lidar_cells
-        self._no_lidar = np.zeros((0, 2 * cells), np.float32)
+        self._readings = read_world(world)
+        self._every = np.arange(world.num_worlds)
+        self._cells = 2 * world.scene.lidar_cells
+        self._no_lidar = np.zeros((0, self._cells), np.float32)
+
+    @property
+    def readings(self) -> Readings:
+        """The driven cars; later steps may write into these arrays."""
+        return self._readings
 
     @abstractmethod
     def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
@@ -126,55 +156,48 @@ class Execution(ABC):
         """
 
     @abstractmethod
-    def intend(
-        self,
-        actions: NDArray[np.int64],
-        choices: int,
-        acts: NDArray[np.bool_],
-        over: NDArray[np.bool_],
-        state: NDArray[np.int64],
-        given: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Put the drivers' a^H into a copy of the state.
+    def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
+        """Set the drivers' a^H.
 
         Args:
-            actions: a^H of N teams, below ``choices``.
-            choices: number of actions.
-            acts: teams in which the driver acts now, if they are not over.
-            over: teams without a running episode.
-            state: before.
-            given: teams in mid-turn, in which no driver may act.
+            teams: written into.
+            actions: a^H, shape (N,).
+            acts: teams in which the driver acts now, unless they are over.
 
-        Returns:
-            The state, and the teams in mid-turn after it.
+        Raises:
+            ValueError: a driver has acted already, or by no action. Nothing has changed then.
         """
 
     @abstractmethod
     def admit(
-        self,
-        alerts: NDArray[np.int64],
-        choices: int,
-        over: NDArray[np.bool_],
-        given: NDArray[np.bool_],
+        self, teams: Teams, alerts: NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Return which teams take a step, and their alerts, 0 for the others.
+        """Return which teams take a step, shape (N,), and their alerts, 0 for the others.
 
-        Args:
-            alerts: a^A of N teams, below ``choices``.
-            choices: number of actions.
-            over: teams without a running episode, which take none.
-            given: teams in mid-turn; all that are not over have to be.
+        Raises:
+            ValueError: a driver has not acted, or an alert is none.
         """
 
     @abstractmethod
-    def decide(self, teams: Teams, alert: NDArray[np.int64], after: NDArray[np.int64]) -> None:
-        """Fill in ``after`` by :func:`team_step.decide`."""
+    def decide(
+        self,
+        teams: Teams,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+    ) -> None:
+        """Fill in the next state by :func:`team_step.decide`."""
 
     @abstractmethod
     def reward(
-        self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
+        self,
+        teams: Teams,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+        after: After,
     ) -> None:
-        """Fill in the rewards and ends of ``after`` by :func:`team_step.reward`."""
+        """Fill in rewards and ends, and add to totals, by :func:`team_step.reward`."""
 
     @abstractmethod
     def write(
@@ -196,8 +219,8 @@ class Execution(ABC):
     def step(
         self,
         teams: Teams,
-        alert: NDArray[np.int64],
-        totals: NDArray[np.float64],
+        alerts: NDArray[np.int64],
+        state: NDArray[np.int64],
         groups: tuple[Group, ...] = (),
         finals: tuple[Group, ...] = (),
         series: Series | None = None,
@@ -205,33 +228,34 @@ class Execution(ABC):
         """Take a step in which both agents have acted.
 
         Args:
-            teams: before the step.
-            alert: a^A_t.
-            totals: sums over the episodes, added to.
+            teams: before the step. All but their state is written into.
+            alerts: a^A_t, shape (N,).
+            state: of the teams after the step, to be filled in.
             groups: observations after the step, to be written for every team.
             finals: observations at the end of episodes, to be written in the rows of those teams
                 whose episode ends; read only if there are ``series``.
             series: of episodes. Teams whose episode ends begin their next one at once; without
                 series they stay as they are.
+
+        Raises:
+            ValueError: see :meth:`admit`. Nothing has changed then.
         """
-        count = len(alert)
-        state = np.empty_like(teams.state)
-        self.decide(teams, alert, state)
-        readings = self._move_world(teams, state)
-        after = After(state, readings, *new_rewards(count), teams.traits, teams.seeds)
-        self.reward(teams, alert, after, totals)
-        now = teams._replace(state=state, readings=readings, intent_given=np.zeros(count, np.bool_))
+        active, alert = self.admit(teams, alerts)
+        self.decide(teams, active, alert, state)
+        self._move_world(active, state[:, team_step.APPLIED])
+        after = After.new(len(alert))
+        self.reward(teams, active, alert, state, after)
+        teams.over[:] = after.ends[:, team_step.OVER]
+        teams.intent_given[:] = False
+        now = teams._replace(state=state)
         which = np.flatnonzero(after.ends[:, team_step.ENDED])
         if series is not None and len(which):
             if finals:
                 self.write(now, which, finals, in_place=True)
-            after = after._replace(last_totals=totals.copy())
-            seeds, traits = series.go_on(which)
-            now = self.begin(now, which, seeds, traits, totals)
-            after.ends[which, OVER] = False
-            after = after._replace(readings=now.readings, traits=now.traits, seeds=now.seeds)
+            after = after._replace(last_totals=teams.totals.copy())
+            self.begin(now, which, *series.go_on(which))
         if groups:
-            self.write(now, np.arange(count), groups)
+            self.write(now, self._every, groups)
         return after
 
     def begin(
@@ -240,58 +264,51 @@ class Execution(ABC):
         which: NDArray[np.int64],
         seeds: NDArray[np.uint64],
         traits: NDArray[np.float64],
-        totals: NDArray[np.float64],
-    ) -> Teams:
-        """Begin episodes in M teams; return all teams after it.
+    ) -> None:
+        """Begin episodes in M teams.
 
         Args:
-            teams: before; the state is written into.
+            teams: written into.
             which: numbers of the M teams.
             seeds: of the episodes, shape (M,).
             traits: of their drivers, shape (M, 4).
-            totals: of all teams, written into.
         """
-        teams = teams._replace(traits=teams.traits.copy(), seeds=teams.seeds.copy())
-        begin = team_step.begin
-        start, none = team_step.AT_START, np.zeros(team_step.TOTALS)
-        begin(which, seeds, traits, start, teams.state, teams.traits, teams.seeds, totals, none)
+        team_step.begin(
+            which, seeds, traits, team_step.AT_START, *teams, np.zeros(team_step.TOTALS)
+        )
         if hasattr(self.world, "begin"):
             self.world.begin(which, seeds, traits[:, team_step.INFLATION])
         else:
-            marks = np.zeros(len(teams.active), np.bool_)
+            marks = np.zeros(len(teams.over), np.bool_)
             marks[which] = True
             self.world.reset(teams.seeds, teams.traits[:, team_step.INFLATION], marks)
-        return teams._replace(readings=read_world(self.world))
+        self._readings = read_world(self.world)
 
     def wrong_action(self, actions: NDArray[Any], team: int, column: int) -> WrongActionError:
         """Error about an action of :meth:`whole`."""
         return WrongActionError(int(team), int(column), actions[team, column])
 
-    def check_intent(
-        self, found: NDArray[np.int64], actions: NDArray[np.int64], choices: int
-    ) -> None:
+    def check_intent(self, found: NDArray[np.int64], actions: NDArray[np.int64]) -> None:
         """Raise if a driver had acted already, or acted by no action; -1 stands for neither."""
         if found[0] >= 0:
             raise ValueError("the drivers have already acted in this step; now alert with step()")
-        _check_found(DRIVER, found[1], actions, choices)
+        _check_found(DRIVER, found[1], actions, len(VEHICLE_ACTIONS))
 
-    def check_admission(
-        self, found: NDArray[np.int64], alerts: NDArray[np.int64], choices: int
-    ) -> None:
+    def check_admission(self, found: NDArray[np.int64], alerts: NDArray[np.int64]) -> None:
         """Raise if a driver has not acted, or an alert is none; -1 stands for neither."""
         if found[0] >= 0:
             raise ValueError("the driver acts first: call intend() with the driver's action")
-        _check_found(VEHICLE_AI, found[1], alerts, choices)
+        _check_found(VEHICLE_AI, found[1], alerts, len(self.rules.effects.strengths))
 
-    def _move_world(self, teams: Teams, after: NDArray[np.int64]) -> Readings:
+    def _move_world(self, active: NDArray[np.bool_], applied: NDArray[np.int64]) -> None:
         """Move the cars, but those that are crashed: these stand."""
-        numbers, flags = teams.readings
-        standing = teams.active & (flags[:, CRASHED] == 1)
+        numbers, flags = self._readings
+        standing = active & (flags[:, CRASHED] == 1)
         newly_standing = standing & (numbers[:, SPEED] != 0.0)
         if newly_standing.any():
             self.world.halt(newly_standing)
-        self.world.step(after[:, team_step.APPLIED], teams.active & ~standing)
-        return read_world(self.world)
+        self.world.step(applied.copy(), active & ~standing)
+        self._readings = read_world(self.world)
 
     def _shown(self, teams: Teams, groups: tuple[Group, ...]) -> Shown:
         """What observations show, with those lidars that the groups read."""
@@ -302,15 +319,13 @@ class Execution(ABC):
                 (True, any(group.shows_perceived_lidar for group in groups)),
             )
         )
-        return Shown(
-            true, perceived, *teams.readings, teams.state, teams.intent_given, teams.traits
-        )
+        return Shown(true, perceived, *self.readings, teams.state, teams.intent_given, teams.traits)
 
     def _scaled_lidar(self, inflated: bool) -> NDArray[np.float32]:
         """A lidar of every team as it is shown, shape (N, 2 cells)."""
         lidar = np.asarray(self.world.lidar(inflated), np.float32)
-        shown = np.empty((len(lidar), self._no_lidar.shape[1]), np.float32)
-        observation_values.scale_lidar(shown, EVERY, lidar.reshape(shown.shape), self.rules.scales)
+        shown = np.empty((len(lidar), self._cells), np.float32)
+        scale_lidar(shown, EVERY, lidar.reshape(shown.shape), self.rules.scales)
         return shown
 
 
@@ -334,51 +349,48 @@ class InNumPy(Execution):
             raise self.wrong_action(actions, team, column)
         return np.ascontiguousarray(whole.T)
 
-    def intend(
-        self,
-        actions: NDArray[np.int64],
-        choices: int,
-        acts: NDArray[np.bool_],
-        over: NDArray[np.bool_],
-        state: NDArray[np.int64],
-        given: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
         """See :meth:`Execution.intend`."""
-        on, after = acts & ~over, state.copy()
-        wrong = on & ((actions < 0) | (actions >= choices))
-        self.check_intent(_first(on & given, wrong), actions, choices)
-        np.copyto(after[:, team_step.PREVIOUS], state[:, team_step.INTENDED], where=on)
-        np.copyto(after[:, team_step.INTENDED], actions, where=on)
-        return after, given | on
+        state, given, on = teams.state, teams.intent_given, acts & ~teams.over
+        wrong = on & ((actions < 0) | (actions >= len(VEHICLE_ACTIONS)))
+        self.check_intent(_first(on & given, wrong), actions)
+        np.copyto(state[:, team_step.PREVIOUS], state[:, team_step.INTENDED], where=on)
+        np.copyto(state[:, team_step.INTENDED], actions, where=on)
+        given |= on
 
     def admit(
-        self,
-        alerts: NDArray[np.int64],
-        choices: int,
-        over: NDArray[np.bool_],
-        given: NDArray[np.bool_],
+        self, teams: Teams, alerts: NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """See :meth:`Execution.admit`."""
-        wrong = ~over & ((alerts < 0) | (alerts >= choices))
-        self.check_admission(_first(~over & ~given, wrong), alerts, choices)
-        return ~over, np.where(over, 0, alerts)
+        active, choices = ~teams.over, len(self.rules.effects.strengths)
+        wrong = active & ((alerts < 0) | (alerts >= choices))
+        self.check_admission(_first(active & ~teams.intent_given, wrong), alerts)
+        return active, np.where(active, alerts, 0)
 
-    def decide(self, teams: Teams, alert: NDArray[np.int64], after: NDArray[np.int64]) -> None:
+    def decide(
+        self,
+        teams: Teams,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+    ) -> None:
         """See :meth:`Execution.decide`."""
         window, effects = self.rules.window, self.rules.effects
-        state, _, traits, seeds, active, _ = teams
+        before, traits, seeds, *_ = teams
         with np.errstate(over="ignore"):  # random bits are arithmetic modulo 2^64
-            team_step.decide(EVERY, active, alert, state, seeds, traits, window, effects, after)
+            team_step.decide(EVERY, active, alert, before, seeds, traits, window, effects, state)
 
     def reward(
-        self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
+        self,
+        teams: Teams,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+        after: After,
     ) -> None:
         """See :meth:`Execution.reward`."""
-        state, readings, rewards, ends, *_ = after
-        before, active, settings = teams.state, teams.active, self.rules.settings
-        team_step.reward(
-            EVERY, active, alert, before, state, *readings, settings, rewards, ends, totals
-        )
+        results = self.rules.settings, after.rewards, after.ends, teams.totals
+        team_step.reward(EVERY, active, alert, teams.state, state, *self._readings, *results)
 
     def write(
         self,
@@ -390,9 +402,7 @@ class InNumPy(Execution):
         """See :meth:`Execution.write`."""
         shown, rows = self._shown(teams, groups), which if in_place else EVERY
         for group in groups:
-            observation_values.write(
-                group.rows, rows, group.columns, which, shown, self.rules.scales
-            )
+            write(group.rows, rows, group.columns, which, shown, self.rules.scales)
 
 
 def _first(*marks: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs import alerts, attention, elementwise, rewards, streams, team_step
 from hmi_marl.envs import observation_values as values
-from hmi_marl.envs.execution import After, Execution, Group, Rules, Teams, new_rewards
+from hmi_marl.envs.execution import After, Execution, Group, Rules, Teams
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.team_step import AT_START, TOTALS
-from hmi_marl.envs.worlds.base import CRASHED, SPEED
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
+from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 from hmi_marl.envs.worlds.batched import BatchedWorld
 from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare
 from hmi_marl.envs.worlds.batched.kernels import (
@@ -108,8 +109,10 @@ def _scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> Any:
 def check_actions(progress, actions, sizes, columns, found):
     """Copy actions of shape (N, C) to int64 of shape (C, N), in which they are whole numbers.
 
-    ``found`` becomes the team and column of the first that is not, or not below its column's size.
+    ``found`` becomes the team and column of the first that is not, or not below its column's size,
+    else -1.
     """
+    found[0] = -1
     for column in range(len(sizes)):
         for team in range(len(actions)):
             value = actions[team, column]
@@ -120,28 +123,32 @@ def check_actions(progress, actions, sizes, columns, found):
 
 
 @kernel
-def intend_teams(progress, actions, choices, acts, over, state, given, after, after_given, found):
-    """Put the drivers' actions into a state; see :meth:`Execution.intend`."""
+def intend_teams(progress, teams, actions, choices, acts, found):
+    """Set the drivers' actions; see :meth:`Execution.intend`."""
+    state, over, given = teams.state, teams.over, teams.intent_given
+    found[0], found[1] = -1, -1
     for k in range(len(over)):
         on = acts[k] and not over[k]
         if on and given[k] and found[0] < 0:
             found[0] = k
         if on and not 0 <= actions[k] < choices and found[1] < 0:
             found[1] = k
-        for column in range(team_step.COLUMNS):
-            after[k, column] = state[k, column]
-        if on:
-            after[k, team_step.PREVIOUS] = state[k, team_step.INTENDED]
-            after[k, team_step.INTENDED] = actions[k]
-        after_given[k] = given[k] or on
+    if found[0] >= 0 or found[1] >= 0:
+        return
+    for k in range(len(over)):
+        if acts[k] and not over[k]:
+            state[k, team_step.PREVIOUS] = state[k, team_step.INTENDED]
+            state[k, team_step.INTENDED] = actions[k]
+            given[k] = True
 
 
 @kernel
-def admit_alerts(progress, alerts, choices, over, given, active, alert, found):
+def admit_alerts(progress, teams, alerts, choices, active, alert, found):
     """Find out which teams take a step, and by which alerts; see :meth:`Execution.admit`."""
-    for k in range(len(over)):
-        on = not over[k]
-        if on and not given[k] and found[0] < 0:
+    found[0], found[1] = -1, -1
+    for k in range(len(teams.over)):
+        on = not teams.over[k]
+        if on and not teams.intent_given[k] and found[0] < 0:
             found[0] = k
         if on and not 0 <= alerts[k] < choices and found[1] < 0:
             found[1] = k
@@ -150,9 +157,9 @@ def admit_alerts(progress, alerts, choices, over, given, active, alert, found):
 
 
 @kernel
-def decide_teams(progress, teams, alert, rules, after):
+def decide_teams(progress, teams, active, alert, rules, after):
     """Apply :func:`team_step.decide` to every team."""
-    state, _, traits, seeds, active, _ = teams
+    state, traits, seeds = teams.state, teams.traits, teams.seeds
     window, effects, _, _ = rules
     first, last = take(progress, 0, len(active))
     while first < last:
@@ -162,9 +169,9 @@ def decide_teams(progress, teams, alert, rules, after):
 
 
 @kernel
-def reward_teams(progress, teams, alert, rules, after, readings, rewards, ends, totals):
+def reward_teams(progress, teams, active, alert, rules, after, readings, rewards, ends):
     """Apply :func:`team_step.reward` to every team."""
-    state, _, _, _, active, _ = teams
+    state, totals = teams.state, teams.totals
     _, _, settings, _ = rules
     numbers, flags = readings
     first, last = take(progress, 0, len(active))
@@ -226,7 +233,7 @@ def look_and_write_teams(
 
 
 class NextEpisodes(NamedTuple):
-    """Where a step finds the next episodes of teams that end, and leaves their last views."""
+    """Where a step finds the next episodes of teams that end, and leaves their totals."""
 
     wanted: bool
     """Whether teams that end begin their next episode."""
@@ -243,7 +250,7 @@ class NextEpisodes(NamedTuple):
 
 @kernel
 def step_teams(
-    progress, merges, room, teams, alert, rules, after, rewards, ends, totals,
+    progress, merges, room, teams, active, alert, rules, after, rewards, ends,
     following, lidars, shown, finals, groups,
 ):  # fmt: skip
     """Take a whole step of every team: decide, move, reward, look and write; begin what follows.
@@ -251,7 +258,7 @@ def step_teams(
     One loop for all of it, since starting one on several threads costs as much as some of its
     parts, and what a team needs stays in the processor's cache.
     """
-    state, _, traits, seeds, active, _ = teams
+    state, traits, seeds, over, intent_given, totals = teams
     window, effects, settings, scales = rules
     numbers, flags = merges.numbers, merges.flags
     final_true, final_perceived, final_groups = finals
@@ -269,6 +276,8 @@ def step_teams(
             team_step.reward(
                 k, active, alert, state, after, numbers, flags, settings, rewards, ends, totals
             )
+            over[k] = ends[k, team_step.OVER]
+            intent_given[k] = False
             if following.wanted and ends[k, team_step.ENDED]:
                 look_and_scale(k, merges, final_true, final_perceived, lidars, shown, scales)
                 for rows, columns in final_groups:
@@ -280,11 +289,10 @@ def step_teams(
                 place = following.episodes[k] % ahead
                 seed, driver = following.seeds_ahead[k, place], following.traits_ahead[k, place]
                 team_step.begin(
-                    k, seed, driver, following.start, after, traits, seeds, totals,
-                    following.no_totals,
+                    k, seed, driver, following.start, after, traits, seeds, over, intent_given,
+                    totals, following.no_totals,
                 )  # fmt: skip
                 begin_world(k, merges, room, seed, driver[team_step.INFLATION])
-                ends[k, team_step.OVER] = False
             look_and_scale(k, merges, true, perceived, lidars, shown, scales)
             for rows, columns in all_groups:
                 if len(rows):
@@ -303,54 +311,55 @@ _NO_GROUP = (np.empty((0, 0), np.float32), _NO_COLUMNS)
 class InLoops(Execution):
     """Apply the rules in compiled loops, in any world."""
 
+    def __init__(self, world: World, rules: Rules) -> None:
+        super().__init__(world, rules)
+        count = world.num_worlds
+        self._found = np.zeros(2, np.int64)
+        self._active, self._alert = np.zeros(count, np.bool_), np.zeros(count, np.int64)
+
     def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """See :meth:`Execution.whole`."""
-        columns, found = np.empty((len(sizes), len(actions)), np.int64), np.full(2, -1)
-        check_actions(_NO_PROGRESS, actions, sizes, columns, found)
-        if found[0] >= 0:
-            raise self.wrong_action(actions, *found)
+        columns = np.empty((len(sizes), len(actions)), np.int64)
+        check_actions(_NO_PROGRESS, actions, sizes, columns, self._found)
+        if self._found[0] >= 0:
+            raise self.wrong_action(actions, *self._found)
         return columns
 
-    def intend(
-        self,
-        actions: NDArray[np.int64],
-        choices: int,
-        acts: NDArray[np.bool_],
-        over: NDArray[np.bool_],
-        state: NDArray[np.int64],
-        given: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
         """See :meth:`Execution.intend`."""
-        after, after_given, found = np.empty_like(state), np.empty_like(given), np.full(2, -1)
-        intend_teams(
-            _NO_PROGRESS, actions, choices, acts, over, state, given, after, after_given, found
-        )
-        self.check_intent(found, actions, choices)
-        return after, after_given
+        intend_teams(_NO_PROGRESS, teams, actions, len(VEHICLE_ACTIONS), acts, self._found)
+        self.check_intent(self._found, actions)
 
     def admit(
-        self,
-        alerts: NDArray[np.int64],
-        choices: int,
-        over: NDArray[np.bool_],
-        given: NDArray[np.bool_],
+        self, teams: Teams, alerts: NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """See :meth:`Execution.admit`."""
-        active, alert, found = np.empty_like(over), np.empty_like(alerts), np.full(2, -1)
-        admit_alerts(_NO_PROGRESS, alerts, choices, over, given, active, alert, found)
-        self.check_admission(found, alerts, choices)
-        return active, alert
+        """See :meth:`Execution.admit`; the arrays are the same at each call."""
+        admitted, choices = (self._active, self._alert), len(self.rules.effects.strengths)
+        admit_alerts(_NO_PROGRESS, teams, alerts, choices, *admitted, self._found)
+        self.check_admission(self._found, alerts)
+        return admitted
 
-    def decide(self, teams: Teams, alert: NDArray[np.int64], after: NDArray[np.int64]) -> None:
+    def decide(
+        self,
+        teams: Teams,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+    ) -> None:
         """See :meth:`Execution.decide`."""
-        self._run(decide_teams, len(alert), teams, alert, self.rules, after)
+        self._run(decide_teams, len(alert), teams, active, alert, self.rules, state)
 
     def reward(
-        self, teams: Teams, alert: NDArray[np.int64], after: After, totals: NDArray[np.float64]
+        self,
+        teams: Teams,
+        active: NDArray[np.bool_],
+        alert: NDArray[np.int64],
+        state: NDArray[np.int64],
+        after: After,
     ) -> None:
         """See :meth:`Execution.reward`."""
-        results = after.state, after.readings, after.rewards, after.ends, totals
-        self._run(reward_teams, len(alert), teams, alert, self.rules, *results)
+        results = state, self.readings, after.rewards, after.ends
+        self._run(reward_teams, len(alert), teams, active, alert, self.rules, *results)
 
     def write(
         self,
@@ -376,13 +385,19 @@ class InOneLoop(InLoops):
 
     def __init__(self, world: BatchedWorld, rules: Rules) -> None:
         super().__init__(world, rules)
-        cells = 2 * world.scene.lidar_cells
-        self._lidars = tuple(np.zeros((world.num_worlds, cells), np.float32) for _ in range(2))
+        count, nothing = world.num_worlds, (np.zeros((0, 1), np.uint64), np.zeros((0, 1, 4)))
+        self._lidars = tuple(np.zeros((count, self._cells), np.float32) for _ in range(2))
         """The lidars as they are shown."""
-        nothing = np.zeros((0, 1), np.uint64), np.zeros((0, 1, 4))
+        self._last_totals = np.zeros((count, TOTALS))
         self._nothing_follows = NextEpisodes(
-            False, np.zeros(0, np.int64), *nothing, AT_START, _NO_TOTALS, np.zeros((0, TOTALS))
+            False, np.zeros(0, np.int64), *nothing, AT_START, _NO_TOTALS, self._last_totals
         )
+
+    @property
+    def readings(self) -> Readings:
+        """See :meth:`Execution.readings`."""
+        merges = self.world.arrays()
+        return Readings(merges.numbers, merges.flags)
 
     def write(
         self,
@@ -393,51 +408,43 @@ class InOneLoop(InLoops):
     ) -> None:
         """See :meth:`Execution.write`."""
         merges = self.world.arrays()
-        shown = values.Shown(
-            *self._lidars, *teams.readings, teams.state, teams.intent_given, teams.traits
-        )
         arguments = (
-            *_lidars(groups), self._in_shape(merges), which, in_place, shown, self.rules,
-            _filled_up(groups),
+            merges, *_lidars(groups), self._in_shape(merges), which, in_place,
+            self._showing(merges, teams, teams.state), self.rules, _filled_up(groups),
         )  # fmt: skip
-        _prepare(look_and_write_teams, merges, *arguments)
-        threads = self.world.sharing(len(which))
-        share(look_and_write_teams, len(which), threads, merges, *arguments)
+        _prepare(look_and_write_teams, *arguments)
+        share(look_and_write_teams, len(which), self.world.sharing(len(which)), *arguments)
 
     def step(
         self,
         teams: Teams,
-        alert: NDArray[np.int64],
-        totals: NDArray[np.float64],
+        alerts: NDArray[np.int64],
+        state: NDArray[np.int64],
         groups: tuple[Group, ...] = (),
         finals: tuple[Group, ...] = (),
         series: Series | None = None,
     ) -> After:
         """See :meth:`Execution.step`."""
-        world, count = self.world, len(alert)
-        merges, state = world.arrays(), np.empty_like(teams.state)
-        rewards, ends = new_rewards(count)
-        if series is None:
-            following = self._nothing_follows
-        else:
-            following = NextEpisodes(
-                True, series.episodes, series.seeds, series.traits, AT_START, _NO_TOTALS,
-                np.empty_like(totals),
-            )  # fmt: skip
-            teams = teams._replace(traits=teams.traits.copy(), seeds=teams.seeds.copy())
-        none = np.zeros(count, np.bool_)
-        shown = values.Shown(*self._lidars, merges.numbers, merges.flags, state, none, teams.traits)
+        admitted, merges = self.admit(teams, alerts), self.world.arrays()
+        after = After.new(len(alerts), self._last_totals)
+        following = self._nothing_follows
+        if series is not None:
+            ahead = series.episodes, series.seeds, series.traits
+            following = NextEpisodes(True, *ahead, *following[4:])
         arguments = (
-            merges, world.room, teams, alert, self.rules, state, rewards, ends, totals,
-            following, self._in_shape(merges), shown, (*_lidars(finals), _filled_up(finals)),
-            (*_lidars(groups), _filled_up(groups)),
+            merges, self.world.room, teams, *admitted, self.rules, state, after.rewards,
+            after.ends, following, self._in_shape(merges), self._showing(merges, teams, state),
+            (*_lidars(finals), _filled_up(finals)), (*_lidars(groups), _filled_up(groups)),
         )  # fmt: skip
         _prepare(step_teams, *arguments)
-        world.take_step(step_teams, *arguments)
-        after = After(state, world.readings(), rewards, ends, teams.traits, teams.seeds)
+        self.world.take_step(step_teams, *arguments)
         if series is not None:
-            after = after._replace(last_totals=following.last_totals)
+            series.look_ahead()
         return after
+
+    def _showing(self, merges: Merges, teams: Teams, state: NDArray[np.int64]) -> values.Shown:
+        given, traits = teams.intent_given, teams.traits
+        return values.Shown(*self._lidars, merges.numbers, merges.flags, state, given, traits)
 
     def _in_shape(self, merges: Merges) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The lidars in the shape in which they are shown."""

@@ -51,7 +51,7 @@ class Layout:
             for part, end in zip(self.parts, ends, strict=True)
         }
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of columns."""
         return sum(part.size for part in self.parts)

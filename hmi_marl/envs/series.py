@@ -34,6 +34,8 @@ class Series:
         """Seeds of episodes, in the column of the episode's number modulo AHEAD."""
         self.traits = np.zeros((count, self.AHEAD, len(TRAIT_NAMES)))
         """Traits of their drivers."""
+        self._until = np.zeros(count, np.int64)
+        """Last episode of each series that is computed."""
         self._compute(np.arange(count), 0)
 
     @property
@@ -46,12 +48,12 @@ class Series:
         self.episodes[series] += 1
         place = series, self.episodes[series] % self.AHEAD
         seeds, traits = self.seeds[place], self.traits[place]
-        self.look_ahead(series)
+        self.look_ahead()
         return seeds, traits
 
-    def look_ahead(self, series: NDArray[np.int64]) -> None:
+    def look_ahead(self) -> None:
         """Compute more of those series whose last computed episode has begun."""
-        at_end = series[self.episodes[series] % self.AHEAD == self.AHEAD - 1]
+        at_end = np.flatnonzero(self.episodes >= self._until)
         if len(at_end):
             self._compute(at_end, 1)
 
@@ -62,3 +64,4 @@ class Series:
         drawn = check_traits(self._population.draw(seeds.ravel()), seeds.size)
         self.seeds[series] = seeds
         self.traits[series] = drawn.as_array().reshape(*seeds.shape, -1)
+        self._until[series] = numbers[:, -1]

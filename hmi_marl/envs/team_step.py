@@ -60,6 +60,8 @@ def begin(
     state: NDArray[np.int64],
     traits: NDArray[np.float64],
     seeds: NDArray[np.uint64],
+    over: NDArray[np.bool_],
+    intent_given: NDArray[np.bool_],
     totals: NDArray[np.float64],
     no_totals: NDArray[np.float64],
 ) -> None:
@@ -70,10 +72,12 @@ def begin(
         seed: of the episode.
         driver: traits of its driver.
         start: :data:`AT_START`.
-        state, traits, seeds, totals: of all teams, written into.
+        state, traits, seeds, over, intent_given, totals: of all teams, written into.
         no_totals: zeros.
     """
     seeds[k] = seed
+    over[k] = False
+    intent_given[k] = False
     put_row(state, k, 0, start)
     put_row(traits, k, 0, driver)
     put_row(totals, k, 0, no_totals)

@@ -11,7 +11,8 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from hmi_marl.envs import observations as obs
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
-from hmi_marl.envs.execution import Group, Rules, Teams, execution_for, read_world
+from hmi_marl.envs.drivers import Traits, check_traits
+from hmi_marl.envs.execution import Group, Rules, Teams, execution_for
 from hmi_marl.envs.observation_values import columns_of
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.series import Series
@@ -32,19 +33,16 @@ from hmi_marl.envs.team_step import (
     DISTRACTED,
     ENDED,
     FATIGUE,
-    INFLATION,
     INTENDED,
     OF_DRIVER,
     OF_VEHICLE_AI,
-    OVER,
     PREVIOUS,
     STEPS,
     TERMINATED,
-    TOTALS,
     TRUNCATED,
 )
-from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Ego, World, make_world
-from hmi_marl.envs.worlds.base import CRASHED, GAP, SPEED
+from hmi_marl.envs.worlds import Ego, World, make_world
+from hmi_marl.envs.worlds.base import CRASHED, GAP, SPEED, Readings
 
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
@@ -76,22 +74,42 @@ class EndedTeams:
 
 @dataclass(frozen=True)
 class StepResult:
-    """Rewards and ends of one step of N teams. Every array has shape (N,)."""
+    """Rewards and ends of one step of N teams."""
 
-    rewards: dict[str, NDArray[np.float64]]
-    """Reward of each agent."""
-    terms: dict[str, NDArray[np.float64]]
-    """Value of each reward term."""
-    terminated: NDArray[np.bool_]
-    """The episode ended by a crash."""
-    truncated: NDArray[np.bool_]
-    """The episode's time is over."""
-    ended: NDArray[np.bool_]
-    """The episode ended, one way or the other."""
+    table: NDArray[np.float64]
+    """Reward terms and each agent's reward, float64 of shape (N, 10); for the columns see
+    :mod:`team_step`."""
+    ends: NDArray[np.bool_]
+    """How the step ended episodes, shape (N, 4); for the columns see :mod:`team_step`."""
     views: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Observations after the step that were asked for, by name; see :meth:`Teaming.views`."""
     ended_teams: EndedTeams | None = None
     """What is known about the episodes that ended, if the next ones have begun already."""
+
+    @cached_property
+    def rewards(self) -> dict[str, NDArray[np.float64]]:
+        """Reward of each agent, shape (N,)."""
+        return {DRIVER: self.table[:, OF_DRIVER], VEHICLE_AI: self.table[:, OF_VEHICLE_AI]}
+
+    @cached_property
+    def terms(self) -> dict[str, NDArray[np.float64]]:
+        """Value of each reward term, shape (N,)."""
+        return dict(zip(TERMS, self.table.T, strict=False))
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """The episode ended by a crash, shape (N,)."""
+        return self.ends[:, TERMINATED]
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """The episode's time is over, shape (N,)."""
+        return self.ends[:, TRUNCATED]
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """The episode ended, one way or the other, shape (N,)."""
+        return self.ends[:, ENDED]
 
 
 class Teaming:
@@ -125,73 +143,83 @@ class Teaming:
         self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
         self._everywhere = np.ones(num_teams, np.bool_)
-        self._totals = np.zeros((num_teams, TOTALS))
         self._every = np.arange(num_teams)
-        self._state = np.repeat(AT_START[None], num_teams, axis=0)
-        self._traits = np.zeros((num_teams, len(TRAIT_NAMES)))
-        self._readings = read_world(self.world)
-        self.seeds = np.zeros(num_teams, np.uint64)
-        """Seeds of the episodes, uint64."""
-        self.over = np.ones(num_teams, np.bool_)
-        """Teams without a running episode: ended, or not begun."""
-        self.intent_given = np.zeros(num_teams, np.bool_)
-        """Teams in mid-turn: the driver has acted, the vehicle AI has not."""
+        self._teams = Teams.new(num_teams)
+        self._spare = np.empty_like(self._teams.state)
+        """Room for the next state; the two take turns."""
+        self._finals: dict[str, Group] = {}
+        """Room for observations at the end of episodes."""
 
-    # Each change of the state is made in a copy, so that what was returned stays as it is.
+    # The arrays of the teams are written into, so whoever asks for one gets a copy.
+
+    @property
+    def seeds(self) -> NDArray[np.uint64]:
+        """Seeds of the episodes, uint64."""
+        return self._teams.seeds.copy()
+
+    @property
+    def over(self) -> NDArray[np.bool_]:
+        """Teams without a running episode: ended, or not begun."""
+        return self._teams.over.copy()
+
+    @property
+    def intent_given(self) -> NDArray[np.bool_]:
+        """Teams in mid-turn: the driver has acted, the vehicle AI has not."""
+        return self._teams.intent_given.copy()
 
     @property
     def steps(self) -> NDArray[np.int64]:
         """Steps taken in each team's episode. May be assigned, which moves the teams' clocks."""
-        return self._state[:, STEPS]
+        return self._teams.state[:, STEPS].copy()
 
     @steps.setter
     def steps(self, steps: NDArray[np.int64]) -> None:
-        self._state = self._state.copy()
-        self._state[:, STEPS] = steps
+        self._teams.state[:, STEPS] = steps
 
     @property
     def intended(self) -> NDArray[np.int64]:
         """The latest a^H of each team, -1 before the first."""
-        return self._state[:, INTENDED]
+        return self._teams.state[:, INTENDED].copy()
 
     @property
     def previous_intended(self) -> NDArray[np.int64]:
         """The a^H before the latest one, -1 if there is none."""
-        return self._state[:, PREVIOUS]
+        return self._teams.state[:, PREVIOUS].copy()
 
     @property
     def applied(self) -> NDArray[np.int64]:
         """The latest v, -1 before the first."""
-        return self._state[:, APPLIED]
+        return self._teams.state[:, APPLIED].copy()
 
     @property
     def alerted(self) -> NDArray[np.int64]:
         """The latest a^A, 0 to k."""
-        return self._state[:, ALERTED]
+        return self._teams.state[:, ALERTED].copy()
 
     @property
     def attention(self) -> Attention:
         """The drivers' attention after the last step."""
-        return Attention(*self._state.T[DISTRACTED : FATIGUE + 1])
+        return Attention(*self._teams.state[:, DISTRACTED : FATIGUE + 1].T.copy())
 
     @property
     def traits(self) -> Traits:
         """The drivers' traits. May be assigned, which does not change what the lidars perceive."""
-        return Traits(*self._traits.T)
+        return Traits(*self._teams.traits.T.copy())
 
     @traits.setter
     def traits(self, traits: Traits) -> None:
-        self._traits = traits.as_array()
+        self._teams.traits[:] = traits.as_array()
 
     @property
     def crashed(self) -> NDArray[np.bool_]:
         """Teams whose car is crashed."""
-        return self._readings.flags[:, CRASHED] == 1
+        return self._execution.readings.flags[:, CRASHED] == 1
 
     @property
     def ego(self) -> Ego:
         """The driven cars."""
-        return self._readings.ego()
+        numbers, flags = self._execution.readings
+        return Readings(numbers.copy(), flags.copy()).ego()
 
     def reset(self, seeds: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """Begin new episodes in the teams marked in ``which`` (shape (N,), all by default).
@@ -222,11 +250,7 @@ class Teaming:
         if not len(teams):
             return
         drawn = check_traits(self._population.draw(seeds), len(teams)).as_array()
-        for name in ("_state", "over", "intent_given"):  # others may hold them as they are
-            setattr(self, name, getattr(self, name).copy())
-        self.over[teams] = self.intent_given[teams] = False
-        after = self._execution.begin(self._teams(), teams, seeds, drawn, self._totals)
-        self._readings, self._traits, self.seeds = after.readings, after.traits, after.seeds
+        self._execution.begin(self._teams, teams, seeds, drawn)
 
     def hand_over(self, traits: Traits, which: NDArray[np.bool_] | None = None) -> None:
         """Change drivers in mid-episode. The new ones are attentive; car, time and v stay.
@@ -243,10 +267,9 @@ class Teaming:
         if (fresh & self.intent_given).any():
             raise ValueError("the wheel is handed over between turns; alert with step() first")
         new = check_traits(traits, self.num_teams).as_array()
-        self._traits, self._state = self._traits.copy(), self._state.copy()
-        self._traits[fresh] = new[fresh]
-        self._state[fresh, DISTRACTED:] = AT_START[DISTRACTED:]
-        self.world.perceive(self._traits[:, INFLATION], fresh)
+        self._teams.traits[fresh] = new[fresh]
+        self._teams.state[fresh, DISTRACTED:] = AT_START[DISTRACTED:]
+        self.world.perceive(self.traits.inflation, fresh)
 
     def turn(
         self,
@@ -298,16 +321,13 @@ class Teaming:
             ValueError: an action out of range, or a second intent in the same step.
         """
         acts = self._everywhere if which is None else check_mask(which, self.num_teams)
-        actions = self._checked(driver_actions, DRIVER)
-        self._state, self.intent_given = self._execution.intend(
-            actions, len(VEHICLE_ACTIONS), acts, self.over, self._state, self.intent_given
-        )
+        self._execution.intend(self._teams, self._checked(driver_actions, DRIVER), acts)
 
     def withdraw(self) -> None:
         """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called."""
-        given, state = self.intent_given, self._state.copy()
-        state[:, INTENDED] = np.where(given, self.previous_intended, self.intended)
-        self._state, self.intent_given = state, np.zeros(self.num_teams, np.bool_)
+        state, given = self._teams.state, self._teams.intent_given
+        state[given, INTENDED] = state[given, PREVIOUS]
+        given[:] = False
 
     def step(
         self, alerts: ArrayLike, views: Sequence[str] = (), then: Then | None = None
@@ -325,45 +345,25 @@ class Teaming:
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        active, alert = self._execution.admit(
-            self._checked(alerts, VEHICLE_AI), self.alerts.choices, self.over, self.intent_given
-        )
         groups = {name: self._group(name, self.num_teams) for name in views}
-        finals = {name: self._group(name, self.num_teams) for name in then.views} if then else {}
-        after = self._execution.step(
-            self._teams(active),
-            alert,
-            self._totals,
+        finals = {name: self._final(name) for name in then.views} if then else {}
+        rewards, ends, totals = self._execution.step(
+            self._teams,
+            self._checked(alerts, VEHICLE_AI),
+            self._spare,
             tuple(groups.values()),
             tuple(finals.values()),
             then.series if then else None,
         )
-        self._state, self._readings, rewards, ends, self._traits, self.seeds, last = after
-        self.intent_given = np.zeros(self.num_teams, np.bool_)
-        self.over = ends[:, OVER].copy()
-        result = StepResult(
-            {DRIVER: rewards[:, OF_DRIVER], VEHICLE_AI: rewards[:, OF_VEHICLE_AI]},
-            dict(zip(TERMS, rewards.T, strict=False)),
-            ends[:, TERMINATED],
-            ends[:, TRUNCATED],
-            ends[:, ENDED],
-            {name: group.rows for name, group in groups.items()},
-        )
-        if then is None:
-            return result
-        teams = np.flatnonzero(result.ended)
-        if not len(teams):
-            return result
-        then.series.look_ahead(teams)
-        seen = {name: group.rows[teams] for name, group in finals.items()}
-        assert last is not None
-        return replace(result, ended_teams=EndedTeams(teams, seen, last[teams]))
-
-    def _teams(self, active: NDArray[np.bool_] | None = None) -> Teams:
-        active = self._everywhere if active is None else active  # not read where nothing moves
-        return Teams(
-            self._state, self._readings, self._traits, self.seeds, active, self.intent_given
-        )
+        before = self._teams.state
+        self._teams, self._spare = self._teams._replace(state=self._spare), before
+        ended = None
+        if then is not None and len(teams := np.flatnonzero(ends[:, ENDED])):
+            assert totals is not None
+            seen = {name: group.rows[teams] for name, group in finals.items()}
+            ended = EndedTeams(teams, seen, totals[teams])
+        shown = {name: group.rows for name, group in groups.items()}
+        return StepResult(rewards, ends, shown, ended)
 
     def observe(self, agent: str, parts: Iterable[str] | None = None) -> NDArray[np.float32]:
         """Return the agent's observations, shape (N, layout's size); see :mod:`observations`.
@@ -378,8 +378,11 @@ class Teaming:
         if parts is None:
             return self.views((agent,))[agent]
         rows = np.zeros((self.num_teams, self.layouts[agent].size), np.float32)
-        group = self._columns_of(agent, tuple(parts)).another(rows)
-        self._execution.write(self._teams(), self._every, (group,))
+        parts = tuple(parts)
+        if not parts:
+            return rows
+        group = self._columns_of(agent, parts).another(rows)
+        self._execution.write(self._teams, self._every, (group,))
         return rows
 
     def state(self) -> NDArray[np.float32]:
@@ -401,13 +404,19 @@ class Teaming:
         which = self._every if teams is None else teams
         groups = {name: self._group(name, len(which)) for name in names}
         if groups and len(which):
-            self._execution.write(self._teams(), which, tuple(groups.values()))
+            self._execution.write(self._teams, which, tuple(groups.values()))
         return {name: group.rows for name, group in groups.items()}
 
     def _group(self, name: str, count: int) -> Group:
         """Room for one observation of so many teams."""
         rows = np.empty((count, self._layout(name).size), np.float32)
         return self._columns_of(name).another(rows)
+
+    def _final(self, name: str) -> Group:
+        """Room for one observation at the end of episodes, always the same."""
+        if name not in self._finals:
+            self._finals[name] = self._group(name, self.num_teams)
+        return self._finals[name]
 
     def _layout(self, name: str) -> obs.Layout:
         return self.state_layout if name == STATE else self.layouts[name]
@@ -421,7 +430,7 @@ class Teaming:
 
     def time_headway(self) -> NDArray[np.float64]:
         """Time to the next object ahead in the lane [s], shape (N,); inf if none, or at 0 m/s."""
-        numbers = self._readings.numbers
+        numbers = self._execution.readings.numbers
         speed, gap = numbers[:, SPEED], numbers[:, GAP]
         moving = speed > 0
         return np.where(moving, np.maximum(gap, 0.0) / np.where(moving, speed, 1.0), np.inf)

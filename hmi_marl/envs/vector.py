@@ -270,7 +270,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             }
         if result.ended_teams is not None:
             extras |= self._extras_of(result.ended_teams)
-            self._shown_traits = self.teaming.traits.as_array().astype(np.float32)
+            self._shown_traits = self._traits()
             if self.partner is not None:
                 self.partner.reset(self.teaming.seeds, result.ended.copy())
         self._observe(result.views)
@@ -308,8 +308,11 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self.teaming.reset(self._series.present)
         if self.partner is not None:
             self.partner.reset(self.teaming.seeds)
-        self._shown_traits = self.teaming.traits.as_array().astype(np.float32)
+        self._shown_traits = self._traits()
         self._observe({})
+
+    def _traits(self) -> NDArray[np.float32]:
+        return self.teaming.traits.as_array().astype(np.float32)
 
     def _observe(self, views: Views) -> None:
         """Let a partner who drives act, and take the views, or compute those that are not given."""

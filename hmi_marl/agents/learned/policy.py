@@ -194,6 +194,11 @@ class LearnedPolicy:
         self._context: NDArray[np.float32] | None = None
 
     @property
+    def reads(self) -> tuple[str, ...]:
+        """Parts of the observation that it reads."""
+        return (*dict(self.card.reads), *((INTENT,) if self.card.by_intent else ()))
+
+    @property
     def sequential(self) -> bool:
         """Whether a vehicle AI expects to see a^H_t rather than a^H_{t-1}."""
         return self.card.sequential
