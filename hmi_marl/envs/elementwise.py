@@ -46,13 +46,13 @@ def put(
     rows: NDArray[np.float32],
     row: Any,
     column: int,
-    low: NDArray[np.float32],
-    high: NDArray[np.float32],
+    low: np.float32,
+    high: np.float32,
     value: Any,
 ) -> None:
     """Write one number into a column, within its bounds; nothing if the column is -1."""
     if column >= 0:
-        rows[row, column] = within(np.float32(value), low[column], high[column])
+        rows[row, column] = within(np.float32(value), low, high)
 
 
 def put_one_hot(rows: NDArray[np.float32], row: Any, column: int, index: Any, size: int) -> None:
@@ -68,5 +68,5 @@ def put_row(rows: NDArray[np.float32], row: Any, column: int, values: Any) -> No
 
 
 def scale_row(rows: NDArray[np.float32], row: Any, values: Any, scale: Any, bound: Any) -> None:
-    """Write a whole row: the values divided by a scale, kept within -bound to bound."""
-    rows[row] = within(values / scale, -bound, bound)
+    """Write a whole row: a table of values divided by a scale, kept within -bound to bound."""
+    rows[row] = within(values / scale, -bound, bound).reshape(rows[row].shape)

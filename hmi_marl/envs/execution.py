@@ -20,7 +20,8 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.elementwise import EVERY
 from hmi_marl.envs.observation_values import (
-    Columns,
+    PERCEIVED_LIDAR,
+    TRUE_LIDAR,
     Scales,
     Shown,
     scale_lidar,
@@ -83,18 +84,19 @@ class Group:
 
     rows: NDArray[np.float32]
     """Shape (M, D)."""
-    columns: Columns
+    first: NDArray[np.int64]
+    """First column of each part; see :func:`first_columns`."""
     shows_true_lidar: bool
     shows_perceived_lidar: bool
 
     @classmethod
-    def of(cls, rows: NDArray[np.float32], columns: Columns) -> Group:
+    def of(cls, rows: NDArray[np.float32], first: NDArray[np.int64]) -> Group:
         """Rows to be written with these columns."""
-        return cls(rows, columns, columns.shows_lidar(False), columns.shows_lidar(True))
+        return cls(rows, first, bool(first[TRUE_LIDAR] >= 0), bool(first[PERCEIVED_LIDAR] >= 0))
 
     def another(self, rows: NDArray[np.float32]) -> Group:
         """Other rows with the same columns."""
-        return Group(rows, self.columns, self.shows_true_lidar, self.shows_perceived_lidar)
+        return Group(rows, self.first, self.shows_true_lidar, self.shows_perceived_lidar)
 
 
 class After(NamedTuple):
@@ -325,7 +327,7 @@ class Execution(ABC):
         """A lidar of every team as it is shown, shape (N, 2 cells)."""
         lidar = np.asarray(self.world.lidar(inflated), np.float32)
         shown = np.empty((len(lidar), self._cells), np.float32)
-        scale_lidar(shown, EVERY, lidar.reshape(shown.shape), self.rules.scales)
+        scale_lidar(shown, EVERY, lidar, self.rules.scales)
         return shown
 
 
@@ -402,7 +404,7 @@ class InNumPy(Execution):
         """See :meth:`Execution.write`."""
         shown, rows = self._shown(teams, groups), which if in_place else EVERY
         for group in groups:
-            write(group.rows, rows, group.columns, which, shown, self.rules.scales)
+            write(group.rows, rows, group.first, which, shown, self.rules.scales)
 
 
 def _first(*marks: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -71,7 +71,7 @@ def _choose(condition: Any, yes: Any, no: Any) -> Any:
 def _put(rows: Any, row: Any, column: Any, low: Any, high: Any, value: Any) -> Any:
     def put(rows: Any, row: Any, column: Any, low: Any, high: Any, value: Any) -> None:
         if column >= 0:
-            rows[row, column] = elementwise.within(np.float32(value), low[column], high[column])
+            rows[row, column] = elementwise.within(np.float32(value), low, high)
 
     return put
 
@@ -99,8 +99,10 @@ def _put_row(rows: Any, row: Any, column: Any, values: Any) -> Any:
 @overload(elementwise.scale_row, jit_options=_OPTIONS, strict=False)
 def _scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> Any:
     def scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> None:
-        for place in range(len(values)):
-            rows[row, place] = elementwise.within(values[place] / scale, -bound, bound)
+        for cell in range(values.shape[0]):
+            for column in range(values.shape[1]):
+                value = elementwise.within(values[cell, column] / scale, -bound, bound)
+                rows[row, cell * values.shape[1] + column] = value
 
     return scale_row
 
@@ -195,29 +197,26 @@ def write_teams(progress, which, in_place, shown, rules, groups):
         for place in range(first, last):
             k = which[place]
             row = k if in_place else place
-            for rows, columns in groups:
+            for rows, first_of in groups:
                 if len(rows):
-                    values.write(rows, row, columns, k, shown, scales)
+                    values.write(rows, row, first_of, k, shown, scales)
         first, last = take(progress, last - first, len(which))
 
 
 @inlined
-def look_and_scale(k, merges, true, perceived, lidars, shown, scales):
+def look_and_scale(k, merges, true, perceived, shown, scales):
     """Trace those lidars of team k that are wanted and have changed, and scale them."""
     look(k, merges, true, perceived)
-    true_lidar, perceived_lidar = lidars
     if true and merges.true_news[k] == TRACED:
-        values.scale_lidar(shown.true_lidar, k, true_lidar, scales)
+        values.scale_lidar(shown.true_lidar, k, merges.true_lidar, scales)
         merges.true_news[k] = TAKEN
     if perceived and merges.perceived_news[k] == TRACED:
-        values.scale_lidar(shown.perceived_lidar, k, perceived_lidar, scales)
+        values.scale_lidar(shown.perceived_lidar, k, merges.perceived_lidar, scales)
         merges.perceived_news[k] = TAKEN
 
 
 @kernel
-def look_and_write_teams(
-    progress, merges, true, perceived, lidars, which, in_place, shown, rules, groups
-):
+def look_and_write_teams(progress, merges, true, perceived, which, in_place, shown, rules, groups):
     """Trace the lidars that are read and have changed, then do as :func:`write_teams`."""
     _, _, _, scales = rules
     first, last = take(progress, 0, len(which))
@@ -225,10 +224,10 @@ def look_and_write_teams(
         for place in range(first, last):
             k = which[place]
             row = k if in_place else place
-            look_and_scale(k, merges, true, perceived, lidars, shown, scales)
-            for rows, columns in groups:
+            look_and_scale(k, merges, true, perceived, shown, scales)
+            for rows, first_of in groups:
                 if len(rows):
-                    values.write(rows, row, columns, k, shown, scales)
+                    values.write(rows, row, first_of, k, shown, scales)
         first, last = take(progress, last - first, len(which))
 
 
@@ -251,16 +250,19 @@ class NextEpisodes(NamedTuple):
 @kernel
 def step_teams(
     progress, merges, room, teams, active, alert, rules, after, rewards, ends,
-    following, lidars, shown, finals, groups,
+    following, shown_lidars, finals, groups,
 ):  # fmt: skip
-    """Take a whole step of every team: decide, move, reward, look and write; begin what follows.
+    """Take a whole step of every team: decide, move, reward, begin what follows, look and write.
 
-    One loop for all of it, since starting one on several threads costs as much as some of its
-    parts, and what a team needs stays in the processor's cache.
+    One loop over parts for all of it, since starting one on several threads costs as much as some
+    of its parts. Within a part the teams take each of these in turn, since all of the machine code
+    at once does not fit into the processor's instruction cache.
     """
     state, traits, seeds, over, intent_given, totals = teams
     window, effects, settings, scales = rules
     numbers, flags = merges.numbers, merges.flags
+    true_shown, perceived_shown = shown_lidars
+    shown = values.Shown(true_shown, perceived_shown, numbers, flags, after, intent_given, traits)
     final_true, final_perceived, final_groups = finals
     true, perceived, all_groups = groups
     ahead = following.seeds_ahead.shape[1]
@@ -268,21 +270,24 @@ def step_teams(
     while first < last:
         for k in range(first, last):
             team_step.decide(k, active, alert, state, seeds, traits, window, effects, after)
+        for k in range(first, last):
             if active[k]:
                 if flags[k, CRASHED] == 0:
                     move_world(k, merges, after[k, team_step.APPLIED])
                 elif numbers[k, SPEED] != 0.0:
                     halt_world(k, merges)
+        for k in range(first, last):
             team_step.reward(
                 k, active, alert, state, after, numbers, flags, settings, rewards, ends, totals
             )
             over[k] = ends[k, team_step.OVER]
             intent_given[k] = False
+        for k in range(first, last):
             if following.wanted and ends[k, team_step.ENDED]:
-                look_and_scale(k, merges, final_true, final_perceived, lidars, shown, scales)
-                for rows, columns in final_groups:
+                look_and_scale(k, merges, final_true, final_perceived, shown, scales)
+                for rows, first_of in final_groups:
                     if len(rows):
-                        values.write(rows, k, columns, k, shown, scales)
+                        values.write(rows, k, first_of, k, shown, scales)
                 for column in range(team_step.TOTALS):
                     following.last_totals[k, column] = totals[k, column]
                 following.episodes[k] += 1
@@ -293,19 +298,18 @@ def step_teams(
                     totals, following.no_totals,
                 )  # fmt: skip
                 begin_world(k, merges, room, seed, driver[team_step.INFLATION])
-            look_and_scale(k, merges, true, perceived, lidars, shown, scales)
-            for rows, columns in all_groups:
-                if len(rows):
-                    values.write(rows, k, columns, k, shown, scales)
+        for k in range(first, last):
+            look_and_scale(k, merges, true, perceived, shown, scales)
+        for rows, first_of in all_groups:
+            if len(rows):
+                for k in range(first, last):
+                    values.write(rows, k, first_of, k, shown, scales)
         first, last = take(progress, last - first, len(active))
 
 
 _GROUPS = 3
 """Groups of observations that one loop writes."""
-_NO_COLUMNS = values.Columns(
-    np.full(len(values.PARTS), -1), np.empty(0, np.float32), np.empty(0, np.float32)
-)
-_NO_GROUP = (np.empty((0, 0), np.float32), _NO_COLUMNS)
+_NO_GROUP = np.empty((0, 0), np.float32), np.full(len(values.PARTS), -1)
 
 
 class InLoops(Execution):
@@ -409,8 +413,8 @@ class InOneLoop(InLoops):
         """See :meth:`Execution.write`."""
         merges = self.world.arrays()
         arguments = (
-            merges, *_lidars(groups), self._in_shape(merges), which, in_place,
-            self._showing(merges, teams, teams.state), self.rules, _filled_up(groups),
+            merges, *_lidars(groups), which, in_place, self._showing(merges, teams), self.rules,
+            _filled_up(groups),
         )  # fmt: skip
         _prepare(look_and_write_teams, *arguments)
         share(look_and_write_teams, len(which), self.world.sharing(len(which)), *arguments)
@@ -433,23 +437,18 @@ class InOneLoop(InLoops):
             following = NextEpisodes(True, *ahead, *following[4:])
         arguments = (
             merges, self.world.room, teams, *admitted, self.rules, state, after.rewards,
-            after.ends, following, self._in_shape(merges), self._showing(merges, teams, state),
+            after.ends, following, self._lidars,
             (*_lidars(finals), _filled_up(finals)), (*_lidars(groups), _filled_up(groups)),
         )  # fmt: skip
         _prepare(step_teams, *arguments)
         self.world.take_step(step_teams, *arguments)
-        if series is not None:
+        if series is not None and after.ends[:, team_step.ENDED].any():
             series.look_ahead()
         return after
 
-    def _showing(self, merges: Merges, teams: Teams, state: NDArray[np.int64]) -> values.Shown:
-        given, traits = teams.intent_given, teams.traits
+    def _showing(self, merges: Merges, teams: Teams) -> values.Shown:
+        state, given, traits = teams.state, teams.intent_given, teams.traits
         return values.Shown(*self._lidars, merges.numbers, merges.flags, state, given, traits)
-
-    def _in_shape(self, merges: Merges) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The lidars in the shape in which they are shown."""
-        shape = self._lidars[0].shape
-        return merges.true_lidar.reshape(shape), merges.perceived_lidar.reshape(shape)
 
 
 def _lidars(groups: tuple[Group, ...]) -> tuple[bool, bool]:
@@ -458,9 +457,9 @@ def _lidars(groups: tuple[Group, ...]) -> tuple[bool, bool]:
     return true, any(group.shows_perceived_lidar for group in groups)
 
 
-def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[Any, Any], ...]:
+def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[NDArray[Any], NDArray[np.int64]], ...]:
     """As many groups as the loops are compiled for."""
-    given = [(group.rows, group.columns) for group in groups]
+    given = [(group.rows, group.first) for group in groups]
     return (*given, *[_NO_GROUP] * (_GROUPS - len(groups)))
 
 

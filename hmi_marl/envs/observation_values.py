@@ -13,18 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs import team_step
-from hmi_marl.envs.config import DRIVER, TeamConfig
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import MAX_INFLATION
 from hmi_marl.envs.elementwise import choose, put, put_one_hot, put_row, scale_row
-from hmi_marl.envs.observations import FASTEST, Layout, lidar_bound
+from hmi_marl.envs.observations import FASTEST, Layout, lidar_bound, state_layout
 from hmi_marl.envs.scene import LANE_WIDTH
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, base
 
 _ACTIONS = len(VEHICLE_ACTIONS)
 
 PARTS = (
-    "true lidar",
-    "perceived lidar",
+    "true_lidar",
+    "perceived_lidar",
     "speed",
     "target_speed",
     "heading",
@@ -49,23 +49,10 @@ PARTS = (
 ) = range(len(PARTS))  # fmt: skip
 
 
-class Columns(NamedTuple):
-    """Columns of an observation, for :func:`write`."""
-
-    first: NDArray[np.int64]
-    """First column of each of :data:`PARTS`, -1 for those that are not written."""
-    low: NDArray[np.float32]
-    """Least value of each column."""
-    high: NDArray[np.float32]
-    """Largest value of each column."""
-
-    def shows_lidar(self, inflated: bool) -> bool:
-        """Whether the lidar is written, the one in which others are inflated or the true one."""
-        return bool(self.first[PERCEIVED_LIDAR if inflated else TRUE_LIDAR] >= 0)
-
-
-def columns_of(layout: Layout, agent: str, names: Iterable[str] | None = None) -> Columns:
-    """Columns of a layout for :func:`write`.
+def first_columns(
+    layout: Layout, agent: str, names: Iterable[str] | None = None
+) -> NDArray[np.int64]:
+    """First column of each of :data:`PARTS` for :func:`write`, -1 for those not to be written.
 
     Args:
         layout: of an agent's observation, or of the team's state.
@@ -75,14 +62,18 @@ def columns_of(layout: Layout, agent: str, names: Iterable[str] | None = None) -
     Raises:
         KeyError: the layout has no such part.
     """
-    names = layout.slices if names is None else tuple(names)
+    names = layout.slices if names is None else names
     first = np.full(len(PARTS), -1)
     for name in names:
-        part = name.replace("_", " ") if name == "perceived_lidar" else name
-        if name == "lidar":
-            part = "perceived lidar" if agent == DRIVER else "true lidar"
-        first[PARTS.index(part)] = layout[name].start
-    return Columns(first, *layout.bounds)
+        first[PARTS.index(_known_as(name, agent))] = layout[name].start
+    return first
+
+
+def _known_as(name: str, agent: str) -> str:
+    """Name among :data:`PARTS` of a part of an agent's layout."""
+    if name == "lidar":
+        return "perceived_lidar" if agent == DRIVER else "true_lidar"
+    return name
 
 
 class Shown(NamedTuple):
@@ -115,6 +106,10 @@ class Scales(NamedTuple):
     """Highest level of fatigue, 1 without fatigue."""
     strengths: NDArray[np.float64]
     """Strength of each alert."""
+    low: NDArray[np.float32]
+    """Least value of each of :data:`PARTS`."""
+    high: NDArray[np.float32]
+    """Largest value of each of :data:`PARTS`."""
 
 
 def scales_of(config: TeamConfig) -> Scales:
@@ -129,57 +124,142 @@ def scales_of(config: TeamConfig) -> Scales:
         config.alert_window,
         effects.scale,
         effects.strengths,
+        *_bounds(config),
     )
+
+
+def _bounds(config: TeamConfig) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Least and largest value of each of :data:`PARTS`, which are the same in every layout."""
+    bounds = np.zeros((2, len(PARTS)), np.float32)
+    for part in state_layout(config).parts:
+        bounds[:, PARTS.index(_known_as(part.name, VEHICLE_AI))] = part.low, part.high
+    low, high = bounds
+    return low, high
 
 
 def scale_lidar(
     shown: NDArray[np.float32], k: Any, lidar: NDArray[np.float32], scales: Scales
 ) -> None:
-    """Write what is shown of team k's lidar, (N, 2 cells): over its range, as highway-env does."""
+    """Write what is shown of team k's lidar: over its range, as highway-env does.
+
+    Args:
+        shown: shape (N, 2 cells), written into.
+        k: number of the team.
+        lidar: as :meth:`World.lidar` gives it, (N, cells, 2).
+        scales: constants.
+    """
     scale_row(shown, k, lidar[k], scales.lidar_range, scales.lidar_bound)
 
 
 def write(
-    rows: NDArray[np.float32], row: Any, columns: Columns, k: Any, shown: Shown, scales: Scales
+    rows: NDArray[np.float32],
+    row: Any,
+    first: NDArray[np.int64],
+    k: Any,
+    shown: Shown,
+    scales: Scales,
 ) -> None:
     """Write the observation of team k into a row; the meaning of each :class:`Part` in numbers.
 
     Args:
         rows: shape (M, D), written in place.
         row: number of the row, or a slice of all of them.
-        columns: where each part stands.
+        first: first column of each part, see :func:`first_columns`.
         k: number of the team, or numbers of M teams.
         shown: what is shown, of all teams.
         scales: constants of the settings.
     """
-    first, low, high = columns.first, columns.low, columns.high
+    low, high = scales.low, scales.high
     numbers, state, traits = shown.numbers, shown.state, shown.traits
     strengths = scales.strengths
     if first[TRUE_LIDAR] >= 0:
         put_row(rows, row, first[TRUE_LIDAR], shown.true_lidar[k])
     if first[PERCEIVED_LIDAR] >= 0:
         put_row(rows, row, first[PERCEIVED_LIDAR], shown.perceived_lidar[k])
-    put(rows, row, first[SPEED], low, high, numbers[k, base.SPEED] / FASTEST)
-    put(rows, row, first[TARGET_SPEED], low, high, numbers[k, base.TARGET_SPEED] / FASTEST)
-    put(rows, row, first[HEADING], low, high, numbers[k, base.HEADING] / np.pi)
-    put(rows, row, first[LATERAL], low, high, numbers[k, base.LATERAL] / LANE_WIDTH)
+    put(rows, row, first[SPEED], low[SPEED], high[SPEED], numbers[k, base.SPEED] / FASTEST)
+    put(
+        rows,
+        row,
+        first[TARGET_SPEED],
+        low[TARGET_SPEED],
+        high[TARGET_SPEED],
+        numbers[k, base.TARGET_SPEED] / FASTEST,
+    )
+    put(rows, row, first[HEADING], low[HEADING], high[HEADING], numbers[k, base.HEADING] / np.pi)
+    put(
+        rows,
+        row,
+        first[LATERAL],
+        low[LATERAL],
+        high[LATERAL],
+        numbers[k, base.LATERAL] / LANE_WIDTH,
+    )
     put_one_hot(rows, row, first[LANE], shown.flags[k, base.LANE], scales.lanes)
-    put(rows, row, first[POSITION], low, high, numbers[k, base.X] / scales.length)
+    put(
+        rows,
+        row,
+        first[POSITION],
+        low[POSITION],
+        high[POSITION],
+        numbers[k, base.X] / scales.length,
+    )
     # Before the driver acts, the latest a^H already is the last step's.
     latest = state[k, team_step.INTENDED]
     previous = choose(shown.intent_given[k], state[k, team_step.PREVIOUS], latest)
     put_one_hot(rows, row, first[INTENDED], latest, _ACTIONS)
     put_one_hot(rows, row, first[PREVIOUS], previous, _ACTIONS)
     put_one_hot(rows, row, first[APPLIED], state[k, team_step.APPLIED], _ACTIONS)
-    put(rows, row, first[ALERTED], low, high, strengths[state[k, team_step.ALERTED]])
-    put(rows, row, first[TIME], low, high, state[k, team_step.STEPS] / scales.horizon)
-    put(rows, row, first[DISTRACTED], low, high, state[k, team_step.DISTRACTED])
-    put(rows, row, first[ACCEPTED], low, high, strengths[state[k, team_step.ACCEPTED]])
-    put(rows, row, first[COUNTER], low, high, state[k, team_step.COUNTER] / scales.window)
-    put(rows, row, first[FATIGUE], low, high, state[k, team_step.FATIGUE] / scales.levels)
+    put(
+        rows,
+        row,
+        first[ALERTED],
+        low[ALERTED],
+        high[ALERTED],
+        strengths[state[k, team_step.ALERTED]],
+    )
+    put(rows, row, first[TIME], low[TIME], high[TIME], state[k, team_step.STEPS] / scales.horizon)
+    put(
+        rows,
+        row,
+        first[DISTRACTED],
+        low[DISTRACTED],
+        high[DISTRACTED],
+        state[k, team_step.DISTRACTED],
+    )
+    put(
+        rows,
+        row,
+        first[ACCEPTED],
+        low[ACCEPTED],
+        high[ACCEPTED],
+        strengths[state[k, team_step.ACCEPTED]],
+    )
+    put(
+        rows,
+        row,
+        first[COUNTER],
+        low[COUNTER],
+        high[COUNTER],
+        state[k, team_step.COUNTER] / scales.window,
+    )
+    put(
+        rows,
+        row,
+        first[FATIGUE],
+        low[FATIGUE],
+        high[FATIGUE],
+        state[k, team_step.FATIGUE] / scales.levels,
+    )
     start = first[TRAITS]
     if start >= 0:
-        put(rows, row, start, low, high, traits[k, team_step.BETA])
-        put(rows, row, start + 1, low, high, traits[k, team_step.ALPHA])
-        put(rows, row, start + 2, low, high, traits[k, team_step.ETA])
-        put(rows, row, start + 3, low, high, traits[k, team_step.INFLATION] / MAX_INFLATION)
+        put(rows, row, start, low[TRAITS], high[TRAITS], traits[k, team_step.BETA])
+        put(rows, row, start + 1, low[TRAITS], high[TRAITS], traits[k, team_step.ALPHA])
+        put(rows, row, start + 2, low[TRAITS], high[TRAITS], traits[k, team_step.ETA])
+        put(
+            rows,
+            row,
+            start + 3,
+            low[TRAITS],
+            high[TRAITS],
+            traits[k, team_step.INFLATION] / MAX_INFLATION,
+        )

@@ -23,7 +23,7 @@ from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Traits, check_traits
 from hmi_marl.envs.execution import Group, Rules, Teams, execution_for
-from hmi_marl.envs.observation_values import columns_of
+from hmi_marl.envs.observation_values import first_columns
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.team_step import (
@@ -209,6 +209,11 @@ class Teaming:
     @traits.setter
     def traits(self, traits: Traits) -> None:
         self._teams.traits[:] = traits.as_array()
+
+    @property
+    def trait_table(self) -> NDArray[np.float64]:
+        """The same traits as a table, shape (N, 4)."""
+        return self._teams.traits.copy()
 
     @property
     def crashed(self) -> NDArray[np.bool_]:
@@ -424,8 +429,8 @@ class Teaming:
     def _columns_of(self, name: str, parts: tuple[str, ...] | None = None) -> Group:
         """An observation's columns, without rows."""
         if (name, parts) not in self._columns:
-            columns = columns_of(self._layout(name), name, parts)
-            self._columns[name, parts] = Group.of(np.empty((0, 0), np.float32), columns)
+            first = first_columns(self._layout(name), name, parts)
+            self._columns[name, parts] = Group.of(np.empty((0, 0), np.float32), first)
         return self._columns[name, parts]
 
     def time_headway(self) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ Needs torch, tensordict and rsl_rl (the ``train`` extra).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -67,6 +67,27 @@ _LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "aler
 _TRAITS = Layout(
     tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
 )
+
+
+class EpisodeLog(Mapping[str, torch.Tensor]):
+    """Values of M episodes that ended, by name: float32 of shape (M,) on the CPU.
+
+    Args:
+        totals: sums over the episodes, shape (M, 14).
+        columns: column of each name.
+    """
+
+    def __init__(self, totals: NDArray[np.float64], columns: Mapping[str, int]) -> None:
+        self._totals, self._columns = totals, columns
+
+    def __getitem__(self, name: str) -> torch.Tensor:
+        return torch.from_numpy(self._totals[:, self._columns[name]].astype(np.float32))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
 
 
 class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
@@ -131,8 +152,9 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._groups = _checked_groups(groups)
         self._views = _views_of(self._groups)
         self._observations: dict[str, torch.Tensor] = {}
-        self._logged = [self._return, *range(len(TERMS)), LENGTH, ALERTS, CRASHES]
-        """Columns of totals that are logged."""
+        columns = (self._return, *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
+        self._logged = dict(zip(_LOGGED, columns, strict=True))
+        """Columns of totals that are logged, by name."""
         self._viewer: Viewer | None = None
         self._start_series(seed)
         self._untouched = True
@@ -312,7 +334,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._observe({})
 
     def _traits(self) -> NDArray[np.float32]:
-        return self.teaming.traits.as_array().astype(np.float32)
+        return self.teaming.trait_table.astype(np.float32)
 
     def _observe(self, views: Views) -> None:
         """Let a partner who drives act, and take the views, or compute those that are not given."""
@@ -339,11 +361,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """``extras`` about the episodes that ended."""
         groups = self._as_groups(self._groups, ended.views, self._shown_traits[ended.teams])
         size = [len(ended.teams)]
-        totals = torch.from_numpy(ended.totals[:, self._logged].T.astype(np.float32))
         return {
             "final_teams": self._tensor(ended.teams),
             "final_observation": TensorDict(groups, batch_size=size, device=self.device),
-            "log": dict(zip(_LOGGED, totals.unbind(0), strict=True)),
+            "log": EpisodeLog(ended.totals, self._logged),
         }
 
     def _as_groups(
