@@ -237,7 +237,7 @@ class Execution(ABC):
             finals: observations at the end of episodes, to be written in the rows of those teams
                 whose episode ends; read only if there are ``series``.
             series: of episodes. Teams whose episode ends begin their next one at once; without
-                series they stay as they are.
+                series they stay as they are. Call :meth:`Series.look_ahead` after it.
 
         Raises:
             ValueError: see :meth:`admit`. Nothing has changed then.

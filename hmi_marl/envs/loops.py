@@ -99,10 +99,9 @@ def _put_row(rows: Any, row: Any, column: Any, values: Any) -> Any:
 @overload(elementwise.scale_row, jit_options=_OPTIONS, strict=False)
 def _scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> Any:
     def scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> None:
-        for cell in range(values.shape[0]):
-            for column in range(values.shape[1]):
-                value = elementwise.within(values[cell, column] / scale, -bound, bound)
-                rows[row, cell * values.shape[1] + column] = value
+        flat, scaled = values.reshape(values.size), rows[row]
+        for place in range(len(flat)):
+            scaled[place] = elementwise.within(flat[place] / scale, -bound, bound)
 
     return scale_row
 
@@ -442,8 +441,6 @@ class InOneLoop(InLoops):
         )  # fmt: skip
         _prepare(step_teams, *arguments)
         self.world.take_step(step_teams, *arguments)
-        if series is not None and after.ends[:, team_step.ENDED].any():
-            series.look_ahead()
         return after
 
     def _showing(self, merges: Merges, teams: Teams) -> values.Shown:

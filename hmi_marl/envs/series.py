@@ -23,7 +23,7 @@ class Series:
     """
 
     AHEAD = 16
-    """Episodes of a series that are computed at a time."""
+    """Most episodes of a series that are computed at a time."""
 
     def __init__(self, seeds: NDArray[np.uint64], population: Population) -> None:
         self._first, self._population = seeds, population
@@ -36,7 +36,7 @@ class Series:
         """Traits of their drivers."""
         self._until = np.zeros(count, np.int64)
         """Last episode of each series that is computed."""
-        self._compute(np.arange(count), 0)
+        self._compute(np.arange(count), 0, 2)  # most trainers begin new series after an episode
 
     @property
     def present(self) -> NDArray[np.uint64]:
@@ -55,13 +55,14 @@ class Series:
         """Compute more of those series whose last computed episode has begun."""
         at_end = np.flatnonzero(self.episodes >= self._until)
         if len(at_end):
-            self._compute(at_end, 1)
+            self._compute(at_end, 1, self.AHEAD)
 
-    def _compute(self, series: NDArray[np.int64], first: int) -> None:
-        """Compute AHEAD episodes, from the ``first`` after the present one on."""
-        numbers = self.episodes[series, None] + first + np.arange(self.AHEAD)
+    def _compute(self, series: NDArray[np.int64], first: int, count: int) -> None:
+        """Compute ``count`` episodes, from the ``first`` after the present one on."""
+        numbers = self.episodes[series, None] + first + np.arange(count)
         seeds = episode_seed(self._first[series, None], numbers.astype(np.uint64))
         drawn = check_traits(self._population.draw(seeds.ravel()), seeds.size)
-        self.seeds[series] = seeds
-        self.traits[series] = drawn.as_array().reshape(*seeds.shape, -1)
+        places = series[:, None], numbers % self.AHEAD
+        self.seeds[places] = seeds
+        self.traits[places] = drawn.as_array().reshape(*seeds.shape, -1)
         self._until[series] = numbers[:, -1]

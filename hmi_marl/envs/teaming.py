@@ -365,6 +365,7 @@ class Teaming:
         ended = None
         if then is not None and len(teams := np.flatnonzero(ends[:, ENDED])):
             assert totals is not None
+            then.series.look_ahead()
             seen = {name: group.rows[teams] for name, group in finals.items()}
             ended = EndedTeams(teams, seen, totals[teams])
         shown = {name: group.rows for name, group in groups.items()}
@@ -457,6 +458,9 @@ class Teaming:
     def _checked(self, actions: ArrayLike, agent: str) -> NDArray[np.int64]:
         """Return actions as int64, or raise if they have another shape or type."""
         given = np.asarray(actions)
+        flags = given.flags
+        if given.dtype == np.int64 and given.shape == self._every.shape and flags.carray:
+            return given
         if given.shape != (self.num_teams,):
             raise ValueError(
                 f"{agent} actions have shape ({self.num_teams},), but got {given.shape}"
