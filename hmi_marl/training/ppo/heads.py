@@ -28,9 +28,9 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
         """Set the distribution by the network's logits, shape (..., choices)."""
         self._log_probs = torch.log_softmax(mlp_output, dim=-1)
 
-    def sample(self) -> torch.Tensor:
-        """Draw indices as floats, shape (..., 1)."""
-        return draw(self._log_probs)
+    def sample(self, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Draw indices as floats, shape (..., 1); by torch's own generator if none is given."""
+        return draw(self._log_probs, generator)
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
         """Return the most likely action, shape (..., 1)."""
@@ -94,10 +94,10 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
         self._intent = torch.log_softmax(intent, dim=-1)
         self._alert = torch.log_softmax(alert, dim=-1)
 
-    def sample(self) -> torch.Tensor:
-        """Draw a^H and a^A as floats, shape (..., 2)."""
-        intent = draw(self._intent)
-        return torch.cat([intent, draw(_row(self._alert, intent))], dim=-1)
+    def sample(self, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Draw a^H and a^A as floats, shape (..., 2); see :meth:`OneAction.sample`."""
+        intent = draw(self._intent, generator)
+        return torch.cat([intent, draw(_row(self._alert, intent), generator)], dim=-1)
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
         """Return the most likely a^H, and the most likely a^A given that, shape (..., 2)."""
@@ -168,10 +168,13 @@ class LikeliestPair(torch.nn.Module):
         return torch.cat([intent, alert], dim=-1).to(logits.dtype)
 
 
-def draw(log_probs: torch.Tensor) -> torch.Tensor:
-    """Draw one index per row as a float, (..., 1), by inverting the cumulative distribution."""
+def draw(log_probs: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
+    """Draw one index per row as a float, (..., 1), by inverting the cumulative distribution.
+
+    ``generator`` is one of the CPU; None for torch's own.
+    """
     below = log_probs.exp().cumsum(-1)[..., :-1]
-    chance = torch.rand(log_probs.shape[:-1], device=log_probs.device)
+    chance = torch.rand(log_probs.shape[:-1], generator=generator).to(log_probs.device)
     return (chance.unsqueeze(-1) >= below).sum(-1, keepdim=True).to(log_probs.dtype)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -19,17 +20,36 @@ from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
 
 
-class View(Protocol):
-    """Function from an environment's observation groups to the groups ``actor`` and ``critic``."""
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs of an actor and its critic, of shapes (..., columns)."""
 
-    def __call__(self, observations: TensorDict) -> TensorDict:
-        """Groups ``actor`` and ``critic``, both of shape (N, columns)."""
+    actor: torch.Tensor
+    critic: torch.Tensor
+
+    def of(self, rows: slice) -> Inputs:
+        """Return some rows of both."""
+        return Inputs(self.actor[rows], self.critic[rows])
+
+    def copied(self) -> Inputs:
+        """Return copies, which begin where torch aligns memory.
+
+        Matrix products of a few rows round in another way if their memory begins elsewhere.
+        """
+        return Inputs(self.actor.clone(), self.critic.clone())
+
+
+class View(Protocol):
+    """Function from an environment's observation groups to the inputs of actor and critic."""
+
+    def __call__(self, observations: TensorDict) -> Inputs:
+        """Inputs of shape (N, columns)."""
         ...
 
 
-def unchanged(observations: TensorDict) -> TensorDict:
+def unchanged(observations: TensorDict) -> Inputs:
     """:class:`View` of observations that have the groups ``actor`` and ``critic`` already."""
-    return observations
+    return Inputs(observations["actor"], observations["critic"])
 
 
 class Context(Protocol):
@@ -52,6 +72,7 @@ class SeatView:
         cards: cards of the seats, whose inputs are concatenated for the actor.
         centralised: the critic reads the team's whole state, else the actor's inputs.
         context: gives z, if the policies are conditioned on it.
+        teams: teams in a shard, for which z is computed at a time; by default all.
     """
 
     def __init__(
@@ -60,27 +81,41 @@ class SeatView:
         cards: tuple[PolicyCard, ...],
         centralised: bool,
         context: Context | None = None,
+        teams: int | None = None,
     ) -> None:
-        self._columns = {
-            card.seat: torch.from_numpy(card.columns(env.layouts[card.seat])).to(env.device)
-            for card in cards
-        }
+        self._columns = {card.seat: _columns(card, env) for card in cards}
+        self._teams = env.num_envs if teams is None else teams
         self._context = {card.seat: context if card.context else None for card in cards}
         self._centralised = centralised
         actor = sum(card.inputs for card in cards)
         self.critic_inputs = env.layouts["critic"].size if centralised else actor
         """Columns that the critic reads."""
 
-    def __call__(self, observations: TensorDict) -> TensorDict:
-        """See :meth:`View.__call__`."""
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups of the environment's observations that it reads."""
+        traits = any(context is not None for context in self._context.values())
+        return (*self._columns, *["traits"] * traits, *["critic"] * self._centralised)
+
+    def __call__(self, observations: TensorDict) -> Inputs:
+        """See :meth:`View.__call__`; inputs may share memory with the observations."""
         read = []
         for seat, columns in self._columns.items():
-            read.append(observations[seat].index_select(1, columns))
+            seen = observations[seat]
+            read.append(seen if columns is None else seen.index_select(1, columns))
             if (context := self._context[seat]) is not None:
-                read.append(context(observations["traits"]))
+                parts = observations["traits"].split(self._teams)
+                read.append(torch.cat([context(traits.clone()) for traits in parts]))
         actor = read[0] if len(read) == 1 else torch.cat(read, dim=1)
-        critic = observations["critic"] if self._centralised else actor
-        return TensorDict({"actor": actor, "critic": critic}, batch_size=observations.batch_size)
+        return Inputs(actor, observations["critic"] if self._centralised else actor)
+
+
+def _columns(card: PolicyCard, env: TeamVecEnv) -> torch.Tensor | None:
+    """Columns of the seat's observation that a policy reads; None for all of them."""
+    layout = env.layouts[card.seat]
+    columns = torch.from_numpy(card.columns(layout))
+    everything = torch.equal(columns, torch.arange(layout.size))
+    return None if everything else columns.to(env.device)
 
 
 class IntentShown:
@@ -118,6 +153,21 @@ def make_actor(card: PolicyCard) -> MLPModel:
     if not (units := network.rnn_hidden_dim):
         return MLPModel(*sizes, distribution_cfg=head)
     return MemoryModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=units)
+
+
+def logits_of(
+    actor: MLPModel, inputs: torch.Tensor, memory: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor | None]:
+    """Return an actor's logits in one step, and its new recurrent state.
+
+    Args:
+        inputs: shape (N, columns).
+        memory: recurrent state, shape (1, N, units); None for that at the start of an episode.
+    """
+    if not actor.is_recurrent:
+        return actor.mlp(inputs), None
+    remembered, memory = actor.rnn.rnn(inputs.unsqueeze(0), memory)
+    return actor.mlp(torch.cat([remembered.squeeze(0), inputs], dim=-1)), memory
 
 
 class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
