@@ -114,7 +114,7 @@ def test_torchruns_processes_start_no_others(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("processes", "told"),
-    [("0", "processes is at least 1, but got 0"), ("3", "processes is one of 1, 2, 4, since a")],
+    [("0", "processes is at least 1, but got 0"), ("3", "processes is one of 1, 2, since a batch")],
 )
 def test_processes_that_cannot_be_are_refused(processes, told, capsys):
     assert main(["train", "joint", "--processes", processes, "--device", "cpu"]) == 2

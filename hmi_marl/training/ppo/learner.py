@@ -7,7 +7,6 @@ team, played, recorded and averaged, shard by shard (:mod:`hmi_marl.training.ppo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from typing import Any, Protocol
 
 import torch
@@ -18,7 +17,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.models import IntentShown, View
-from hmi_marl.training.ppo.shards import MiniBatch, Shard, Shards
+from hmi_marl.training.ppo.shards import MiniBatch, Rollout, Shard, Shards, flat
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.run import OPTIMIZER, flat_moments, with_moments
 
@@ -78,15 +77,22 @@ class PPOLearner:
         self.view, self.settings, self._shards = view, settings, shards
         self.actor, self.critic = actor.to(device), critic.to(device)
         """Policy and value function."""
-        self._parts = [list(model.parameters()) for model in (actor, critic)]
-        self._parameters = list(chain(*self._parts))
-        self.optimizer = torch.optim.Adam(self._parameters, settings.learning_rate, fused=True)
+        parameters = [*actor.parameters(), *critic.parameters()]
+        weights, views = flat(parameters)
+        for parameter, place in zip(parameters, views, strict=True):
+            parameter.data = place  # so that the optimizer has a single tensor to go through
+        self._weights = torch.nn.Parameter(weights)
+        self._of_actor = sum(parameter.numel() for parameter in actor.parameters())
+        self.optimizer = torch.optim.Adam([self._weights], settings.learning_rate, fused=True)
         self.entropy_coef = settings.entropy_coef
-        seen = view(sample)
-        self._teams = len(seen.actor) // len(shards.own)
-        shape = seen.of(slice(self._teams)), steps, columns, settings
-        self.shards = [Shard(actor, critic, *shape) for _ in shards.own]
+        head, own = actor.distribution, len(shards.own)
+        self.rollout = Rollout.empty(own, steps, view(sample), head.input_dim, columns)
+        """Steps of this process's shards."""
+        self.shards = [
+            Shard(actor, critic, self.rollout.of(number), settings) for number in range(own)
+        ]
         """Shards of this process."""
+        self._step = 0
 
     def begin(self, progress: float, generators: Generators = TORCHS_OWN) -> None:
         """See :meth:`Learner.begin`."""
@@ -96,13 +102,18 @@ class PPOLearner:
         rate = _between(settings.learning_rate, settings.final_learning_rate, progress)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
+        self._step = 0
         for shard, generator in zip(self.shards, generators, strict=True):
             shard.begin(generator)
 
     def act(self, observations: TensorDict) -> torch.Tensor:
         """See :meth:`Learner.act`."""
-        seen = self.view(observations)
-        return torch.cat([shard.act(seen.of(rows)) for shard, rows in self._own()])
+        seen, rollout, step = self.view(observations), self.rollout, self._step
+        rollout.actor[:, step] = self._by_shard(seen.actor)
+        rollout.critic[:, step] = self._by_shard(seen.critic)
+        actions = torch.stack([shard.act(step) for shard in self.shards])
+        rollout.actions[:, step] = actions
+        return actions.flatten(0, 1)
 
     def record(self, rewards: torch.Tensor, dones: torch.Tensor, extras: Extras) -> None:
         """See :meth:`Learner.record`.
@@ -111,19 +122,25 @@ class PPOLearner:
         added to the last reward. (rsl_rl itself would take V of the state before.) The final
         observation precedes the driver's next action, so a vehicle AI's V reads no next a^H there.
         """
-        rewards = rewards * self.settings.reward_scale
-        for shard, rows in self._own():
-            shard.record(rewards[rows], dones[rows])
+        ended = self._by_shard(dones)
+        self.rollout.rewards[:, self._step] = self._by_shard(rewards * self.settings.reward_scale)
+        self.rollout.dones[:, self._step] = ended
+        for shard, its_ended in zip(self.shards, ended, strict=True):
+            shard.forget(its_ended)
         if "final_teams" in extras and extras["time_outs"].any():
             self._continue(extras)
+        self._step += 1
 
     def _continue(self, extras: Extras) -> None:
-        """Add the values of the final observations of episodes that were truncated."""
+        """Add γ V of the final observations of episodes that were truncated."""
         teams, last = extras["final_teams"], extras["final_observation"]
         late = extras["time_outs"][teams]
-        for shard, rows in self._own():
-            if (which := late & (teams >= rows.start) & (teams < rows.stop)).any():
-                shard.add_value(teams[which] - rows.start, self.view(last[which]))
+        each = self.rollout.rewards.shape[-1]
+        for number, shard in enumerate(self.shards):
+            if (which := late & (teams // each == number)).any():
+                values = shard.value(self.view(last[which]).critic)
+                rewards = shard.rollout.rewards[self._step]
+                rewards[teams[which] % each] += self.settings.gamma * values
 
     def learn(
         self, observations: TensorDict, rewards: torch.Tensor | None = None
@@ -133,11 +150,13 @@ class PPOLearner:
         ``rewards``, shape (T, N), replace the recorded ones if they are only known after the batch,
         as in adversarial IRL.
         """
-        seen = self.view(observations)
-        for shard, rows in self._own():
-            if rewards is not None:
-                shard.rewards.copy_(rewards[:, rows] * self.settings.reward_scale)
-            shard.estimate(seen.of(rows))
+        if rewards is not None:
+            scaled = self._by_shard((rewards * self.settings.reward_scale).T)
+            self.rollout.rewards.copy_(scaled.transpose(1, 2))
+        following = self._by_shard(self.view(observations).critic)
+        for shard, inputs in zip(self.shards, following, strict=True):
+            shard.evaluate(inputs)
+        self.rollout.estimate(self.settings)
         self._normalise_advantages()
         batches = list(zip(*(shard.mini_batches() for shard in self.shards), strict=True))
         losses = [
@@ -154,7 +173,7 @@ class PPOLearner:
 
     def _normalise_advantages(self) -> None:
         """Give the advantages of the whole batch mean 0 and standard deviation 1."""
-        advantages = [shard.advantages for shard in self.shards]
+        advantages = [shard.rollout.advantages for shard in self.shards]
         count = advantages[0].numel() * self._shards.count
         mean = self._shards.sum([values.double().sum() for values in advantages]) / count
         squares = [(values.double() - mean).square().sum() for values in advantages]
@@ -164,30 +183,30 @@ class PPOLearner:
 
     def _descend(self, batches: Sequence[MiniBatch]) -> list[torch.Tensor]:
         """Take one step along the gradient over all shards; return the losses of the own ones."""
-        gradients, losses = [], []
-        for shard, batch in zip(self.shards, batches, strict=True):
-            loss, of_shard = shard.losses(batch, self.entropy_coef)
-            parts = torch.autograd.grad(loss, self._parameters)
-            gradients.append(torch.cat([part.flatten() for part in parts]))
-            losses.append(of_shard)
-        flat = self._shards.mean(gradients)
-        sizes = [parameter.numel() for parameter in self._parameters]
-        for parameter, part in zip(self._parameters, torch.split(flat, sizes), strict=True):
-            parameter.grad = part.view_as(parameter)
-        for parameters in self._parts:
-            torch.nn.utils.clip_grad_norm_(parameters, self.settings.max_grad_norm)
+        own = [
+            shard.gradient(batch, self.entropy_coef)
+            for shard, batch in zip(self.shards, batches, strict=True)
+        ]
+        gradient = self._shards.mean([of_shard for of_shard, _ in own])
+        for part in (gradient[: self._of_actor], gradient[self._of_actor :]):
+            part *= (self.settings.max_grad_norm / (part.norm() + 1e-6)).clamp(max=1.0)
+        self._weights.grad = gradient
         self.optimizer.step()
-        return losses
+        return [losses for _, losses in own]
 
     def discard(self) -> None:
         """Discard the steps recorded since the last update."""
-        for shard in self.shards:
-            shard.step = 0
+        self._step = 0
 
     def explore(self, observations: TensorDict) -> torch.Tensor:
         """Sample actions that are not recorded, shape (N, columns)."""
-        seen = self.view(observations)
-        return torch.cat([shard.explore(seen.of(rows)) for shard, rows in self._own()])
+        seen = self._by_shard(self.view(observations).actor)
+        pairs = zip(self.shards, seen, strict=True)
+        return torch.cat([shard.explore(inputs) for shard, inputs in pairs])
+
+    def _by_shard(self, values: torch.Tensor) -> torch.Tensor:
+        """Reshape values of all teams, (N, ...), to (shards, n, ...)."""
+        return torch.unflatten(values, 0, (len(self.shards), -1))
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Weights and the optimizer's state, by flat names."""
@@ -208,14 +227,6 @@ class PPOLearner:
         self.actor.load_state_dict(weights["actor"])
         self.critic.load_state_dict(weights["critic"])
         self.optimizer.load_state_dict(with_moments(self.optimizer.state_dict(), tensors))
-
-    def _own(self) -> list[tuple[Shard, slice]]:
-        """Shards of this process with their rows among its teams."""
-        starts = range(0, self._teams * len(self.shards), self._teams)
-        return [
-            (shard, slice(start, start + self._teams))
-            for shard, start in zip(self.shards, starts, strict=True)
-        ]
 
 
 class TwoLearners:

@@ -27,17 +27,6 @@ class Inputs:
     actor: torch.Tensor
     critic: torch.Tensor
 
-    def of(self, rows: slice) -> Inputs:
-        """Return some rows of both."""
-        return Inputs(self.actor[rows], self.critic[rows])
-
-    def copied(self) -> Inputs:
-        """Return copies, which begin where torch aligns memory.
-
-        Matrix products of a few rows round in another way if their memory begins elsewhere.
-        """
-        return Inputs(self.actor.clone(), self.critic.clone())
-
 
 class View(Protocol):
     """Function from an environment's observation groups to the inputs of actor and critic."""
@@ -155,21 +144,6 @@ def make_actor(card: PolicyCard) -> MLPModel:
     return MemoryModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=units)
 
 
-def logits_of(
-    actor: MLPModel, inputs: torch.Tensor, memory: torch.Tensor | None = None
-) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Return an actor's logits in one step, and its new recurrent state.
-
-    Args:
-        inputs: shape (N, columns).
-        memory: recurrent state, shape (1, N, units); None for that at the start of an episode.
-    """
-    if not actor.is_recurrent:
-        return actor.mlp(inputs), None
-    remembered, memory = actor.rnn.rnn(inputs.unsqueeze(0), memory)
-    return actor.mlp(torch.cat([remembered.squeeze(0), inputs], dim=-1)), memory
-
-
 class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
     """rsl_rl's recurrent model, in which the layers also get the inputs themselves."""
 
@@ -197,12 +171,17 @@ class TwoSeats(torch.nn.Module):
         super().__init__()
         self.driver = _mlp(driver)
         self.vehicle_ai = _mlp(vehicle_ai)
-        self._of_driver = driver.inputs
+        self.driver_inputs = driver.inputs
+        """Columns of the driver's network; those of the vehicle AI's follow."""
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return logits of a^H, then of a^A for each a^H: (..., 15) with one alert strength."""
-        of_driver, of_vehicle_ai = inputs[..., : self._of_driver], inputs[..., self._of_driver :]
+        of_driver, of_vehicle_ai = self.split(inputs)
         return torch.cat([self.driver(of_driver), self.vehicle_ai(of_vehicle_ai)], dim=-1)
+
+    def split(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the inputs of both networks."""
+        return inputs[..., : self.driver_inputs], inputs[..., self.driver_inputs :]
 
 
 def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:

@@ -10,16 +10,14 @@ begins can matter.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
-from rsl_rl.utils import (  # type: ignore[import-untyped]
-    split_and_pad_trajectories,
-    unpad_trajectories,
-)
+from rsl_rl.utils import split_and_pad_trajectories  # type: ignore[import-untyped]
 
-from hmi_marl.training.ppo.models import Inputs, logits_of
+from hmi_marl.training.ppo.layers import Layers, Padded, policy_of
+from hmi_marl.training.ppo.models import Inputs
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.processes import ALONE, Processes
 
@@ -60,107 +58,155 @@ def in_pairs(parts: Sequence[torch.Tensor]) -> torch.Tensor:
     return parts[0]
 
 
+def flat(
+    parameters: Sequence[torch.Tensor],
+) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    """Return a copy of all parameters in one vector, and views of it in their shapes."""
+    vector = torch.cat([parameter.detach().flatten() for parameter in parameters])
+    parts = torch.split(vector, [parameter.numel() for parameter in parameters])
+    pairs = zip(parts, parameters, strict=True)
+    return vector, [part.view_as(parameter) for part, parameter in pairs]
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Steps of a batch: of one shard, shape (T, n, ...), or of all of a process, (S, T, n, ...).
+
+    Recording and sums of products round alike in any shape, so a process does them for all of its
+    shards at once.
+    """
+
+    actor: torch.Tensor
+    """Inputs of the actor."""
+    critic: torch.Tensor
+    """Inputs of the critic."""
+    logits: torch.Tensor
+    actions: torch.Tensor
+    log_prob: torch.Tensor
+    """Log π(a) when the action was drawn."""
+    rewards: torch.Tensor
+    dones: torch.Tensor
+    values: torch.Tensor
+    """V of every step, and of what followed the last one: shape (..., T + 1, n)."""
+    returns: torch.Tensor
+    advantages: torch.Tensor
+
+    @classmethod
+    def empty(cls, shards: int, steps: int, sample: Inputs, logits: int, columns: int) -> Rollout:
+        """Make one of ``shards`` that share the teams of ``sample``."""
+        teams, device = len(sample.actor) // shards, sample.actor.device
+
+        def zeros(*shape: int, steps: int = steps) -> torch.Tensor:
+            return torch.zeros(shards, steps, teams, *shape, device=device)
+
+        return cls(
+            actor=zeros(sample.actor.shape[1]),
+            critic=zeros(sample.critic.shape[1]),
+            logits=zeros(logits),
+            actions=zeros(columns),
+            log_prob=zeros(),
+            rewards=zeros(),
+            dones=zeros(),
+            values=zeros(steps=steps + 1),
+            returns=zeros(),
+            advantages=zeros(),
+        )
+
+    def of(self, shard: int) -> Rollout:
+        """Return the part of one shard, in the same memory."""
+        return Rollout(**{name: values[shard] for name, values in vars(self).items()})
+
+    def estimate(self, settings: PPOSettings) -> None:
+        """Estimate advantages and returns from the rewards and the values."""
+        before, after = self.values[..., :-1, :], self.values[..., 1:, :]
+        goes_on = 1.0 - self.dones
+        errors = self.rewards + settings.gamma * goes_on * after - before
+        decay = settings.gamma * settings.gae_lambda * goes_on
+        advantage = torch.zeros_like(errors[..., 0, :])
+        for step in reversed(range(errors.shape[-2])):
+            advantage = errors[..., step, :] + decay[..., step, :] * advantage
+            self.advantages[..., step, :] = advantage
+        torch.add(self.advantages, before, out=self.returns)
+
+
 @dataclass(frozen=True)
 class MiniBatch:
     """A shard's part of a mini-batch. Rows are steps, or (steps, teams) of recurrent policies."""
 
-    seen: Inputs
+    actor: torch.Tensor
+    critic: torch.Tensor
     actions: torch.Tensor
     log_prob: torch.Tensor
-    """Log π(a) when the action was drawn."""
     advantages: torch.Tensor
     returns: torch.Tensor
-    padded: tuple[torch.Tensor, torch.Tensor] | None = None
-    """Of recurrent policies, the actor's inputs by episode, and which of them there are."""
+    padded: Padded | None = None
+    """The actor's inputs by episode, of recurrent policies."""
+
+    @classmethod
+    def values(cls, rollout: Rollout) -> list[torch.Tensor]:
+        """Tensors of a rollout that it has parts of, in the order of the fields."""
+        return [getattr(rollout, part.name) for part in fields(cls) if part.name != "padded"]
 
 
 class Shard:
-    """The teams of one shard: what they did in a batch, and what is learned from that.
+    """What is computed of the teams of one shard alone.
 
     Args:
         actor, critic: models of this process, the same for all of its shards.
-        sample: inputs of the shard's teams, which give the shapes.
-        steps: T, steps in a batch.
-        columns: columns of the actions.
+        rollout: part of the rollout with this shard's steps.
         settings: settings of PPO.
     """
 
     def __init__(
-        self,
-        actor: MLPModel,
-        critic: MLPModel,
-        sample: Inputs,
-        steps: int,
-        columns: int,
-        settings: PPOSettings,
+        self, actor: MLPModel, critic: MLPModel, rollout: Rollout, settings: PPOSettings
     ) -> None:
-        self._actor, self._critic, self._settings = actor, critic, settings
-        teams, device = len(sample.actor), sample.actor.device
-
-        def empty(*shape: int) -> torch.Tensor:
-            return torch.zeros(steps, teams, *shape, device=device)
-
-        self.seen = Inputs(empty(sample.actor.shape[1]), empty(sample.critic.shape[1]))
-        self.logits = empty(actor.distribution.input_dim)
-        self.actions = empty(columns)
-        self.rewards, self.dones = empty(), empty()
-        self.returns, self.advantages, self.log_prob = empty(), empty(), empty()
-        self.step = 0
-        """Steps that were recorded since the batch began."""
+        self.rollout, self._settings = rollout, settings
+        self._policy, self._value = policy_of(actor), Layers(critic.mlp)
+        self._head, self._recurrent = actor.distribution, actor.is_recurrent
+        self._gradient, into = flat([*actor.parameters(), *critic.parameters()])
+        count = len(list(actor.parameters()))
+        self._of_policy, self._of_value = into[:count], into[count:]
         self._memory: torch.Tensor | None = None
         self._generator: torch.Generator | None = None
 
     def begin(self, generator: torch.Generator | None) -> None:
         """Begin a batch of whole episodes, whose draws come from ``generator``."""
-        self.step, self._memory, self._generator = 0, None, generator
+        self._memory, self._generator = None, generator
 
-    def act(self, seen: Inputs) -> torch.Tensor:
-        """Sample actions, shape (n, columns), and record them with what they were drawn from."""
-        step = self.step
-        self.seen.actor[step].copy_(seen.actor)
-        self.seen.critic[step].copy_(seen.critic)
-        logits, self._memory = logits_of(self._actor, self.seen.actor[step], self._memory)
-        self.logits[step].copy_(logits)
-        actions = self._draw(logits)
-        self.actions[step].copy_(actions)
-        return actions
+    def act(self, step: int) -> torch.Tensor:
+        """Sample actions, shape (n, columns), given the recorded inputs of a step."""
+        logits, self._memory = self._policy.act(self.rollout.actor[step], self._memory)
+        self.rollout.logits[step] = logits
+        return self._draw(logits)
 
-    def explore(self, seen: Inputs) -> torch.Tensor:
+    def explore(self, inputs: torch.Tensor) -> torch.Tensor:
         """Sample actions that are not recorded, shape (n, columns)."""
-        return self._draw(logits_of(self._actor, seen.copied().actor, self._memory)[0])
+        return self._draw(self._policy.act(inputs.clone(), self._memory)[0])
 
-    def record(self, rewards: torch.Tensor, dones: torch.Tensor) -> None:
-        """Record what followed the last actions, both of shape (n,)."""
-        self.rewards[self.step].copy_(rewards)
-        self.dones[self.step].copy_(dones)
-        self.step += 1
-        if self._memory is not None:  # a new episode begins without memory
+    def forget(self, dones: torch.Tensor) -> None:
+        """Clear the recurrent state of teams that begin another episode, where ``dones`` is 1."""
+        if self._memory is not None:
             self._memory = self._memory * (dones == 0)[None, :, None]
 
-    def add_value(self, teams: torch.Tensor, seen: Inputs) -> None:
-        """Add γ V(``seen``) to the rewards just recorded of ``teams``, rows of this shard."""
-        values = self._critic.mlp(seen.copied().critic).squeeze(-1)
-        self.rewards[self.step - 1][teams] += self._settings.gamma * values
+    def value(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return V, shape (m,), of the critic's inputs, shape (m, columns)."""
+        return self._value.forward(inputs.clone())[-1].squeeze(-1)
 
     @torch.no_grad()
-    def estimate(self, seen: Inputs) -> None:
-        """Estimate returns and advantages, of which ``seen`` is what followed the last step."""
-        settings, steps = self._settings, len(self.rewards)
-        parts = torch.split(self.seen.critic, -(-steps // settings.num_mini_batches))
-        values = torch.cat([self._critic.mlp(part).squeeze(-1) for part in parts])
-        following = torch.cat(
-            [values[1:], self._critic.mlp(seen.copied().critic).squeeze(-1)[None]]
-        )
-        goes_on = 1.0 - self.dones
-        errors = self.rewards + settings.gamma * goes_on * following - values
-        decay = settings.gamma * settings.gae_lambda * goes_on
-        advantage = torch.zeros_like(errors[0])
-        for step in reversed(range(steps)):
-            advantage = torch.addcmul(errors[step], decay[step], advantage)
-            self.advantages[step] = advantage
-        torch.add(self.advantages, values, out=self.returns)
-        self._actor.distribution.update(self.logits)
-        self.log_prob.copy_(self._actor.distribution.log_prob(self.actions))
+    def evaluate(self, following: torch.Tensor) -> None:
+        """Compute values and log-probabilities of all steps.
+
+        ``following`` are the critic's inputs after the last step, shape (n, columns).
+        """
+        rollout, steps = self.rollout, len(self.rollout.rewards)
+        some = -(-steps // self._settings.num_mini_batches)  # as much as stays in the cache
+        for first in range(0, steps, some):
+            inputs = rollout.critic[first : first + some]
+            values = self._value.forward(inputs.flatten(0, 1))[-1]
+            rollout.values[first : first + len(inputs)] = values.view(inputs.shape[:2])
+        rollout.values[-1] = self.value(following)
+        self._head.update(rollout.logits)
+        rollout.log_prob.copy_(self._head.log_prob(rollout.actions))
 
     def mini_batches(self) -> list[MiniBatch]:
         """Return this shard's parts of the mini-batches.
@@ -168,63 +214,53 @@ class Shard:
         They are random steps of all teams, or whole episodes of some teams if the policy is
         recurrent.
         """
-        if self._actor.is_recurrent:
+        if self._recurrent:
             return self._whole_episodes()
-        count = self._settings.num_mini_batches
-        rows = self.rewards.numel() // count
-        order = torch.randperm(self.rewards.numel(), generator=self._generator)[: count * rows]
-        order = order.to(self.rewards.device)
-
-        def shuffled(values: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            return torch.split(values.flatten(0, 1).index_select(0, order), rows)
-
-        parts = zip(
-            map(Inputs, shuffled(self.seen.actor), shuffled(self.seen.critic)),
-            *map(shuffled, (self.actions, self.log_prob, self.advantages, self.returns)),
-            strict=True,
-        )
-        return [MiniBatch(*part) for part in parts]
+        count, total = self._settings.num_mini_batches, self.rollout.rewards.numel()
+        rows = total // count
+        order = torch.randperm(total, generator=self._generator)[: count * rows]
+        order = order.to(self.rollout.rewards.device)
+        shuffled = [
+            torch.split(values.flatten(0, 1).index_select(0, order), rows)
+            for values in MiniBatch.values(self.rollout)
+        ]
+        return [MiniBatch(*parts) for parts in zip(*shuffled, strict=True)]
 
     def _whole_episodes(self) -> list[MiniBatch]:
-        count = self._settings.num_mini_batches
-        each = self.rewards.shape[1] // count
+        rollout, count = self.rollout, self._settings.num_mini_batches
+        each = rollout.rewards.shape[1] // count
         batches = []
         for first in range(0, count * each, each):
             teams = slice(first, first + each)
-            seen = Inputs(self.seen.actor[:, teams], self.seen.critic[:, teams])
-            values = (self.actions, self.log_prob, self.advantages, self.returns)
-            actions, log_prob, advantages, returns = (part[:, teams] for part in values)
-            padded = split_and_pad_trajectories(seen.actor, self.dones[:, teams, None])
-            batches.append(MiniBatch(seen, actions, log_prob, advantages, returns, padded))
+            parts = [values[:, teams] for values in MiniBatch.values(rollout)]
+            padded = split_and_pad_trajectories(parts[0], rollout.dones[:, teams, None])
+            batches.append(replace(MiniBatch(*parts), padded=padded))
         return batches
 
-    def losses(self, batch: MiniBatch, entropy_coef: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the loss to minimise, and value loss, surrogate loss and entropy: shape (3,)."""
-        clip = self._settings.clip_param
-        log_prob, entropies = self.log_prob_and_entropy(batch)
-        ratio = torch.exp(log_prob - batch.log_prob)
-        clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
-        surrogate = -torch.min(batch.advantages * ratio, batch.advantages * clipped).mean()
-        values = self._critic.mlp(batch.seen.critic).squeeze(-1)
-        value = (batch.returns - values).pow(2).mean()
-        entropy = entropies.mean()
-        loss = surrogate + value - entropy_coef * entropy
-        return loss, torch.stack([value, surrogate, entropy]).detach()
+    @torch.no_grad()
+    def gradient(self, batch: MiniBatch, entropy_coef: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient of the loss with respect to all weights, flat, which the next call replaces.
 
-    def log_prob_and_entropy(self, batch: MiniBatch) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return log π(a) and the policy's entropy in every row, as it is now."""
-        head = self._actor.distribution
-        head.update(self._logits(batch))
-        return head.log_prob(batch.actions), head.entropy
-
-    def _logits(self, batch: MiniBatch) -> torch.Tensor:
-        if batch.padded is None:
-            return self._actor.mlp(batch.seen.actor)
-        inputs, there = batch.padded
-        remembered = unpad_trajectories(self._actor.rnn.rnn(inputs)[0], there)
-        return self._actor.mlp(torch.cat([remembered, batch.seen.actor], dim=-1))
+        Also returns the value loss, the surrogate loss and the entropy, shape (3,).
+        """
+        clip, rows = self._settings.clip_param, batch.advantages.numel()
+        logits, passed = self._policy.forward(batch.actor, batch.padded)
+        self._head.update(logits)
+        ratio = (self._head.log_prob(batch.actions) - batch.log_prob).exp_()
+        wanted = batch.advantages * ratio
+        clipped = batch.advantages * ratio.clamp(1.0 - clip, 1.0 + clip)
+        # Where the clipped term is less, it is a constant. The derivative of the ratio is itself.
+        of_log_prob = torch.where(wanted <= clipped, wanted, 0.0).mul_(-1.0 / rows)
+        of_logits = self._head.gradient(batch.actions, of_log_prob, -entropy_coef / rows)
+        self._policy.backward(passed, of_logits, self._of_policy)
+        surrogate, entropy = -torch.minimum(wanted, clipped).mean(), self._head.entropy.mean()
+        passed = self._value.forward(batch.critic.flatten(0, -2))
+        errors = passed[-1].squeeze(-1) - batch.returns.flatten()
+        value = errors.square().mean()
+        self._value.backward(passed, errors.mul_(2.0 / rows).unsqueeze(-1), self._of_value)
+        return self._gradient, torch.stack([value, surrogate, entropy])
 
     def _draw(self, logits: torch.Tensor) -> torch.Tensor:
-        head = self._actor.distribution
-        head.update(logits)
-        return head.sample(self._generator)
+        self._head.update(logits)
+        actions: torch.Tensor = self._head.sample(self._generator)
+        return actions

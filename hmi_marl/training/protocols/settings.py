@@ -139,10 +139,11 @@ class TrainSettings(Checked, TeamSettings):
     """Random seed. The same seed gives the same weights (on one machine)."""
     num_teams: Count = 512
     """Teams side by side, shared among the processes. A batch is one whole episode of each."""
-    shards: PowerOfTwo = 4
+    shards: PowerOfTwo = 2
     """Parts of a batch that are computed apart, so that weights do not depend on the number of
-    processes, of which there are no more than this. A power of two; halved while the teams do not
-    suffice for it. On GPUs each process has one part."""
+    processes, which is at most this. A power of two, halved while the teams do not suffice for it.
+    More shards allow more processes, and take a little longer in one. On GPUs each process has one
+    part."""
     condition: Condition = "traits"
     """Whether the policies observe the driver's traits, or not ("hidden")."""
     critic: Critic = "team"

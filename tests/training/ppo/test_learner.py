@@ -15,6 +15,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.exact import oracle
+from hmi_marl.training.ppo.layers import policy_of
 from hmi_marl.training.ppo.learner import PPOLearner, TwoLearners, play_batch
 from hmi_marl.training.ppo.models import (
     Inputs,
@@ -106,13 +107,13 @@ def test_time_outs_alone_are_worth_what_was_seen_last():
     assert dones.tolist() == [1, 0, 1, 1]
     expected = 0.5 * torch.stack(given)
     expected[4, [0, 3]] += 0.9 * (1 + 2 * 1.0)
-    (shard,) = learner.shards
-    torch.testing.assert_close(shard.rewards, expected)
-    assert shard.dones.sum(0).tolist() == [1, 1, 1, 1]
+    rollout = learner.shards[0].rollout
+    torch.testing.assert_close(rollout.rewards, expected)
+    assert rollout.dones.sum(0).tolist() == [1, 1, 1, 1]
     learner.learn(seen)
     last = expected[4].clone()
     last[1] += 0.9 * (1 + 2 * 3 / 5)  # goes on, three steps into its second episode
-    torch.testing.assert_close(shard.returns[4], last)
+    torch.testing.assert_close(rollout.returns[4], last)
 
 
 def test_what_it_learns_from_falls_along_lines():
@@ -180,11 +181,12 @@ def test_a_memory_is_learned_from_as_it_was_when_it_acted():
         learner.begin(0.0)
         play_batch(env, learner, seed)
         (shard,) = learner.shards
-        assert shard.dones[:-1].any()
-        shard.estimate(learner.view(env.get_observations()))
+        assert shard.rollout.dones[:-1].any()
+        shard.evaluate(learner.view(env.get_observations()).critic)
         for batch in shard.mini_batches():
-            log_prob = shard.log_prob_and_entropy(batch)[0]
-            torch.testing.assert_close(log_prob, batch.log_prob)
+            policy, head = policy_of(learner.actor), learner.actor.distribution
+            head.update(policy.forward(batch.actor, batch.padded)[0])
+            torch.testing.assert_close(head.log_prob(batch.actions), batch.log_prob)
 
 
 def two_learners(env, turns):
@@ -206,16 +208,16 @@ def test_two_that_learn_at_once_see_and_get_what_their_seats_do(turns):
             seen, rewards, dones, extras = env.step(actions)
             learner.record(rewards, dones, extras)
             rewards_given.append(extras["rewards"])
-    stored = {seat: getattr(learner, seat).shards[0] for seat in ("driver", "vehicle_ai")}
+    stored = {seat: getattr(learner, seat).shards[0].rollout for seat in ("driver", "vehicle_ai")}
     intents = stored["driver"].actions[..., 0].long()
-    shown = stored["vehicle_ai"].seen.actor[..., env.layouts["vehicle_ai"]["intended_action"]]
+    shown = stored["vehicle_ai"].actor[..., env.layouts["vehicle_ai"]["intended_action"]]
     in_the_critic = env.layouts["critic"]["intended_action"]
-    known = stored["vehicle_ai"].seen.critic[..., in_the_critic]
+    known = stored["vehicle_ai"].critic[..., in_the_critic]
     now = torch.nn.functional.one_hot(intents, 5).float()
     if turns:
         assert (shown == now).all()
         assert (known == now).all()  # its values are of the state in which it acts
-        assert not (stored["driver"].seen.critic[..., in_the_critic] == now).all()
+        assert not (stored["driver"].critic[..., in_the_critic] == now).all()
     else:
         assert (known == shown).all()
         begins = torch.cat([torch.ones(1, 16), stored["driver"].dones[:-1]])
@@ -361,12 +363,9 @@ def test_it_learns_what_rsl_rls_ppo_learns(memory, count):
     play_batch(env, learner, 0, Shards(count))
 
     def of_all(name):
-        return torch.cat([getattr(shard, name) for shard in learner.shards], dim=1)
+        return torch.cat([getattr(shard.rollout, name) for shard in learner.shards], dim=1)
 
-    seen = {
-        name: torch.cat([getattr(shard.seen, name) for shard in learner.shards], dim=1)
-        for name in ("actor", "critic")
-    }
+    seen = {name: of_all(name) for name in ("actor", "critic")}
     sample = TensorDict({name: values[0] for name, values in seen.items()}, [8])
     storage = RolloutStorage("rl", 8, env.max_episode_length, sample, [1])
     reference = PPO(

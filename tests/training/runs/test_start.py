@@ -18,7 +18,7 @@ from hmi_marl.training.runs.start import (
     start_together,
 )
 
-SETTINGS = TwoStage(num_teams=32, ppo=PPOSettings(num_mini_batches=4), device="cpu")  # 4 shards
+SETTINGS = TwoStage(num_teams=32, shards=4, ppo=PPOSettings(num_mini_batches=4), device="cpu")
 
 
 def gone(pid):
