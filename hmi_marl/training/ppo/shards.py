@@ -10,7 +10,8 @@ begins can matter.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
@@ -232,9 +233,9 @@ class Shard:
         batches = []
         for first in range(0, count * each, each):
             teams = slice(first, first + each)
-            parts = [values[:, teams] for values in MiniBatch.values(rollout)]
+            parts: list[Any] = [values[:, teams] for values in MiniBatch.values(rollout)]
             padded = split_and_pad_trajectories(parts[0], rollout.dones[:, teams, None])
-            batches.append(replace(MiniBatch(*parts), padded=padded))
+            batches.append(MiniBatch(*parts, padded))
         return batches
 
     @torch.no_grad()
