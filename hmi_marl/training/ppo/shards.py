@@ -235,7 +235,7 @@ class Shard:
             teams = slice(first, first + each)
             parts: list[Any] = [values[:, teams] for values in MiniBatch.values(rollout)]
             padded = split_and_pad_trajectories(parts[0], rollout.dones[:, teams, None])
-            batches.append(MiniBatch(*parts, padded))
+            batches.append(MiniBatch(*[*parts, padded]))
         return batches
 
     @torch.no_grad()
