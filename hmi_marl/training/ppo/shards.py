@@ -3,12 +3,12 @@
 A batch is cut into as many shards of as many teams whatever the number of processes, each of which
 has some of them. What is computed of a shard (its actions, values, advantages, gradients) comes
 from calls of the same shapes wherever that happens, and sums over shards are taken in one order,
-so the last bit is the same too. Inputs are copied into a shard's own memory before, since where it
-begins can matter.
+so the last bit is the same too.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -69,12 +69,17 @@ def flat(
     return vector, [part.view_as(parameter) for part, parameter in pairs]
 
 
+_ALIGNED = 16
+"""Numbers in the 64 bytes to which torch aligns memory. Every shard's memory begins at such a
+multiple: products of a few rows round in another way if their memory begins elsewhere."""
+
+
 @dataclass(frozen=True)
 class Rollout:
     """Steps of a batch: of one shard, shape (T, n, ...), or of all of a process, (S, T, n, ...).
 
-    Recording and sums of products round alike in any shape, so a process does them for all of its
-    shards at once.
+    Copies, single products and single sums round in one way only, so a process makes them for all
+    of its shards at once.
     """
 
     actor: torch.Tensor
@@ -98,7 +103,10 @@ class Rollout:
         teams, device = len(sample.actor) // shards, sample.actor.device
 
         def zeros(*shape: int, steps: int = steps) -> torch.Tensor:
-            return torch.zeros(shards, steps, teams, *shape, device=device)
+            size = math.prod((steps, teams, *shape))
+            apart = -(-size // _ALIGNED) * _ALIGNED
+            memory = torch.zeros(shards, apart, device=device)[:, :size]
+            return torch.unflatten(memory, 1, (steps, teams, *shape))
 
         return cls(
             actor=zeros(sample.actor.shape[1]),
