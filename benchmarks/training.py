@@ -7,7 +7,12 @@ for each core. Both drive the same road with as many other vehicles, and both le
 networks of the same layers, as many epochs and as many mini-batches. (SB3's networks read only the
 lidar, since plain highway-env has no human.) A step is one policy step of one car, resets included.
 The two alternate, round by round, after a warm-up that is not counted. Ours runs in one process,
-and once more in a process for each core that train together.
+once more in each other number of processes, in which the weights are the same, and with other
+numbers of shards: more shards allow more processes, and cost some time in one.
+
+Columns are shares of the time. Of several processes the first one's are shown, with the time in
+which it waits for the others, and the first batch of a stage, in which a fresh process loads the
+compiled world, is left out. Seconds of the processor are less sensitive to what else is running.
 
 Writes JSON beside what it prints. Needs two extras: pip install 'hmi-marl[train,interop]'
 
@@ -19,12 +24,12 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads slow each other down
 
 import argparse
-import subprocess
-import sys
+import platform
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,16 +47,20 @@ from hmi_marl.agents.learned.policy import LearnedPolicy
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.envs.worlds.highway import highway_config
 from hmi_marl.files import write_json
+from hmi_marl.training.jobs import train_together
 from hmi_marl.training.ppo.learner import PPOLearner
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import read_curve
+from hmi_marl.workers import cores
 
 STAGES = {"driver": "driver", "vehicle_ai": "hmi"}
 """Name of the stage in a run's curve, by the seat that learns."""
 PARTS = ("world", "partner", "policy", "record", "learn")
 """Parts of a stage's time: the world's step with the human model, rewards and observations; the
 learned driver in it; acting; storing; learning."""
+WAIT = "wait"
+"""Part of the time of several processes: waiting for each other."""
 
 Seconds = dict[str, dict[str, float]]
 """Seconds spent in each part of each stage."""
@@ -122,34 +131,37 @@ def run_ours(settings: TwoStage) -> dict[str, dict[str, float]]:
     return rows
 
 
-def run_processes(settings: TwoStage, processes: int) -> dict[str, dict[str, float]]:
-    """Train once in several processes together; return the time of each stage.
+def run_shards(settings: TwoStage, shards: int) -> dict[str, dict[str, float]]:
+    """Train once in one process with so many shards; return the time of all."""
+    start = time.process_time()
+    rows = run_ours(replace(settings, shards=shards))
+    row = rows["ours, both and all else"]
+    processor = {"processor_seconds": time.process_time() - start}
+    return {f"ours, {shards} shard{'s' * (shards > 1)}": row | processor}
 
-    The first batch of a stage, in which a fresh process loads the compiled world, is left out.
-    """
+
+def run_processes(settings: TwoStage, processes: int) -> dict[str, dict[str, float]]:
+    """Train once in several processes together; return the time of each stage."""
+    settings = replace(settings, shards=max(settings.shards, processes))
     with tempfile.TemporaryDirectory() as folder:
-        numbers = {
-            "--processes": processes,
-            "--num-teams": settings.num_teams,
-            "--driver-steps": settings.driver_steps,
-            "--hmi-steps": settings.hmi_steps,
-        }
-        command = [sys.executable, "-m", "hmi_marl", "train", "two-stage", "--device", "cpu"]
-        command += [text for name, value in numbers.items() for text in (name, str(value))]
-        command += ["--vehicles", *map(str, settings.vehicles), "--out", folder]
-        subprocess.run(command, check=True, capture_output=True)
+        train_together(settings, Path(folder), processes, quiet=True)
         curve = read_curve(Path(folder))
     rows = {}
     for name in STAGES.values():
         batches = [batch for batch in curve if batch["phase"] == name]
         batches = batches[1:] or batches
-        steps = len(batches) * settings.num_teams * processes * settings.team("homer").horizon
-        seconds = sum(steps / len(batches) / batch["steps_per_second"] for batch in batches)
-        learning = sum(
-            steps / len(batches) / batch["steps_per_second"] * batch["share_of_time_learning"]
-            for batch in batches
+        each = settings.num_teams * settings.team("homer").horizon
+        seconds = [each / batch["steps_per_second"] for batch in batches]
+
+        def spent(share: str, batches: Any = batches, seconds: Any = seconds) -> float:
+            pairs = zip(batches, seconds, strict=True)
+            return sum(batch[share] * time_of_it for batch, time_of_it in pairs)
+
+        waiting = spent("share_of_time_waiting")
+        parts = {"learn": spent("share_of_time_learning") - waiting, WAIT: waiting}
+        rows[f"ours, {name}, {processes} processes"] = _row(
+            len(batches) * each, sum(seconds), parts
         )
-        rows[f"ours, {name}, {processes} processes"] = _row(steps, seconds, {"learn": learning})
     return rows
 
 
@@ -232,7 +244,7 @@ def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
         "device": "cpu",
     }
     settings = TwoStage(driver_steps=args.steps // 2, hmi_steps=args.steps // 2, **fixed)
-    sb3 = StableBaselines(settings, args.processes, args.sb3_batch)
+    sb3 = StableBaselines(settings, max(args.processes), args.sb3_batch)
     rounds: list[dict[str, dict[str, float]]] = []
     try:
         run_ours(TwoStage(driver_steps=1, hmi_steps=1, **fixed))  # compiles
@@ -240,8 +252,11 @@ def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
         for number in range(args.rounds):
             print(f"round {number + 1} of {args.rounds}", flush=True)
             ours = run_ours(settings)
-            if args.processes > 1:
-                ours |= run_processes(settings, args.processes)
+            for count in args.processes:
+                if count > 1:
+                    ours |= run_processes(settings, count)
+            for count in args.shards:
+                ours |= run_shards(settings, count)
             rounds.append(ours | {"SB3": sb3.run(args.sb3_steps)})
     finally:
         sb3.close()
@@ -258,7 +273,7 @@ def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
 
 def as_text(rows: list[dict[str, Any]]) -> str:
     """Return a table as text."""
-    names = (*PARTS, "rest")
+    names = (*PARTS, WAIT, "rest")
     head = "".join(f"{name:>9}" for name in names)
     lines = [f"{'':<27}{'steps':>10}{'steps/s':>10}{'ratio':>9}{'s per 1e6':>11}{head}"]
     for row in rows:
@@ -273,7 +288,7 @@ def as_text(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    available = cores()
     whole = {"type": int, "metavar": "N"}
     parser.add_argument("--rounds", **whole, default=2, help="rounds")
     parser.add_argument(
@@ -287,7 +302,14 @@ def main() -> None:
         "--sb3-batch", **whole, default=256, help="steps of each process in a batch"
     )
     parser.add_argument(
-        "--processes", **whole, default=cores, help="processes of SB3 and of our second run"
+        "--processes",
+        **whole,
+        nargs="+",
+        default=sorted({1, available}),
+        help="processes of our runs; SB3 has the most of them",
+    )
+    parser.add_argument(
+        "--shards", **whole, nargs="*", default=[1, 2, 4], help="shards of runs in one process"
     )
     parser.add_argument(
         "--vehicles",
@@ -300,8 +322,16 @@ def main() -> None:
     rows = measure(args)
     print(as_text(rows))
     config = {name: value for name, value in vars(args).items() if name != "out"}
-    versions = {"torch": torch.__version__, "threads_of_ours": TwoStage().threads}
-    write_json(args.out, {"config": config | {"cores": cores} | versions, "rows": rows})
+    machine = {
+        "machine": platform.machine(),
+        "system": platform.system(),
+        "cores": available,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "threads": 1,
+        "shards": TwoStage().shards,
+    }
+    write_json(args.out, {"config": config, "machine": machine, "rows": rows})
     print(f"written: {args.out}")
 
 

@@ -62,21 +62,35 @@ def check_choice(name: str, value: str, choices: Collection[str]) -> str:
     return value
 
 
-def check_mini_batches(num_mini_batches: int, num_teams: int, least: int = 1) -> None:
-    """Check that the teams of a batch can be split into mini-batches.
+def check_power_of_two(name: str, value: int) -> int:
+    """Return 1, 2, 4, 8 and so on.
 
-    Args:
-        num_mini_batches: parts of a batch.
-        num_teams: teams in a batch.
-        least: teams that a mini-batch needs.
+    Raises:
+        TypeError, ValueError: it is no such number.
+    """
+    if check_count(name, value).bit_count() != 1:
+        raise ValueError(f"{name} is a power of two such as 2, 4 or 8, but got {value}")
+    return value
+
+
+def check_threads(name: str, value: int | None) -> int | None:
+    """Return a number of threads, or None for the default.
+
+    Raises:
+        TypeError, ValueError: it is no number of at least 1.
+    """
+    return None if value is None else check_count(name, value)
+
+
+def check_mini_batches(num_mini_batches: int, num_teams: int) -> None:
+    """Check that the teams of a batch can be split into mini-batches.
 
     Raises:
         ValueError: there are too few teams.
     """
-    if num_mini_batches * least > num_teams:
-        each = f" of at least {least} teams" if least > 1 else ""
+    if num_mini_batches > num_teams:
         raise ValueError(
-            f"cannot split {num_teams} teams into {num_mini_batches} mini-batches{each}; "
+            f"cannot split {num_teams} teams into {num_mini_batches} mini-batches; "
             "lower --ppo.num-mini-batches or raise --num-teams"
         )
 
@@ -90,6 +104,7 @@ class Check:
 
 
 Count = Annotated[int, Check(check_count)]
+PowerOfTwo = Annotated[int, Check(check_power_of_two)]
 CountOrZero = Annotated[int, Check(partial(check_count, least=0))]
 Positive = Annotated[float, Check(check_positive)]
 PositiveOrZero = Annotated[float, Check(partial(check_positive, zero=True))]

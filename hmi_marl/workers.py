@@ -17,15 +17,25 @@ from typing import Any, TypeVar
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def threads_each(count: int) -> dict[str, str]:
+    """Environment variables of processes that use so many threads each; read when they start."""
+    return dict.fromkeys(_THREADS, str(count))
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def check_workers(workers: int | None) -> int:
     """Return the number of workers, by default that of the cores, or raise if there are none."""
     if workers is None:
-        return os.cpu_count() or 1
+        return cores()
     if workers < 1:
         raise ValueError(f"there is at least one worker, but got {workers}")
     return workers
@@ -39,7 +49,7 @@ def pool(
 
     At the end, submitted tasks that have not begun are dropped.
     """
-    with environment(_ONE_THREAD):  # a worker reads them when it starts
+    with environment(threads_each(1)):
         executor = ProcessPoolExecutor(
             workers, get_context("spawn"), initializer=_begin, initargs=(begin, arguments)
         )
@@ -80,9 +90,14 @@ def results(
             yield future.result()
 
 
-def _begin(then: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # an interrupt ends it without a traceback
+def begin_worker() -> None:
+    """Let this process end quietly at an interrupt, and with the process that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # without a traceback
     threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _begin(then: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
+    begin_worker()
     if then is not None:
         then(*arguments)
 

@@ -97,17 +97,25 @@ def test_the_benchmark_of_the_highway_world_runs(tmp_path):
 
 def test_the_benchmark_of_training_shows_where_time_goes(tmp_path):
     ours = "--rounds 1 --steps 2 --num-teams 32 --vehicles 2"
-    sb3 = "--processes 1 --sb3-steps 4 --sb3-batch 4"
-    run_benchmark("training", f"{ours} {sb3}", tmp_path)
+    others = "--processes 2 --shards 1 --sb3-steps 4 --sb3-batch 4"
+    run_benchmark("training", f"{ours} {others}", tmp_path)
     written = json.loads((tmp_path / "runs" / "bench" / "training.json").read_text())
-    driver, hmi, both, plain = written["rows"]
+    driver, hmi, both, *two, one_shard, plain = written["rows"]
     parts = ("world", "partner", "policy", "record", "learn", "rest")
     for row in (driver, hmi, both):
         assert sum(row[part] for part in parts) == pytest.approx(1)
         assert all(0 <= row[part] < 1 for part in parts)
     assert driver["partner"] == 0 < hmi["partner"]
     assert driver["steps"] == hmi["steps"] == 3200  # a whole batch
-    assert plain["steps"] == 4
+    assert [row["name"] for row in two] == [f"ours, {s}, 2 processes" for s in ("driver", "hmi")]
+    for row in two:
+        assert row["steps"] == 3200
+        assert row["learn"] + row["wait"] + row["rest"] == pytest.approx(1)
+        assert 0 < row["wait"] < 1
+    assert one_shard["steps"] == 6400
+    assert one_shard["processor_seconds"] > 0
+    assert written["machine"]["cores"] >= 1
+    assert plain["steps"] == 8
     assert plain["ratio"] == 1
 
 

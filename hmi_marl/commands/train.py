@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import shlex
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Union
 
 import tyro
 
-from hmi_marl.checks import check_count
+from hmi_marl.training.jobs import train_together
 from hmi_marl.training.protocols.registry import PROTOCOLS, name_of
 from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.training.runs.start import check_processes, default_processes
 
 if TYPE_CHECKING:
     Protocol = TrainSettings
@@ -41,20 +40,21 @@ class Train:
     out: Path | None = None
     """Folder of the run, which watch and table take as an HMI or a driver; by default
     runs/ and the protocol's name."""
-    processes: int = 1
-    """Processes on this machine that train together, each with its own teams and one thread: with N
-    of them a batch is N times as large. For several machines use torchrun -m hmi_marl train ..."""
+    processes: int | None = None
+    """Processes on this machine that share the teams, with one thread each: by default as many as
+    cores, or as shards if these are fewer; one with a GPU. Weights do not depend on it (on the
+    CPU). For several machines use torchrun -m hmi_marl train ..."""
 
     def run(self, command_line: str) -> None:
         """Learn, and print the commands that use the result."""
         use_quiet_threads()
-        check_count("processes", self.processes)
-        if self.processes > 1 and "WORLD_SIZE" not in os.environ:
-            start_again_in_processes(self.processes, command_line)
-        from hmi_marl.training.ppo.run import train
-
         out = self.out or Path("runs") / name_of(type(self.protocol))
-        train(self.protocol, out, command_line=command_line)
+        if self._processes() > 1:
+            train_together(self.protocol, out, self._processes(), command_line=command_line)
+        else:
+            from hmi_marl.training.ppo.run import train
+
+            train(self.protocol, out, command_line=command_line)
         if os.environ.get("RANK", "0") == "0":
             print(f"learned: {out}; curves: tensorboard --logdir {out}")
             driver = out if (out / "driver.json").is_file() else "rule"
@@ -64,13 +64,13 @@ class Train:
                 f"        hmi-marl table --hmis own {hmi} --driver-policy {driver} --world batched"
             )
 
-
-def start_again_in_processes(count: int, command_line: str) -> None:
-    """Replace this process by torchrun, which runs the same command in several processes."""
-    launcher = ("-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}")
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-    arguments = [sys.executable, *launcher, "-m", "hmi_marl", *shlex.split(command_line)[1:]]
-    os.execv(sys.executable, arguments)
+    def _processes(self) -> int:
+        """Processes to start."""
+        if "WORLD_SIZE" in os.environ:  # torchrun has started them
+            return 1
+        if self.processes is None:
+            return default_processes(self.protocol)
+        return check_processes(self.processes, self.protocol)
 
 
 def use_quiet_threads() -> None:

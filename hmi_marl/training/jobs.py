@@ -1,7 +1,7 @@
-"""Several training runs in parallel, each in its own process with one thread.
+"""Several training runs in parallel, each in processes of its own with one thread.
 
-Small networks gain little from a second thread, so parallel runs are the better use of several
-cores. One thread each also makes the weights independent of how many run at a time.
+Runs side by side waste no time on waiting for each other, so each has one process while there are
+enough runs, and the processes that are left over otherwise. Weights do not depend on either.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from tqdm import tqdm
 
 from hmi_marl.extras import TRAINING, need
 from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.folder import read_curve
+from hmi_marl.training.runs.start import check_processes, default_processes, start_together
 from hmi_marl.workers import pool
 
 
@@ -35,7 +37,7 @@ class Job:
 def train_all(
     jobs: Sequence[Job], workers: int, command_line: str = "", quiet: bool = False
 ) -> None:
-    """Train every job, ``workers`` of them at a time.
+    """Train every job, in ``workers`` processes in all.
 
     Jobs must not need each other's results. Finished runs are skipped, interrupted ones resumed.
 
@@ -44,7 +46,19 @@ def train_all(
         ValueError: what :func:`hmi_marl.training.ppo.run.train` refuses.
     """
     need_training()
-    side_by_side(_train, [(job, command_line, quiet) for job in jobs], workers)
+    each = max(1, workers // max(1, len(jobs)))
+    side_by_side(_train, [(job, command_line, quiet, each) for job in jobs], workers)
+
+
+def train_together(settings: TrainSettings, folder: Path, processes: int, **shown: Any) -> None:
+    """Train one run in so many processes, of which this one is none: it imports no torch.
+
+    Args:
+        processes: at least 2.
+        shown: ``quiet``, ``command_line``, ``line``: see :class:`hmi_marl.training.runs.run.Run`.
+    """
+    check_processes(processes, settings)
+    start_together(processes, _train_rank, settings, folder, shown)
 
 
 def side_by_side(
@@ -72,8 +86,20 @@ def need_training() -> None:
     need("training", *TRAINING)
 
 
-def _train(job: Job, command_line: str, quiet: bool) -> None:
+def _train(job: Job, command_line: str, quiet: bool, limit: int) -> None:
+    settings = replace(job.settings, threads=1)
+    shown: dict[str, Any] = {"quiet": quiet, "command_line": command_line, "line": own_line()}
+    if (processes := default_processes(settings, limit)) > 1:
+        train_together(settings, job.folder, processes, **shown)
+        return
     from hmi_marl.training.ppo.run import train  # torch, with the threads that were just set
 
-    settings = replace(job.settings, threads=1)
-    train(settings, job.folder, quiet=quiet, command_line=command_line, line=own_line())
+    train(settings, job.folder, **shown)
+
+
+def _train_rank(
+    settings: TrainSettings, folder: Path, shown: dict[str, Any], memory: SharedMemory, rank: int
+) -> None:
+    from hmi_marl.training.ppo.run import train_rank
+
+    train_rank(settings, folder, None, shown, memory, rank)

@@ -1,6 +1,5 @@
 import json
 import shlex
-import sys
 from pathlib import Path
 
 import pytest
@@ -83,26 +82,40 @@ def test_a_driver_that_is_not_there_is_told_in_one_line(tmp_path, capsys):
     assert "no policy for the seat of driver" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_several_processes_start_the_same_command_again(monkeypatch):
-    started = {}
+@pytest.mark.parametrize(
+    ("chosen", "started"), [([], 2), (["--processes", "2"], 2), (["--processes", "1"], 1)]
+)
+def test_it_starts_as_many_processes_as_cores_or_as_told(chosen, started, tmp_path, monkeypatch):
+    calls = []
 
-    def execv(path, arguments):
-        started["command"] = arguments
-        raise SystemExit(0)  # the real one never comes back
+    def start(settings, folder, processes, **shown):
+        calls.append((settings.num_teams, folder, processes, shown))
 
-    monkeypatch.setattr(train_command.os, "execv", execv)
+    monkeypatch.setattr(train_command, "train_together", start)
+    monkeypatch.setattr(train_command, "default_processes", lambda settings: 2)
     monkeypatch.delenv("WORLD_SIZE", raising=False)
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    command_line = ["train", "joint", "--out", "a folder", "--processes", "3"]
-    with pytest.raises(SystemExit):
-        main(command_line)
-    command = started["command"]
-    assert command[:3] == [sys.executable, "-m", "torch.distributed.run"]
-    assert "--nproc-per-node=3" in command
-    assert command[command.index("hmi_marl") + 1 :] == command_line
+    mini_batches = ["--ppo.num-mini-batches", "2", "--device", "cpu"]
+    command = ["train", "joint", *TINY, *mini_batches, "--steps", "1", "--out", str(tmp_path)]
+    assert main([*command, *chosen]) == 0
+    if started == 1:
+        assert not calls
+        assert (tmp_path / "driver.json").is_file()
+    else:
+        shown = {"command_line": shlex.join(["hmi-marl", *command, *chosen])}
+        assert calls == [(16, tmp_path, 2, shown)]
 
 
-def test_no_process_at_all_is_refused(capsys):
-    assert main(["train", "joint", "--processes", "0"]) == 2
-    assert "processes is at least 1, but got 0" in capsys.readouterr().err
+def test_torchruns_processes_start_no_others(tmp_path, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "1")
+    monkeypatch.setattr(train_command, "train_together", None)
+    command = ["train", "joint", *TINY, "--steps", "1", "--processes", "4"]
+    assert main([*command, "--device", "cpu", "--out", str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("processes", "told"),
+    [("0", "processes is at least 1, but got 0"), ("3", "processes is one of 1, 2, since a batch")],
+)
+def test_processes_that_cannot_be_are_refused(processes, told, capsys):
+    assert main(["train", "joint", "--processes", processes, "--device", "cpu"]) == 2
+    assert told in capsys.readouterr().err

@@ -4,7 +4,9 @@ import pytest
 
 from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.protocols.joint import Joint
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.runs.folder import read_curve
 
 TINY = {"num_teams": 16, "duration": 1.0}
 
@@ -20,6 +22,19 @@ def test_the_number_of_workers_does_not_change_the_weights(tmp_path):
         weights.append([(job.folder / "driver.safetensors").read_bytes() for job in jobs])
     assert weights[0] == weights[1]
     assert weights[0][0] != weights[0][1]
+
+
+def test_spare_workers_join_a_run_and_do_not_change_the_weights(tmp_path):
+    ppo = PPOSettings(num_learning_epochs=1, num_mini_batches=2)
+    settings = Joint(steps=1, num_teams=8, duration=1.0, ppo=ppo, device="cpu")
+    weights = []
+    for workers in (1, 2):
+        job = Job(settings, tmp_path / str(workers))
+        train_all([job], workers, quiet=True)
+        weights.append((job.folder / "driver.safetensors").read_bytes())
+    assert weights[0] == weights[1]
+    waited = [read_curve(tmp_path / each)[0]["share_of_time_waiting"] for each in ("1", "2")]
+    assert waited[0] == 0 < waited[1]
 
 
 def test_the_environment_of_this_process_is_left_as_it_was(tmp_path, monkeypatch):

@@ -1,1 +1,1 @@
-"""PPO, by rsl_rl, for one seat or both."""
+"""PPO, with rsl_rl's models and losses, for one seat or both."""

@@ -6,6 +6,8 @@ rsl_rl stores actions as floats; these heads take and return indices as floats, 
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import torch
 from rsl_rl.modules.distribution import Distribution  # type: ignore[import-untyped]
 
@@ -26,11 +28,11 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
 
     def update(self, mlp_output: torch.Tensor) -> None:
         """Set the distribution by the network's logits, shape (..., choices)."""
-        self._log_probs = torch.log_softmax(mlp_output, dim=-1)
+        self._choice = Choice(mlp_output)
 
-    def sample(self) -> torch.Tensor:
-        """Draw indices as floats, shape (..., 1)."""
-        return draw(self._log_probs)
+    def sample(self, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Draw indices as floats, shape (..., 1); by torch's own generator if none is given."""
+        return self._choice.draw(generator)
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
         """Return the most likely action, shape (..., 1)."""
@@ -43,26 +45,41 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
     @property
     def mean(self) -> torch.Tensor:
         """Probabilities, the mean of the one-hot action."""
-        return self._log_probs.exp()
+        return self._choice.probs
 
     @property
     def std(self) -> torch.Tensor:
         """Standard deviations of the one-hot action."""
-        return spread(self._log_probs)
+        return spread(self._choice.probs)
 
     @property
     def entropy(self) -> torch.Tensor:
         """Shape (...)."""
-        return entropy(self._log_probs)
+        return self._choice.entropy
 
     @property
     def params(self) -> tuple[torch.Tensor, ...]:
         """Log-probabilities."""
-        return (self._log_probs,)
+        return (self._choice.log_probs,)
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """Log π(a), shape (...), of indices of shape (..., 1)."""
-        return self._log_probs.gather(-1, outputs.long()).squeeze(-1)
+        return self._choice.log_probs.gather(-1, outputs.long()).squeeze(-1)
+
+    def gradient(
+        self, outputs: torch.Tensor, of_log_prob: torch.Tensor, of_entropy: float
+    ) -> torch.Tensor:
+        """Gradient of Σ ``of_log_prob`` log π(a) + ``of_entropy`` Σ H with respect to the logits.
+
+        Args:
+            outputs: indices of shape (..., 1).
+            of_log_prob: factor of each row's log π(a), shape (...).
+            of_entropy: factor of every row's entropy H.
+        """
+        gradient = self._choice.entropy_gradient().mul_(of_entropy)
+        column = of_log_prob.unsqueeze(-1)
+        gradient -= self._choice.probs * column
+        return gradient.scatter_add_(-1, outputs.long(), column)
 
     def kl_divergence(
         self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]
@@ -91,13 +108,14 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
     def update(self, mlp_output: torch.Tensor) -> None:
         """Set the distribution by the network's logits, shape (..., 5 + 5 A)."""
         intent, alert = self._split(mlp_output)
-        self._intent = torch.log_softmax(intent, dim=-1)
-        self._alert = torch.log_softmax(alert, dim=-1)
+        self._intent, self._alert = Choice(intent), Choice(alert)
 
-    def sample(self) -> torch.Tensor:
-        """Draw a^H and a^A as floats, shape (..., 2)."""
-        intent = draw(self._intent)
-        return torch.cat([intent, draw(_row(self._alert, intent))], dim=-1)
+    def sample(self, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Draw a^H and a^A as floats, shape (..., 2); see :meth:`OneAction.sample`."""
+        intent = self._intent.draw(generator)
+        return torch.cat(
+            [intent, draw(_row(self._alert.probs, intent).movedim(-1, 0), generator)], dim=-1
+        )
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
         """Return the most likely a^H, and the most likely a^A given that, shape (..., 2)."""
@@ -110,28 +128,46 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
     @property
     def mean(self) -> torch.Tensor:
         """Probabilities of a^H, and of a^A given each a^H, shape (..., 5 + 5 A)."""
-        return torch.cat([self._intent, self._alert.flatten(-2)], dim=-1).exp()
+        return torch.cat([self._intent.probs, self._alert.probs.flatten(-2)], dim=-1)
 
     @property
     def std(self) -> torch.Tensor:
         """Standard deviations of the one-hot actions."""
-        return spread(torch.cat([self._intent, self._alert.flatten(-2)], dim=-1))
+        return spread(self.mean)
 
     @property
     def entropy(self) -> torch.Tensor:
         """Entropy of the pair, shape (...)."""
-        return entropy(self._intent) + (self._intent.exp() * entropy(self._alert)).sum(-1)
+        return self._intent.entropy + (self._intent.probs * self._alert.entropy).sum(-1)
 
     @property
     def params(self) -> tuple[torch.Tensor, ...]:
         """Log-probabilities of a^H, shape (..., 5), and of a^A given a^H, shape (..., 5, A)."""
-        return self._intent, self._alert
+        return self._intent.log_probs, self._alert.log_probs
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """Log π(a^H, a^A), shape (...), of indices of shape (..., 2)."""
         intent, alert = outputs[..., :1].long(), outputs[..., 1:].long()
-        given = _row(self._alert, intent).gather(-1, alert)
-        return (self._intent.gather(-1, intent) + given).squeeze(-1)
+        given = _row(self._alert.log_probs, intent).gather(-1, alert)
+        return (self._intent.log_probs.gather(-1, intent) + given).squeeze(-1)
+
+    def gradient(
+        self, outputs: torch.Tensor, of_log_prob: torch.Tensor, of_entropy: float
+    ) -> torch.Tensor:
+        """Gradient as of :meth:`OneAction.gradient`, of indices of shape (..., 2)."""
+        intent, alert = outputs[..., :1].long(), outputs[..., 1:].long()
+        chance, given, column = self._intent.probs, self._alert.entropy, of_log_prob.unsqueeze(-1)
+        # H = H(a^H) + Σ π(a^H) H(a^A | a^H): the logits of a^H also weigh the entropies given a^H.
+        of_intent = self._intent.entropy_gradient()
+        of_intent += chance * (given - (chance * given).sum(-1, keepdim=True))
+        of_intent = of_intent.mul_(of_entropy).sub_(chance * column)
+        of_intent.scatter_add_(-1, intent, column)
+        of_alert = self._alert.entropy_gradient().mul_(of_entropy * chance.unsqueeze(-1))
+        drawn = torch.zeros_like(chance).scatter_(-1, intent, column).unsqueeze(-1)
+        of_alert -= self._alert.probs * drawn
+        of_alert = of_alert.flatten(-2)
+        of_alert.scatter_add_(-1, self.alerts * intent + alert, column)
+        return torch.cat([of_intent, of_alert], dim=-1)
 
     def kl_divergence(
         self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]
@@ -168,22 +204,61 @@ class LikeliestPair(torch.nn.Module):
         return torch.cat([intent, alert], dim=-1).to(logits.dtype)
 
 
-def draw(log_probs: torch.Tensor) -> torch.Tensor:
-    """Draw one index per row as a float, (..., 1), by inverting the cumulative distribution."""
-    below = log_probs.exp().cumsum(-1)[..., :-1]
-    chance = torch.rand(log_probs.shape[:-1], device=log_probs.device)
-    return (chance.unsqueeze(-1) >= below).sum(-1, keepdim=True).to(log_probs.dtype)
+class Choice:
+    """Probabilities of a few choices, by logits of shape (..., choices).
+
+    They lie in memory choice by choice: in this order a softmax of a few choices takes a third of
+    the time.
+    """
+
+    def __init__(self, logits: torch.Tensor) -> None:
+        moved = logits.movedim(-1, 0).contiguous()
+        self._logits = moved - moved.amax(0)
+        self._odds = self._logits.exp()
+
+    @cached_property
+    def _total(self) -> torch.Tensor:
+        return self._odds.sum(0)
+
+    @cached_property
+    def probs(self) -> torch.Tensor:
+        """Shape (..., choices)."""
+        return (self._odds / self._total).movedim(0, -1)
+
+    @cached_property
+    def log_probs(self) -> torch.Tensor:
+        """Shape (..., choices)."""
+        return (self._logits - self._total.log()).movedim(0, -1)
+
+    @cached_property
+    def entropy(self) -> torch.Tensor:
+        """Shape (...)."""
+        return -(self.probs * self.log_probs).sum(-1)
+
+    def entropy_gradient(self) -> torch.Tensor:
+        """Gradient of the entropy with respect to the logits, -p (log p + H)."""
+        return (self.log_probs + self.entropy.unsqueeze(-1)).mul_(self.probs).neg_()
+
+    def draw(self, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Draw an index, shape (..., 1); see :func:`draw`."""
+        return draw(self._odds, generator)
 
 
-def spread(log_probs: torch.Tensor) -> torch.Tensor:
+def draw(odds: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
+    """Draw an index as a float, shape (..., 1), by inverting the cumulative distribution.
+
+    Args:
+        odds: probabilities, or multiples of them, of shape (choices, ...).
+        generator: one of the CPU; None for torch's own.
+    """
+    below = odds.cumsum(0)
+    chance = torch.rand(odds.shape[1:], generator=generator).to(odds.device) * below[-1]
+    return (chance >= below[:-1]).sum(0, dtype=odds.dtype).unsqueeze(-1)
+
+
+def spread(probs: torch.Tensor) -> torch.Tensor:
     """Return the standard deviation of each component of the one-hot action, sqrt(p (1 - p))."""
-    probs = log_probs.exp()
     return (probs * (1.0 - probs)).sqrt()
-
-
-def entropy(log_probs: torch.Tensor) -> torch.Tensor:
-    """Return the entropy over the last dimension."""
-    return -(log_probs.exp() * log_probs).sum(-1)
 
 
 def divergence(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:

@@ -1,36 +1,41 @@
 """Learners, and the batches that they learn from.
 
 One PPO learns for a seat or for both, or one for each seat. A batch is a whole episode of every
-team, played, recorded and averaged.
+team, played, recorded and averaged, shard by shard (:mod:`hmi_marl.training.ppo.shards`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import torch
-from rsl_rl.algorithms import PPO  # type: ignore[import-untyped]
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
-from rsl_rl.storage import RolloutStorage  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.models import IntentShown, View
+from hmi_marl.training.ppo.shards import MiniBatch, Rollout, Shard, Shards, flat
 from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.runs.processes import Processes
 from hmi_marl.training.runs.run import OPTIMIZER, flat_moments, with_moments
 
 Extras = Mapping[str, Any]
+Generators = Sequence[torch.Generator | None]
+ONE_SHARD = Shards()
+TORCHS_OWN: Generators = (None,)
+"""Torch's own generator, for a single shard."""
 
 
 class Learner(Protocol):
     """A learner acts in every step of a batch, then learns from the batch."""
 
-    def begin(self, progress: float) -> None:
-        """Begin a batch of whole episodes, at ``progress`` in [0, 1] of the schedules."""
+    def begin(self, progress: float, generators: Generators = TORCHS_OWN) -> None:
+        """Begin a batch of whole episodes, at ``progress`` in [0, 1] of the schedules.
+
+        All draws come from ``generators``, one for each shard of this process.
+        """
 
     def act(self, observations: TensorDict) -> torch.Tensor:
         """Sample actions, shape (N, columns)."""
@@ -44,29 +49,17 @@ class Learner(Protocol):
         ...
 
 
-class ShuffledOnce(RolloutStorage):  # type: ignore[misc]  # rsl_rl has no types
-    """rsl_rl's storage that gathers the mini-batches once, not again in every epoch."""
-
-    def mini_batch_generator(
-        self, num_mini_batches: int, num_epochs: int = 8
-    ) -> Iterator[RolloutStorage.Batch]:
-        """See :meth:`RolloutStorage.mini_batch_generator`, whose batches these are."""
-        first = list(super().mini_batch_generator(num_mini_batches, num_epochs=1))
-        for _ in range(num_epochs):
-            yield from first
-
-
 class PPOLearner:
-    """Learn by rsl_rl's PPO.
+    """Learn by PPO with the models and the losses of rsl_rl's, shard by shard.
 
     Args:
         actor: policy of a seat, or composite policy of both.
         critic: value function.
         view: inputs of the two.
-        sample: observations that give the shapes.
+        sample: observations of this process's teams, which give the shapes.
         steps: steps in a batch.
         columns: columns of the actions.
-        processes: processes that share the gradients.
+        shards: cut of the batch.
     """
 
     def __init__(
@@ -79,52 +72,48 @@ class PPOLearner:
         columns: int,
         settings: PPOSettings,
         device: str,
-        processes: Processes,
+        shards: Shards = ONE_SHARD,
     ) -> None:
-        self.view, self.settings = view, settings
-        seen = view(sample)
-        storage = ShuffledOnce("rl", len(seen), steps, seen, [columns], device)
-        self.ppo = PPO(
-            actor,
-            critic,
-            storage,
-            num_learning_epochs=settings.num_learning_epochs,
-            num_mini_batches=settings.num_mini_batches,
-            clip_param=settings.clip_param,
-            gamma=settings.gamma,
-            lam=settings.gae_lambda,
-            entropy_coef=settings.entropy_coef,
-            learning_rate=settings.learning_rate,
-            max_grad_norm=settings.max_grad_norm,
-            use_clipped_value_loss=False,  # its range is that of the policy's ratio, not of values
-            schedule="fixed",  # begin() sets the learning rate
-            device=device,
-            multi_gpu_cfg=processes.as_rsl_rl(),
-        )
-        if processes.count > 1:
-            self.ppo.broadcast_parameters()
+        self.view, self.settings, self._shards = view, settings, shards
+        self.actor, self.critic = actor.to(device), critic.to(device)
+        """Policy and value function."""
+        parameters = [*actor.parameters(), *critic.parameters()]
+        weights, views = flat(parameters)
+        for parameter, place in zip(parameters, views, strict=True):
+            parameter.data = place  # so that the optimizer has a single tensor to go through
+        self._weights = torch.nn.Parameter(weights)
+        self._of_actor = sum(parameter.numel() for parameter in actor.parameters())
+        self.optimizer = torch.optim.Adam([self._weights], settings.learning_rate, fused=True)
+        self.entropy_coef = settings.entropy_coef
+        head, own = actor.distribution, len(shards.own)
+        self.rollout = Rollout.empty(own, steps, view(sample), head.input_dim, columns)
+        """Steps of this process's shards."""
+        self.shards = [
+            Shard(actor, critic, self.rollout.of(number), settings) for number in range(own)
+        ]
+        """Shards of this process."""
+        self._step = 0
 
-    @property
-    def actor(self) -> MLPModel:
-        """The policy."""
-        return self.ppo.actor
-
-    def begin(self, progress: float) -> None:
+    def begin(self, progress: float, generators: Generators = TORCHS_OWN) -> None:
         """See :meth:`Learner.begin`."""
         settings = self.settings
         start, end = settings.entropy_coef, settings.final_entropy_coef
-        self.ppo.entropy_coef = _between(start, end, progress)
+        self.entropy_coef = _between(start, end, progress)
         rate = _between(settings.learning_rate, settings.final_learning_rate, progress)
-        self.ppo.learning_rate = rate
-        for group in self.ppo.optimizer.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = rate
-        self.ppo.train_mode()
-        self.ppo.actor.reset()  # whole episodes begin, with empty recurrent units
+        self._step = 0
+        for shard, generator in zip(self.shards, generators, strict=True):
+            shard.begin(generator)
 
     def act(self, observations: TensorDict) -> torch.Tensor:
         """See :meth:`Learner.act`."""
-        actions: torch.Tensor = self.ppo.act(self.view(observations))
-        return actions
+        seen, rollout, step = self.view(observations), self.rollout, self._step
+        rollout.actor[:, step] = self._by_shard(seen.actor)
+        rollout.critic[:, step] = self._by_shard(seen.critic)
+        actions = torch.stack([shard.act(step) for shard in self.shards])
+        rollout.actions[:, step] = actions
+        return actions.flatten(0, 1)
 
     def record(self, rewards: torch.Tensor, dones: torch.Tensor, extras: Extras) -> None:
         """See :meth:`Learner.record`.
@@ -133,14 +122,25 @@ class PPOLearner:
         added to the last reward. (rsl_rl itself would take V of the state before.) The final
         observation precedes the driver's next action, so a vehicle AI's V reads no next a^H there.
         """
-        rewards = rewards * self.settings.reward_scale
-        if "final_teams" in extras:
-            teams, late = extras["final_teams"], extras["time_outs"][extras["final_teams"]]
-            if late.any():
-                last = self.view(extras["final_observation"])
-                values = self.ppo.critic(last).squeeze(-1)
-                rewards[teams[late]] += self.settings.gamma * values[late]
-        self.ppo.process_env_step(None, rewards, dones, {})
+        ended = self._by_shard(dones)
+        self.rollout.rewards[:, self._step] = self._by_shard(rewards * self.settings.reward_scale)
+        self.rollout.dones[:, self._step] = ended
+        for shard, its_ended in zip(self.shards, ended, strict=True):
+            shard.forget(its_ended)
+        if "final_teams" in extras and extras["time_outs"].any():
+            self._continue(extras)
+        self._step += 1
+
+    def _continue(self, extras: Extras) -> None:
+        """Add γ V of the final observations of episodes that were truncated."""
+        teams, last = extras["final_teams"], extras["final_observation"]
+        late = extras["time_outs"][teams]
+        each = self.rollout.rewards.shape[-1]
+        for number, shard in enumerate(self.shards):
+            if (which := late & (teams // each == number)).any():
+                values = shard.value(self.view(last[which]).critic)
+                rewards = shard.rollout.rewards[self._step]
+                rewards[teams[which] % each] += self.settings.gamma * values
 
     def learn(
         self, observations: TensorDict, rewards: torch.Tensor | None = None
@@ -151,41 +151,82 @@ class PPOLearner:
         as in adversarial IRL.
         """
         if rewards is not None:
-            self.ppo.storage.rewards.copy_((rewards * self.settings.reward_scale)[..., None])
-        with torch.inference_mode():
-            self.ppo.compute_returns(self.view(observations))
-        losses: dict[str, float] = self.ppo.update()
-        return losses | {"learning_rate": self.ppo.learning_rate}
+            scaled = self._by_shard((rewards * self.settings.reward_scale).T)
+            self.rollout.rewards.copy_(scaled.transpose(1, 2))
+        following = self._by_shard(self.view(observations).critic)
+        for shard, inputs in zip(self.shards, following, strict=True):
+            shard.evaluate(inputs)
+        self.rollout.estimate(self.settings)
+        self._normalise_advantages()
+        batches = list(zip(*(shard.mini_batches() for shard in self.shards), strict=True))
+        losses = [
+            self._descend(parts)
+            for _ in range(self.settings.num_learning_epochs)
+            for parts in batches
+        ]
+        own = [torch.stack(of_shard).double().mean(0) for of_shard in zip(*losses, strict=True)]
+        means = self._shards.mean(own).tolist()
+        rate = self.optimizer.param_groups[0]["lr"]
+        return dict(zip(("value", "surrogate", "entropy"), means, strict=True)) | {
+            "learning_rate": rate
+        }
+
+    def _normalise_advantages(self) -> None:
+        """Give the advantages of the whole batch mean 0 and standard deviation 1."""
+        advantages = [shard.rollout.advantages for shard in self.shards]
+        count = advantages[0].numel() * self._shards.count
+        mean = self._shards.sum([values.double().sum() for values in advantages]) / count
+        squares = [(values.double() - mean).square().sum() for values in advantages]
+        spread = (self._shards.sum(squares) / max(1, count - 1)).sqrt()
+        for values in advantages:
+            values.copy_((values - mean) / (spread + 1e-8))
+
+    def _descend(self, batches: Sequence[MiniBatch]) -> list[torch.Tensor]:
+        """Take one step along the gradient over all shards; return the losses of the own ones."""
+        own = [
+            shard.gradient(batch, self.entropy_coef)
+            for shard, batch in zip(self.shards, batches, strict=True)
+        ]
+        gradient = self._shards.mean([of_shard for of_shard, _ in own])
+        for part in (gradient[: self._of_actor], gradient[self._of_actor :]):
+            part *= (self.settings.max_grad_norm / (part.norm() + 1e-6)).clamp(max=1.0)
+        self._weights.grad = gradient
+        self.optimizer.step()
+        return [losses for _, losses in own]
 
     def discard(self) -> None:
         """Discard the steps recorded since the last update."""
-        self.ppo.storage.clear()
+        self._step = 0
 
     def explore(self, observations: TensorDict) -> torch.Tensor:
         """Sample actions that are not recorded, shape (N, columns)."""
-        actions: torch.Tensor = self.ppo.actor(self.view(observations), stochastic_output=True)
-        return actions
+        seen = self._by_shard(self.view(observations).actor)
+        pairs = zip(self.shards, seen, strict=True)
+        return torch.cat([shard.explore(inputs) for shard, inputs in pairs])
+
+    def _by_shard(self, values: torch.Tensor) -> torch.Tensor:
+        """Reshape values of all teams, (N, ...), to (shards, n, ...)."""
+        return torch.unflatten(values, 0, (len(self.shards), -1))
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Weights and the optimizer's state, by flat names."""
-        saved = self.ppo.save()
         tensors = {
-            f"{model}.{name}": value
-            for model in ("actor", "critic")
-            for name, value in saved[f"{model}_state_dict"].items()
+            f"{name}.{weight}": value
+            for name, model in (("actor", self.actor), ("critic", self.critic))
+            for weight, value in model.state_dict().items()
         }
-        return tensors | flat_moments(saved["optimizer_state_dict"])
+        return tensors | flat_moments(self.optimizer.state_dict())
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what :meth:`tensors` returned; RuntimeError if it is of other networks."""
-        models: dict[str, dict[str, torch.Tensor]] = {"actor": {}, "critic": {}}
+        weights: dict[str, dict[str, torch.Tensor]] = {"actor": {}, "critic": {}}
         for full_name, value in tensors.items():
             kind, name = full_name.split(".", 1)
             if kind != OPTIMIZER:
-                models[kind][name] = value
-        optimizer = with_moments(self.ppo.optimizer.state_dict(), tensors)
-        state: dict[str, Any] = {f"{name}_state_dict": values for name, values in models.items()}
-        self.ppo.load(state | {"optimizer_state_dict": optimizer}, None, strict=True)
+                weights[kind][name] = value
+        self.actor.load_state_dict(weights["actor"])
+        self.critic.load_state_dict(weights["critic"])
+        self.optimizer.load_state_dict(with_moments(self.optimizer.state_dict(), tensors))
 
 
 class TwoLearners:
@@ -202,10 +243,10 @@ class TwoLearners:
     ) -> None:
         self.driver, self.vehicle_ai, self._intent_shown = driver, vehicle_ai, intent_shown
 
-    def begin(self, progress: float) -> None:
+    def begin(self, progress: float, generators: Generators = TORCHS_OWN) -> None:
         """See :meth:`Learner.begin`."""
-        self.driver.begin(progress)
-        self.vehicle_ai.begin(progress)
+        self.driver.begin(progress, generators)
+        self.vehicle_ai.begin(progress, generators)
 
     def act(self, observations: TensorDict) -> torch.Tensor:
         """See :meth:`Learner.act`."""
@@ -234,15 +275,18 @@ def _between(start: float, end: float, progress: float) -> float:
     return start + (end - start) * progress
 
 
-def play_batch(env: TeamVecEnv, learner: Learner, seed: int) -> dict[str, float]:
+def play_batch(
+    env: TeamVecEnv, learner: Learner, seed: int, shards: Shards = ONE_SHARD
+) -> dict[str, float]:
     """Play as many steps as an episode has, from the start of every team's episode.
 
     Teams that crash begin another episode, which the end of the batch truncates.
 
     Args:
-        env: environment, which is reset.
+        env: environment with this process's teams, which is reset.
         learner: acts and records.
-        seed: team k gets the series of episodes of ``seed + k``.
+        seed: team k of the whole batch gets the series of episodes of ``seed + k``.
+        shards: cut of the batch, over which means are taken.
 
     Returns:
         Means over the teams' first episodes, which are all complete: the seat's ``return``,
@@ -250,15 +294,16 @@ def play_batch(env: TeamVecEnv, learner: Learner, seed: int) -> dict[str, float]
         ``length``, ``crash_rate`` and ``alerts``.
     """
     first = _FirstEpisodes(env.num_envs)
+    before = shards.processes.rank * env.num_envs
     with torch.inference_mode():
-        observations, _ = env.reset(seed)
+        observations, _ = env.reset((seed + before) % 2**64)
         for _ in range(env.max_episode_length):
             actions = learner.act(observations)
             observations, rewards, dones, extras = env.step(actions)
             learner.record(rewards, dones, extras)
             if "final_teams" in extras:
                 first.add(extras)
-    return first.means()
+        return first.means(shards)
 
 
 class _FirstEpisodes:
@@ -266,19 +311,25 @@ class _FirstEpisodes:
 
     def __init__(self, teams: int) -> None:
         self._waiting = torch.ones(teams, dtype=torch.bool)
-        self._values: dict[str, list[torch.Tensor]] = {}
+        self._values: dict[str, torch.Tensor] = {}
 
     def add(self, extras: dict[str, Any]) -> None:
         """Add the episodes that ended in a step."""
         teams = extras["final_teams"].cpu()
         first = self._waiting[teams]
+        teams = teams[first]
         self._waiting[teams] = False
         for name, values in extras["log"].items():
-            self._values.setdefault(name.removeprefix("Episode/"), []).append(values[first])
+            kept = self._values.setdefault(
+                name.removeprefix("Episode/"), torch.zeros(len(self._waiting))
+            )
+            kept[teams] = values[first]
 
-    def means(self) -> dict[str, float]:
+    def means(self, shards: Shards) -> dict[str, float]:
         """Return means over all teams."""
-        means = {name: float(torch.cat(kept).mean()) for name, kept in self._values.items()}
+        values = torch.stack(list(self._values.values())).double()
+        parts = [part.contiguous().mean(1) for part in values.chunk(len(shards.own), dim=1)]
+        means = dict(zip(self._values, shards.mean(parts).tolist(), strict=True))
         means["team_return"] = sum(means[term] for term in TERMS)
         means["attention_return"] = sum(means[term] for term in ATTENTION_TERMS)
         return means

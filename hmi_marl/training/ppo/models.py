@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -19,17 +20,25 @@ from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
 
 
-class View(Protocol):
-    """Function from an environment's observation groups to the groups ``actor`` and ``critic``."""
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs of an actor and its critic, of shapes (..., columns)."""
 
-    def __call__(self, observations: TensorDict) -> TensorDict:
-        """Groups ``actor`` and ``critic``, both of shape (N, columns)."""
+    actor: torch.Tensor
+    critic: torch.Tensor
+
+
+class View(Protocol):
+    """Function from an environment's observation groups to the inputs of actor and critic."""
+
+    def __call__(self, observations: TensorDict) -> Inputs:
+        """Inputs of shape (N, columns)."""
         ...
 
 
-def unchanged(observations: TensorDict) -> TensorDict:
+def unchanged(observations: TensorDict) -> Inputs:
     """:class:`View` of observations that have the groups ``actor`` and ``critic`` already."""
-    return observations
+    return Inputs(observations["actor"], observations["critic"])
 
 
 class Context(Protocol):
@@ -52,6 +61,7 @@ class SeatView:
         cards: cards of the seats, whose inputs are concatenated for the actor.
         centralised: the critic reads the team's whole state, else the actor's inputs.
         context: gives z, if the policies are conditioned on it.
+        teams: teams in a shard, for which z is computed at a time; by default all.
     """
 
     def __init__(
@@ -60,27 +70,41 @@ class SeatView:
         cards: tuple[PolicyCard, ...],
         centralised: bool,
         context: Context | None = None,
+        teams: int | None = None,
     ) -> None:
-        self._columns = {
-            card.seat: torch.from_numpy(card.columns(env.layouts[card.seat])).to(env.device)
-            for card in cards
-        }
+        self._columns = {card.seat: _columns(card, env) for card in cards}
+        self._teams = env.num_envs if teams is None else teams
         self._context = {card.seat: context if card.context else None for card in cards}
         self._centralised = centralised
         actor = sum(card.inputs for card in cards)
         self.critic_inputs = env.layouts["critic"].size if centralised else actor
         """Columns that the critic reads."""
 
-    def __call__(self, observations: TensorDict) -> TensorDict:
-        """See :meth:`View.__call__`."""
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups of the environment's observations that it reads."""
+        traits = any(context is not None for context in self._context.values())
+        return (*self._columns, *["traits"] * traits, *["critic"] * self._centralised)
+
+    def __call__(self, observations: TensorDict) -> Inputs:
+        """See :meth:`View.__call__`; inputs may share memory with the observations."""
         read = []
         for seat, columns in self._columns.items():
-            read.append(observations[seat].index_select(1, columns))
+            seen = observations[seat]
+            read.append(seen if columns is None else seen.index_select(1, columns))
             if (context := self._context[seat]) is not None:
-                read.append(context(observations["traits"]))
+                parts = observations["traits"].split(self._teams)
+                read.append(torch.cat([context(traits.clone()) for traits in parts]))
         actor = read[0] if len(read) == 1 else torch.cat(read, dim=1)
-        critic = observations["critic"] if self._centralised else actor
-        return TensorDict({"actor": actor, "critic": critic}, batch_size=observations.batch_size)
+        return Inputs(actor, observations["critic"] if self._centralised else actor)
+
+
+def _columns(card: PolicyCard, env: TeamVecEnv) -> torch.Tensor | None:
+    """Columns of the seat's observation that a policy reads; None for all of them."""
+    layout = env.layouts[card.seat]
+    columns = torch.from_numpy(card.columns(layout))
+    everything = torch.equal(columns, torch.arange(layout.size))
+    return None if everything else columns.to(env.device)
 
 
 class IntentShown:
@@ -147,12 +171,17 @@ class TwoSeats(torch.nn.Module):
         super().__init__()
         self.driver = _mlp(driver)
         self.vehicle_ai = _mlp(vehicle_ai)
-        self._of_driver = driver.inputs
+        self.driver_inputs = driver.inputs
+        """Columns of the driver's network; those of the vehicle AI's follow."""
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return logits of a^H, then of a^A for each a^H: (..., 15) with one alert strength."""
-        of_driver, of_vehicle_ai = inputs[..., : self._of_driver], inputs[..., self._of_driver :]
+        of_driver, of_vehicle_ai = self.split(inputs)
         return torch.cat([self.driver(of_driver), self.vehicle_ai(of_vehicle_ai)], dim=-1)
+
+    def split(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the inputs of both networks."""
+        return inputs[..., : self.driver_inputs], inputs[..., self.driver_inputs :]
 
 
 def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:

@@ -29,6 +29,13 @@ from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value
 from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phase, TrainSettings
+from hmi_marl.training.runs.exchange import SharedMemory
+from hmi_marl.training.runs.start import (
+    check_processes,
+    default_threads,
+    learns_on_gpu,
+    start_together,
+)
 
 with needing("training"):
     import torch
@@ -45,6 +52,7 @@ with needing("training"):
         weights_of,
         weights_of_both,
     )
+    from hmi_marl.training.ppo.shards import Shards
     from hmi_marl.training.runs.processes import Processes, joined
     from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
 
@@ -58,6 +66,7 @@ def train(
     quiet: bool = False,
     command_line: str = "",
     line: int = 0,
+    processes: int = 1,
 ) -> None:
     """Train by a protocol in ``folder``, resuming a run that was interrupted there.
 
@@ -66,14 +75,38 @@ def train(
         context: gives a vector z for each driver, which the vehicle AI observes instead of the
             traits. (The driver observes its own traits.)
         quiet, command_line, line: see :class:`Run`.
+        processes: processes that share the work. More than one are started for it, so the caller's
+            program needs ``if __name__ == "__main__":``. Does not change results (on the CPU).
 
     Raises:
         ValueError: the folder holds a run with other settings, or a context is given and a driver
-            is to learn with the conditioned vehicle AI afterwards.
+            is to learn with the conditioned vehicle AI afterwards, or the teams cannot be shared
+            among so many processes.
     """
-    with joined() as processes, own_torch_state(settings.threads):
-        shown = {"command_line": command_line, "quiet": quiet, "line": line}
-        _Run(settings, folder, context, processes, **shown).go()
+    shown = {"command_line": command_line, "quiet": quiet, "line": line}
+    if processes == 1:
+        train_rank(settings, folder, context, shown)
+        return
+    check_processes(processes, settings)
+    threads = settings.threads or max(1, default_threads(settings.device) // processes)
+    settings = replace(settings, threads=threads)
+    start_together(processes, train_rank, settings, folder, context, shown, threads=threads)
+
+
+def train_rank(
+    settings: TrainSettings,
+    folder: Path,
+    context: Context | None,
+    shown: dict[str, Any],
+    memory: SharedMemory | None = None,
+    rank: int = 0,
+) -> None:
+    """Train in this process, alone or as one of those that share ``memory``."""
+    processes = joined(memory, rank, learns_on_gpu(settings.device))
+    check_processes(processes.count, settings)
+    threads = settings.threads or default_threads(settings.device)
+    with own_torch_state(threads):
+        _Run(replace(settings, threads=threads), folder, context, processes, **shown).go()
 
 
 class _Run(Run):
@@ -88,7 +121,6 @@ class _Run(Run):
         about = {
             "environment": "merge_v0",
             "protocol": type(settings).__name__,
-            "processes": processes.count,
             "context": 0 if context is None else context.size,
         }
         if context is not None:
@@ -96,6 +128,8 @@ class _Run(Run):
         super().__init__(settings, folder, about, processes, **shown)
         self._settings, self._context = settings, context
         self._device = processes.device(settings.device)
+        on_cpu = self._device == "cpu"
+        self._shards = Shards(settings.shards_used if on_cpu else processes.count, processes)
         self._phases = [_in_context(phase, context) for phase in settings.phases()]
         self.phases = len(self._phases)
         self._learners: dict[str, PPOLearner] = {}
@@ -121,11 +155,11 @@ class _Run(Run):
         self._restored = tensors
 
     def _iterations(self, phase: Phase) -> int:
-        return phase.iterations(self._settings.num_teams, self.processes.count)
+        return phase.iterations(self._settings.num_teams)
 
     def _steps(self, phase: Phase) -> int:
         """Steps of one batch, over all processes."""
-        return self._settings.num_teams * phase.team.horizon * self.processes.count
+        return self._settings.num_teams * phase.team.horizon
 
     def _learn_phase(self, phase: Phase, progress: Progress) -> None:
         state, iterations, steps = self.state, self._iterations(phase), self._steps(phase)
@@ -133,15 +167,17 @@ class _Run(Run):
         learner = self._make_learner(phase, env)
         (start, end), wanted = phase.progress, self._settings.snapshots
         while state.iteration < iterations:
-            began = time.monotonic()
-            seed = self._seed_batch()
-            learner.begin(start + (end - start) * state.iteration / iterations)
-            row = play_batch(env, learner, seed)
+            began, waited = time.monotonic(), self.processes.seconds_waited
+            seed, generators = self._seed_batch()
+            learner.begin(start + (end - start) * state.iteration / iterations, generators)
+            row = play_batch(env, learner, seed, self._shards)
             played = time.monotonic()
-            row = self.processes.mean(row | learner.learn(env.get_observations()))
+            row |= learner.learn(env.get_observations())
             learning = time.monotonic() - played
             row |= self.count(began, steps)
+            waiting = self.processes.seconds_waited - waited
             row["share_of_time_learning"] = learning * row["steps_per_second"] / steps
+            row["share_of_time_waiting"] = waiting * row["steps_per_second"] / steps
             state.curve.append({"phase": phase.name, "steps": state.steps} | row)
             progress.advance(steps, row)
             done = state.iteration
@@ -152,7 +188,7 @@ class _Run(Run):
     def _make_env(self, phase: Phase) -> TeamVecEnv:
         settings = self._settings
         return make_vec(
-            settings.num_teams,
+            settings.num_teams // self.processes.count,
             phase.seat,  # type: ignore[arg-type]
             self._partner(phase),
             device=self._device,
@@ -184,7 +220,8 @@ class _Run(Run):
             return self._learners[name]
         settings = self._settings
         torch.manual_seed(self.draw(Stream.LEARNING, _INITIAL_WEIGHTS[name]))
-        view = SeatView(env, cards, settings.critic == "team", self._context)
+        teams = settings.num_teams // self._shards.count
+        view = SeatView(env, cards, settings.critic == "team", self._context, teams)
         critic = NetworkConfig(settings.network.hidden_dims, settings.network.activation)
         learner = PPOLearner(
             make_joint_actor(*cards) if len(cards) == 2 else make_actor(*cards),
@@ -195,19 +232,22 @@ class _Run(Run):
             len(cards),
             settings.ppo,
             self._device,
-            self.processes,
+            self._shards,
         )
         if name in self._restored:
             learner.load(self._restored[name])
         self._learners[name] = learner
         return learner
 
-    def _seed_batch(self) -> int:
-        """Seed torch for this process's next batch and return the seed of its teams."""
+    def _seed_batch(self) -> tuple[int, list[torch.Generator]]:
+        """Seed of the next batch's first team, and a seeded generator for each own shard."""
         batch = 2**32 * self.state.phase + self.state.iteration
-        number = batch * self.processes.count + self.processes.rank
-        torch.manual_seed(self.draw(Stream.LEARNING, len(_INITIAL_WEIGHTS) + number))
-        return self.draw(Stream.TRAINING, number)
+        first = len(_INITIAL_WEIGHTS) + batch * self._shards.count
+        generators = [
+            torch.Generator().manual_seed(self.draw(Stream.LEARNING, first + number))
+            for number in self._shards.own
+        ]
+        return self.draw(Stream.TRAINING, batch), generators
 
     def _save_policies(self, phase: Phase, folder: Path) -> None:
         """Save the policies that learn in this phase."""

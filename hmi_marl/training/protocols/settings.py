@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import PolicyCard, make_card
 from hmi_marl.checks import (
+    Check,
     Checked,
     Count,
     CountOrZero,
     Positive,
     PositiveOrZero,
+    PowerOfTwo,
     Share,
     check_mini_batches,
+    check_threads,
 )
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
@@ -86,9 +89,9 @@ class Phase:
     progress: tuple[float, float] = (0.0, 1.0)
     """Part of its learner's whole schedule that this phase covers."""
 
-    def iterations(self, num_teams: int, processes: int) -> int:
-        """Batches of one episode of each team in each process."""
-        return math.ceil(self.steps / (num_teams * self.team.horizon * processes))
+    def iterations(self, num_teams: int) -> int:
+        """Batches of one episode of each team."""
+        return math.ceil(self.steps / (num_teams * self.team.horizon))
 
     @property
     def sequential(self) -> bool:
@@ -133,10 +136,14 @@ class TrainSettings(Checked, TeamSettings):
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     seed: Seed = 0
-    """Random seed. The same seed gives the same weights (on one machine, with the same number of
-    processes)."""
+    """Random seed. The same seed gives the same weights (on one machine)."""
     num_teams: Count = 512
-    """Teams side by side in each process. A batch is one whole episode of each."""
+    """Teams side by side, shared among the processes. A batch is one whole episode of each."""
+    shards: PowerOfTwo = 2
+    """Parts of a batch that are computed apart, so that weights do not depend on the number of
+    processes, which is at most this. A power of two, halved while the teams do not suffice for it.
+    More shards allow more processes, and take a little longer in one. On GPUs each process has one
+    part."""
     condition: Condition = "traits"
     """Whether the policies observe the driver's traits, or not ("hidden")."""
     critic: Critic = "team"
@@ -152,9 +159,9 @@ class TrainSettings(Checked, TeamSettings):
     device: str = "auto"
     """Device of the learner: cpu, cuda, or auto for a GPU if there is one. The world runs on the
     CPU."""
-    threads: Count = 1
-    """Threads of the world and of the learner in each process. Small networks gain little from a
-    second one: more processes are the better use of more cores."""
+    threads: Annotated[int | None, Check(check_threads)] = None
+    """Threads of the world and of the learner in each process. By default one on the CPU, where
+    more processes are the better use of more cores, and all cores where a GPU learns."""
     snapshots: CountOrZero = 0
     """Times in each phase that the policies are saved in snapshots/STEPS."""
     checkpoint_every: PositiveOrZero = 60.0
@@ -167,9 +174,7 @@ class TrainSettings(Checked, TeamSettings):
                 "only the vehicle AI is recurrent: set rnn_hidden_dim, not network.rnn_hidden_dim"
             )
         NetworkConfig(rnn_hidden_dim=self.rnn_hidden_dim)  # checks it
-        # rsl_rl mixes up the axes of a single team in a recurrent mini-batch.
-        least = 2 if self.rnn_hidden_dim else 1
-        check_mini_batches(self.ppo.num_mini_batches, self.num_teams, least)
+        check_mini_batches(self.ppo.num_mini_batches, self.num_teams)
         self.card(VEHICLE_AI, self.team(self.drivers))
 
     def phases(self) -> tuple[Phase, ...]:
@@ -183,6 +188,17 @@ class TrainSettings(Checked, TeamSettings):
         ``shared`` are settings that all protocols have, or one of :attr:`variants`.
         """
         raise NotImplementedError("a protocol says how it uses a budget")
+
+    @property
+    def shards_used(self) -> int:
+        """Number of shards: ``shards``, or fewer if the teams do not suffice for it.
+
+        Each has as many teams, and at least one for each mini-batch.
+        """
+        count = self.shards
+        while self.num_teams % count or self.num_teams // count < self.ppo.num_mini_batches:
+            count //= 2
+        return count
 
     @property
     def driver_terms(self) -> tuple[str, ...]:

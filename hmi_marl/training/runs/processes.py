@@ -1,14 +1,14 @@
-"""Processes started by torchrun that learn together, each with its own teams."""
+"""Processes that learn together, and their connection."""
 
 from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
+
+from hmi_marl.training.runs.exchange import Distributed, Exchange, SharedMemory
 
 
 @dataclass(frozen=True)
@@ -19,17 +19,18 @@ class Processes:
     rank: int = 0
     local_rank: int = 0
     """Rank on this machine."""
+    exchange: Exchange | None = None
+    """Connection to the others; None for a single process."""
 
     @property
     def is_first(self) -> bool:
         """Whether this process writes files and shows progress."""
         return self.rank == 0
 
-    def as_rsl_rl(self) -> dict[str, int] | None:
-        """Return rsl_rl's ``multi_gpu_cfg``; None for a single process."""
-        if self.count == 1:
-            return None
-        return {"global_rank": self.rank, "local_rank": self.local_rank, "world_size": self.count}
+    @property
+    def seconds_waited(self) -> float:
+        """Time spent in exchanges so far, most of it waiting for the others [s]."""
+        return 0.0 if self.exchange is None else self.exchange.waited
 
     def device(self, wanted: str) -> str:
         """Return the device to learn on: ``auto`` is this process's GPU if there is one.
@@ -49,45 +50,66 @@ class Processes:
             raise ValueError(f"no device {wanted!r}: {str(error).splitlines()[0]}") from None
         return wanted
 
+    def gather(self, values: torch.Tensor) -> list[torch.Tensor]:
+        """Return the tensors of every process, by rank; this may be all there is, its own."""
+        if self.exchange is None:
+            return [values]
+        return list(self.exchange.gather(values).unbind())
+
     def wait(self) -> None:
         """Wait until every process has come here."""
-        if self.count > 1:
-            torch.distributed.barrier()
-
-    def mean(self, values: dict[str, float]) -> dict[str, float]:
-        """Return the mean of every value over the processes, in each of them."""
-        if self.count == 1:
-            return values
-        together = torch.tensor(list(values.values()), dtype=torch.float64)
-        torch.distributed.all_reduce(together)
-        return dict(zip(values, (together / self.count).tolist(), strict=True))
+        self.gather(torch.zeros(1))
 
 
 ALONE = Processes()
 """This process alone."""
 
 
-@contextmanager
-def joined() -> Iterator[Processes]:
-    """Connect the processes that torchrun started, if it did.
+def joined(memory: SharedMemory | None = None, rank: int = 0, on_gpus: bool = False) -> Processes:
+    """Return this process's place among those that were started together.
 
-    Gradients of a CPU learner go through gloo, those of a GPU through NCCL. The processes stay
-    connected until they end, since connecting again can fail.
+    Args:
+        memory: of the processes that :func:`hmi_marl.training.runs.start.start_together` started;
+            None for those that torchrun started, if it did.
+        rank: place of this one among them.
+        on_gpus: whether they learn on GPUs, which exchange gradients by NCCL.
     """
+    if memory is not None:
+        memory.join(rank)
+        local = Processes(memory.count, rank, rank, memory)
+        return _by_torch(local) if on_gpus else local
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
-        yield ALONE
-        return
+        return ALONE
     if not torch.distributed.is_initialized():
-        torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if _has_nccl() else "gloo")
+        torch.distributed.init_process_group(_backend())
         atexit.register(_disconnect)
-    yield Processes(count, torch.distributed.get_rank(), int(os.environ["LOCAL_RANK"]))
+    rank = torch.distributed.get_rank()
+    return Processes(count, rank, int(os.environ["LOCAL_RANK"]), Distributed(count))
+
+
+def _by_torch(local: Processes) -> Processes:
+    """Connect processes of this machine by torch.distributed, at a port that the first one gets."""
+    from torch.distributed import TCPStore  # type: ignore[attr-defined]  # it is there
+
+    count = local.count
+    if local.is_first:
+        store = TCPStore("127.0.0.1", 0, count, True, wait_for_workers=False)
+        local.gather(torch.tensor([store.port]))
+    else:
+        port = int(local.gather(torch.tensor([0]))[0])
+        store = TCPStore("127.0.0.1", port, count, False)
+    torch.distributed.init_process_group(_backend(), store=store, rank=local.rank, world_size=count)
+    atexit.register(_disconnect)
+    return Processes(count, local.rank, local.local_rank, Distributed(count))
+
+
+def _backend() -> str:
+    """Gloo for tensors on the CPU, and NCCL for those on a GPU."""
+    nccl = torch.cuda.is_available() and torch.distributed.is_nccl_available()
+    return "cpu:gloo,cuda:nccl" if nccl else "gloo"
 
 
 def _disconnect() -> None:
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
-
-
-def _has_nccl() -> bool:
-    return torch.cuda.is_available() and torch.distributed.is_nccl_available()

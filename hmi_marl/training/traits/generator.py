@@ -12,7 +12,6 @@ from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.training.ppo.learner import PPOLearner
 from hmi_marl.training.ppo.models import unchanged
-from hmi_marl.training.runs.processes import Processes
 from hmi_marl.training.traits.model import log_likelihood, make_policy, make_value
 from hmi_marl.training.traits.rollouts import Drives, drive
 from hmi_marl.training.traits.settings import TraitSettings
@@ -50,7 +49,6 @@ class Generator:
             1,
             settings.ppo,
             device,
-            Processes(),
         )
         self._seen = sample
 

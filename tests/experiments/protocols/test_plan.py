@@ -53,7 +53,7 @@ def content(folder: Path) -> dict:
 
 
 def batches(settings: ProtocolComparison, training) -> int:
-    return sum(phase.iterations(settings.num_teams, 1) for phase in training.phases())
+    return sum(phase.iterations(settings.num_teams) for phase in training.phases())
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,9 @@
+import copy
+
 import numpy as np
 import pytest
 import torch
+from rsl_rl.algorithms import PPO
 from rsl_rl.storage import RolloutStorage
 from standing_world import CrashingWorld, StandingWorld
 from tensordict import TensorDict
@@ -12,8 +15,10 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.exact import oracle
-from hmi_marl.training.ppo.learner import PPOLearner, ShuffledOnce, TwoLearners, play_batch
+from hmi_marl.training.ppo.layers import policy_of
+from hmi_marl.training.ppo.learner import PPOLearner, TwoLearners, play_batch
 from hmi_marl.training.ppo.models import (
+    Inputs,
     IntentShown,
     SeatView,
     make_actor,
@@ -21,8 +26,8 @@ from hmi_marl.training.ppo.models import (
     make_joint_actor,
     weights_of,
 )
+from hmi_marl.training.ppo.shards import Shards
 from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.runs.processes import Processes
 
 TINY = NetworkConfig((8,))
 KEEP_SPEED = 1
@@ -39,7 +44,11 @@ def env_for(seat, num_teams=16, world=CrashingWorld, **settings):
     return TeamVecEnv(teaming, seat, None if seat == "team" else KeepsSpeed())
 
 
-def learner_for(env, cards, settings=PPOSettings(num_mini_batches=2), seed=0, centralised=True):  # noqa: B008
+SETTINGS = PPOSettings(num_mini_batches=2)
+ONE = Shards()
+
+
+def learner_for(env, cards, settings=SETTINGS, seed=0, centralised=True, shards=ONE):
     torch.manual_seed(seed)
     view = SeatView(env, cards, centralised)
     return PPOLearner(
@@ -51,7 +60,7 @@ def learner_for(env, cards, settings=PPOSettings(num_mini_batches=2), seed=0, ce
         len(cards),
         settings,
         "cpu",
-        Processes(),
+        shards,
     )
 
 
@@ -76,11 +85,11 @@ def test_time_outs_alone_are_worth_what_was_seen_last():
     settings = PPOSettings(num_mini_batches=1, gamma=0.9, reward_scale=0.5)
     learner = learner_for(env, (card_for(env, "driver"),), settings)
     with torch.no_grad():  # V = 1 + 2 time
-        for weight in learner.ppo.critic.parameters():
+        for weight in learner.critic.parameters():
             weight.zero_()
-        learner.ppo.critic.mlp[0].weight[0, env.layouts["critic"]["time"]] = 1.0
-        learner.ppo.critic.mlp[2].weight[0, 0] = 2.0
-        learner.ppo.critic.mlp[2].bias[0] = 1.0
+        learner.critic.mlp[0].weight[0, env.layouts["critic"]["time"]] = 1.0
+        learner.critic.mlp[2].weight[0, 0] = 2.0
+        learner.critic.mlp[2].bias[0] = 1.0
     crashes = {1: [False, True, False, False], 4: [False, False, True, False]}  # by step
     learner.begin(0.0)
     given = []
@@ -98,13 +107,13 @@ def test_time_outs_alone_are_worth_what_was_seen_last():
     assert dones.tolist() == [1, 0, 1, 1]
     expected = 0.5 * torch.stack(given)
     expected[4, [0, 3]] += 0.9 * (1 + 2 * 1.0)
-    storage = learner.ppo.storage
-    torch.testing.assert_close(storage.rewards.squeeze(-1), expected)
-    assert storage.dones.squeeze(-1).sum(0).tolist() == [1, 1, 1, 1]
+    rollout = learner.shards[0].rollout
+    torch.testing.assert_close(rollout.rewards, expected)
+    assert rollout.dones.sum(0).tolist() == [1, 1, 1, 1]
     learner.learn(seen)
     last = expected[4].clone()
     last[1] += 0.9 * (1 + 2 * 3 / 5)  # goes on, three steps into its second episode
-    torch.testing.assert_close(storage.returns[4].squeeze(-1), last)
+    torch.testing.assert_close(rollout.returns[4], last)
 
 
 def test_what_it_learns_from_falls_along_lines():
@@ -119,8 +128,8 @@ def test_what_it_learns_from_falls_along_lines():
     learner = learner_for(env, (card_for(env, "driver"),), settings)
     for progress, entropy, rate in ((0.0, 0.04, 1e-3), (0.25, 0.035, 8e-4), (1.0, 0.02, 2e-4)):
         learner.begin(progress)
-        assert learner.ppo.entropy_coef == pytest.approx(entropy)
-        assert [g["lr"] for g in learner.ppo.optimizer.param_groups] == [pytest.approx(rate)]
+        assert learner.entropy_coef == pytest.approx(entropy)
+        assert [g["lr"] for g in learner.optimizer.param_groups] == [pytest.approx(rate)]
         play_batch(env, learner, 0)
         assert learner.learn(env.get_observations())["learning_rate"] == pytest.approx(rate)
 
@@ -166,24 +175,18 @@ def test_a_memory_is_learned_from_as_it_was_when_it_acted():
     env = env_for("vehicle_ai", 12)
     card = card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=4))
     learner = learner_for(env, (card,), PPOSettings(num_mini_batches=3))
-    for weight in learner.ppo.actor.parameters():
+    for weight in learner.actor.parameters():
         torch.nn.init.normal_(weight, std=0.7)
     for seed in (1, 2):  # nothing may be left of the first batch in the second
         learner.begin(0.0)
         play_batch(env, learner, seed)
-        storage = learner.ppo.storage
-        assert storage.dones[:-1].any()
-        actor = learner.ppo.actor
-        for batch in storage.recurrent_mini_batch_generator(3, 1):
-            actor(
-                batch.observations,
-                masks=batch.masks,
-                hidden_state=batch.hidden_states[0],
-                stochastic_output=True,
-            )
-            log_probs = actor.get_output_log_prob(batch.actions)
-            torch.testing.assert_close(log_probs, batch.old_actions_log_prob.squeeze(-1))
-        storage.clear()
+        (shard,) = learner.shards
+        assert shard.rollout.dones[:-1].any()
+        shard.evaluate(learner.view(env.get_observations()).critic)
+        for batch in shard.mini_batches():
+            policy, head = policy_of(learner.actor), learner.actor.distribution
+            head.update(policy.forward(batch.actor, batch.padded)[0])
+            torch.testing.assert_close(head.log_prob(batch.actions), batch.log_prob)
 
 
 def two_learners(env, turns):
@@ -205,27 +208,25 @@ def test_two_that_learn_at_once_see_and_get_what_their_seats_do(turns):
             seen, rewards, dones, extras = env.step(actions)
             learner.record(rewards, dones, extras)
             rewards_given.append(extras["rewards"])
-    stored = {seat: getattr(learner, seat).ppo.storage for seat in ("driver", "vehicle_ai")}
+    stored = {seat: getattr(learner, seat).shards[0].rollout for seat in ("driver", "vehicle_ai")}
     intents = stored["driver"].actions[..., 0].long()
-    shown = stored["vehicle_ai"].observations["actor"][
-        ..., env.layouts["vehicle_ai"]["intended_action"]
-    ]
+    shown = stored["vehicle_ai"].actor[..., env.layouts["vehicle_ai"]["intended_action"]]
     in_the_critic = env.layouts["critic"]["intended_action"]
-    known = stored["vehicle_ai"].observations["critic"][..., in_the_critic]
+    known = stored["vehicle_ai"].critic[..., in_the_critic]
     now = torch.nn.functional.one_hot(intents, 5).float()
     if turns:
         assert (shown == now).all()
         assert (known == now).all()  # its values are of the state in which it acts
-        assert not (stored["driver"].observations["critic"][..., in_the_critic] == now).all()
+        assert not (stored["driver"].critic[..., in_the_critic] == now).all()
     else:
         assert (known == shown).all()
-        begins = torch.cat([torch.ones(1, 16), stored["driver"].dones[:-1].squeeze(-1)])
+        begins = torch.cat([torch.ones(1, 16), stored["driver"].dones[:-1]])
         before = torch.cat([torch.zeros(1, 16, 5), now[:-1]]) * (1 - begins).unsqueeze(-1)
         assert (shown == before).all()
     for seat, storage in stored.items():
         scaled = 0.1 * torch.stack([given[seat] for given in rewards_given])
-        steps_on = storage.dones.squeeze(-1) == 0
-        torch.testing.assert_close(storage.rewards.squeeze(-1)[steps_on], scaled[steps_on])
+        steps_on = storage.dones == 0
+        torch.testing.assert_close(storage.rewards[steps_on], scaled[steps_on])
     assert not torch.equal(stored["driver"].rewards, stored["vehicle_ai"].rewards)
     losses = learner.learn(seen)
     assert {"value", "vehicle_ai_value", "entropy", "vehicle_ai_entropy"} <= set(losses)
@@ -240,8 +241,7 @@ class Everything:
 
     def __call__(self, observations):
         state = observations["state"]
-        groups = {"actor": torch.cat([state] * self.seats, dim=-1), "critic": state}
-        return TensorDict(groups, batch_size=observations.batch_size)
+        return Inputs(torch.cat([state] * self.seats, dim=-1), state)
 
 
 def state_of(index, sizes):
@@ -263,7 +263,6 @@ def bandit(actor, columns, worth, iterations=50, teams=64, steps=4):
         columns,
         settings,
         "cpu",
-        Processes(),
     )
     never = torch.zeros(teams, dtype=torch.bool)
     for iteration in range(iterations):
@@ -276,7 +275,8 @@ def bandit(actor, columns, worth, iterations=50, teams=64, steps=4):
         learner.learn(state_of(state, states))
     every = torch.arange(states)
     with torch.no_grad():
-        return actor(learner.view(state_of(every, states))).long().tolist()
+        seen = TensorDict({"actor": learner.view(state_of(every, states)).actor}, [states])
+        return actor(seen).long().tolist()
 
 
 def test_one_head_learns_the_best_action_of_every_state():
@@ -341,7 +341,7 @@ def test_ppo_learns_the_exact_optimum_of_alerting(name):
         torch.manual_seed(iteration)
         row = play_batch(env, learner, 1000 * iteration)
         learner.learn(env.get_observations())
-    policy = LearnedPolicy(card, weights_of(learner.ppo.actor), env.teaming.config)
+    policy = LearnedPolicy(card, weights_of(learner.actor), env.teaming.config)
     best = oracle.solve_alerts(name, horizon=10)
     reached = oracle.evaluate(rule_of(policy, env), name, horizon=10).total_return
     never = oracle.evaluate(0.0, name, horizon=10).total_return
@@ -350,20 +350,53 @@ def test_ppo_learns_the_exact_optimum_of_alerting(name):
     assert row["attention_return"] == pytest.approx(best.total_return, rel=0.25)
 
 
-def test_gathering_once_gives_the_batches_of_rsl_rl():
-    sample = TensorDict({"actor": torch.zeros(6, 3)}, batch_size=[6])
-    batches = []
-    for kind in (RolloutStorage, ShuffledOnce):
-        storage = kind("rl", 6, 4, sample, [1])
-        torch.manual_seed(3)
-        storage.observations["actor"].copy_(torch.rand(4, 6, 3))
-        for name in ("actions", "values", "returns", "advantages", "actions_log_prob"):
-            getattr(storage, name).copy_(torch.rand(4, 6, 1))
-        storage.distribution_params = (torch.rand(4, 6, 2),)
-        batches.append(list(storage.mini_batch_generator(3, 2)))
-    assert len(batches[0]) == len(batches[1]) == 6
-    for theirs, ours in zip(*batches, strict=True):
-        assert (theirs.observations == ours.observations).all()
-        for name in ("actions", "values", "returns", "advantages", "old_actions_log_prob"):
-            assert torch.equal(getattr(theirs, name), getattr(ours, name))
-        assert torch.equal(*(b.old_distribution_params[0] for b in (theirs, ours)))
+@pytest.mark.parametrize("memory", [0, 3])
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_it_learns_what_rsl_rls_ppo_learns(memory, count):
+    # With one mini-batch, in which rsl_rl, too, has no order, from the same steps of 8 teams.
+    env = env_for("vehicle_ai", 8)
+    card = card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=memory))
+    settings = PPOSettings(num_mini_batches=1, num_learning_epochs=3)
+    learner = learner_for(env, (card,), settings, shards=Shards(count))
+    actor, critic = copy.deepcopy(learner.actor), copy.deepcopy(learner.critic)
+    learner.begin(0.0, [None] * count)
+    play_batch(env, learner, 0, Shards(count))
+
+    def of_all(name):
+        return torch.cat([getattr(shard.rollout, name) for shard in learner.shards], dim=1)
+
+    seen = {name: of_all(name) for name in ("actor", "critic")}
+    sample = TensorDict({name: values[0] for name, values in seen.items()}, [8])
+    storage = RolloutStorage("rl", 8, env.max_episode_length, sample, [1])
+    reference = PPO(
+        actor,
+        critic,
+        storage,
+        num_learning_epochs=3,
+        num_mini_batches=1,
+        clip_param=settings.clip_param,
+        gamma=settings.gamma,
+        lam=settings.gae_lambda,
+        entropy_coef=settings.entropy_coef,
+        learning_rate=settings.learning_rate,
+        max_grad_norm=settings.max_grad_norm,
+        use_clipped_value_loss=False,
+        schedule="fixed",
+    )
+    with torch.inference_mode():
+        for step in range(env.max_episode_length):
+            reference.act(TensorDict({name: seen[name][step] for name in seen}, [8]))
+            reference.transition.actions = of_all("actions")[step]
+            head = actor.distribution
+            reference.transition.actions_log_prob = head.log_prob(of_all("actions")[step])
+            rewards, dones = of_all("rewards")[step], of_all("dones")[step]
+            reference.process_env_step(None, rewards, dones, {})
+        last = learner.view(env.get_observations())
+        reference.compute_returns(TensorDict({"actor": last.actor, "critic": last.critic}, [8]))
+    expected = reference.update()
+    losses = learner.learn(env.get_observations())
+    for name, value in expected.items():
+        assert losses[name] == pytest.approx(value, rel=1e-4, abs=1e-6), name
+    for ours, theirs in ((learner.actor, actor), (learner.critic, critic)):
+        for one, other in zip(ours.parameters(), theirs.parameters(), strict=True):
+            torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)

@@ -95,9 +95,9 @@ def test_the_halves_of_the_composite_policy_act_alone_as_it_acts():
         seen = env.get_observations()
         read = SeatView(env, (driver, vehicle_ai), centralised=True)(seen)
         with torch.no_grad():
-            actor(read, stochastic_output=True)
+            actor(group("actor", read.actor), stochastic_output=True)
             intent, alert = (log_probs.exp().numpy() for log_probs in actor.distribution.params)
-            greedy = actor(read).long().numpy()
+            greedy = actor(group("actor", read.actor)).long().numpy()
         np.testing.assert_allclose(
             alone[0].probabilities(teams.observe("driver")), intent, atol=1e-5
         )

@@ -84,7 +84,7 @@ def weights(content):
 
 def rows(folder):
     """The curve but for times."""
-    timed = ("seconds", "steps_per_second", "share_of_time_learning")
+    timed = ("seconds", "steps_per_second", "share_of_time_learning", "share_of_time_waiting")
     curve = json.loads((folder / "curve.json").read_text())
     return [{name: v for name, v in row.items() if name not in timed} for row in curve]
 

@@ -37,9 +37,9 @@ def test_who_knows_everything_reads_the_seats_observation(seat):
     env = standing()
     seen = env.get_observations()
     read = SeatView(env, (card(seat),), centralised=True)(seen)
-    assert read.batch_size == (4,)
-    assert (read["actor"] == seen[seat]).all()
-    assert (read["critic"] == seen["critic"]).all()
+    assert read.actor is seen[seat]  # not copied
+    assert (read.actor == seen[seat]).all()
+    assert (read.critic == seen["critic"]).all()
 
 
 def test_who_is_to_know_no_traits_is_shown_none():
@@ -49,8 +49,8 @@ def test_who_is_to_know_no_traits_is_shown_none():
     read = view(seen)
     traits = env.layouts["driver"]["traits"]
     expected = np.delete(seen["driver"].numpy(), np.r_[traits], axis=1)
-    np.testing.assert_array_equal(read["actor"].numpy(), expected)
-    np.testing.assert_array_equal(read["critic"].numpy(), expected)  # its own, not the team's
+    np.testing.assert_array_equal(read.actor.numpy(), expected)
+    np.testing.assert_array_equal(read.critic.numpy(), expected)  # its own, not the team's
     assert view.critic_inputs == expected.shape[1]
 
 
@@ -62,7 +62,7 @@ def test_both_seats_lie_side_by_side_in_the_order_of_their_cards():
     intended = env.layouts["vehicle_ai"]["intended_action"]
     of_ai = np.delete(seen["vehicle_ai"].numpy(), np.r_[intended], axis=1)
     expected = np.concatenate([seen["driver"].numpy(), of_ai], axis=1)
-    np.testing.assert_array_equal(read["actor"].numpy(), expected)
+    np.testing.assert_array_equal(read.actor.numpy(), expected)
 
 
 def test_a_context_follows_what_the_vehicle_ai_reads():
@@ -70,7 +70,7 @@ def test_a_context_follows_what_the_vehicle_ai_reads():
     seen = env.get_observations()
     conditioned = card("vehicle_ai").with_context(2)
     view = SeatView(env, (card("driver"), conditioned), centralised=False, context=TwoTraits())
-    read = view(seen)["actor"].numpy()
+    read = view(seen).actor.numpy()
     traits = env.layouts["vehicle_ai"]["traits"]
     of_ai = np.delete(seen["vehicle_ai"].numpy(), np.r_[traits], axis=1)
     z = env.teaming.traits.as_array()[:, [0, 3]].astype(np.float32)
@@ -85,6 +85,34 @@ def test_the_columns_of_the_critic():
     assert SeatView(env, cards, centralised=True).critic_inputs == env.layouts["critic"].size
     apart = SeatView(env, cards, centralised=False)
     assert apart.critic_inputs == cards[0].inputs + cards[1].inputs
+
+
+def test_it_names_the_groups_that_it_reads():
+    env = standing()
+    both = card("driver"), card("vehicle_ai").with_context(2)
+    assert SeatView(env, both[:1], centralised=True).groups == ("driver", "critic")
+    assert SeatView(env, both[:1], centralised=False).groups == ("driver",)
+    view = SeatView(env, both, centralised=True, context=TwoTraits())
+    assert view.groups == ("driver", "vehicle_ai", "traits", "critic")
+    seen = env.get_observations()
+    assert torch.equal(view(seen.select(*view.groups)).actor, view(seen).actor)
+
+
+def test_a_context_is_computed_shard_by_shard():
+    class Watched(TwoTraits):
+        sizes = ()
+
+        def __call__(self, traits):
+            self.sizes = (*self.sizes, len(traits))
+            return super().__call__(traits)
+
+    env = standing(num_teams=6)
+    seen, context = env.get_observations(), Watched()
+    cards = (card("vehicle_ai").with_context(2),)
+    apart = SeatView(env, cards, centralised=True, context=context, teams=2)(seen)
+    assert context.sizes == (2, 2, 2)
+    together = SeatView(env, cards, centralised=True, context=TwoTraits())(seen)
+    assert torch.equal(apart.actor, together.actor)
 
 
 def test_what_is_not_shown_cannot_be_read():

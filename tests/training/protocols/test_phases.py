@@ -108,9 +108,9 @@ def test_only_the_vehicle_ai_has_a_memory(protocol):
             assert card.network.rnn_hidden_dim == (6 if card.seat == "vehicle_ai" else 0)
 
 
-def test_batches_are_whole_episodes_of_every_team_in_every_process():
+def test_batches_are_whole_episodes_of_every_team():
     phase = Phase("x", "driver", TwoStage(duration=2.0).phases()[0].team, steps=1001)
     assert phase.team.horizon == 10
-    assert phase.iterations(num_teams=10, processes=1) == 11
-    assert phase.iterations(num_teams=10, processes=2) == 6
-    assert phase.iterations(num_teams=2000, processes=1) == 1
+    assert phase.iterations(num_teams=10) == 11
+    assert phase.iterations(num_teams=20) == 6
+    assert phase.iterations(num_teams=2000) == 1

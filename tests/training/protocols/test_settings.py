@@ -54,6 +54,8 @@ def test_what_ppo_may_be_told_at_the_edges():
             "checkpoint_every is a number of at least 0, but got -1.0",
         ),
         ({"threads": 0}, ValueError, "threads is at least 1, but got 0"),
+        ({"shards": 0}, ValueError, "shards is at least 1, but got 0"),
+        ({"shards": 6}, ValueError, "shards is a power of two such as 2, 4 or 8, but got 6"),
         (
             {"network": NetworkConfig(rnn_hidden_dim=3)},
             ValueError,
@@ -86,10 +88,6 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
         (lambda: TwoStage(hmi_steps=-1), "hmi_steps is at least 1, but got -1"),
         (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps is at least 1"),
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
-        (
-            lambda: TwoStage(num_teams=8, rnn_hidden_dim=4, ppo=PPOSettings(num_mini_batches=5)),
-            "cannot split 8 teams into 5 mini-batches of at least 2 teams; lower --ppo",
-        ),
         (lambda: Joint(steps=0), "steps is at least 1"),
         (
             lambda: Joint(rnn_hidden_dim=4),
@@ -104,6 +102,24 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
 def test_what_a_protocol_cannot_be_told(make, told):
     with pytest.raises(ValueError, match=told):
         make()
+
+
+@pytest.mark.parametrize(
+    ("num_teams", "num_mini_batches", "shards", "used"),
+    [
+        (512, 16, 4, 4),
+        (512, 16, 64, 32),  # 16 teams each, one for each mini-batch
+        (30, 2, 4, 2),  # 30 is no multiple of 4
+        (16, 16, 4, 1),
+        (16, 3, 4, 4),
+        (7, 2, 4, 1),
+    ],
+)
+def test_shards_are_halved_while_the_teams_do_not_suffice(
+    num_teams, num_mini_batches, shards, used
+):
+    ppo = PPOSettings(num_mini_batches=num_mini_batches)
+    assert TwoStage(num_teams=num_teams, shards=shards, ppo=ppo).shards_used == used
 
 
 def test_settings_alone_lay_out_no_phases():

@@ -44,7 +44,7 @@ def test_pools_of_cars_drive_with_one_z_in_standard_units():
     raw = torch.from_numpy(drives.situations).reshape(batch.situations.shape)
     torch.testing.assert_close(batch.situations[..., :SIZE], (raw[..., :SIZE] - 0.5) / 2)
     torch.testing.assert_close(batch.situations[..., SIZE:], raw[..., SIZE:])
-    seen = one.learner.ppo.storage.observations["actor"]  # (T - 1, N, D + Z)
+    seen = one.learner.shards[0].rollout.actor  # (T - 1, N, D + Z)
     expected = batch.situations[:, :, :-1].reshape(8, 4, -1).transpose(0, 1)
     torch.testing.assert_close(seen[..., :-2], expected)
     torch.testing.assert_close(seen[0, :, -2:], Z.repeat_interleave(4, dim=0))
@@ -59,14 +59,14 @@ def test_it_learns_for_f_less_log_pi():
         given = Z[:, None, None].expand(2, 4, 5, 2)
         every = log_policy(one.policy, batch.situations, given)
     log_pi = every.gather(3, batch.actions[..., None]).squeeze(3)[:, :, :-1]
-    storage = one.learner.ppo.storage
+    storage = one.learner.shards[0].rollout
     assert not storage.rewards.any()
     given, learn = [], one.learner.learn
     one.learner.learn = lambda seen, rewards: given.append(rewards) or learn(seen, rewards)
     row = one.learn(batch, Z, f)
     expected = (f - log_pi).reshape(8, 4).T
     torch.testing.assert_close(given[0], expected)
-    torch.testing.assert_close(storage.rewards, SETTINGS.ppo.reward_scale * expected[..., None])
+    torch.testing.assert_close(storage.rewards, SETTINGS.ppo.reward_scale * expected)
     assert row["return"] == pytest.approx((f - log_pi).sum(dim=2).mean().item(), rel=1e-5)
 
 

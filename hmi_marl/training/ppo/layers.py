@@ -1,0 +1,207 @@
+"""Forward and backward passes of linear layers, written out.
+
+Networks of 64 units are so small that autograd's bookkeeping and copies take a third of the
+learner's time. These passes work in place, and write gradients where they belong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import torch
+from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
+from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
+
+from hmi_marl.training.ppo.models import TwoSeats
+
+_aten = torch.ops.aten
+_ACTIVATIONS: dict[type[torch.nn.Module], tuple[Callable[..., object], Callable[..., object]]] = {
+    torch.nn.ReLU: (torch.relu_, lambda g, y: _aten.threshold_backward(g, y, 0.0, grad_input=g)),
+    torch.nn.Tanh: (torch.tanh_, lambda g, y: _aten.tanh_backward(g, y, grad_input=g)),
+    torch.nn.ELU: (
+        torch.nn.functional.elu_,
+        lambda g, y: _aten.elu_backward(g, 1.0, 1.0, 1.0, True, y, grad_input=g),
+    ),
+}
+"""Activations in place, and their backward passes in place: from dL/dy to dL/dx, given y."""
+
+
+Passed = Sequence[torch.Tensor]
+"""What a forward pass leaves for the backward pass."""
+Padded = tuple[torch.Tensor, torch.Tensor]
+"""Inputs by episode, shape (T, episodes, columns), and which of them there are, (T, episodes)."""
+
+
+class Layers:
+    """Linear layers with an activation between them, of a network made by rsl_rl.
+
+    Args:
+        network: the layers. Their weights are shared, and must stay where they lie in memory.
+    """
+
+    def __init__(self, network: torch.nn.Module) -> None:
+        layers = [layer for layer in network.modules() if not list(layer.children())]
+        linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
+        self._weights = [layer.weight.detach() for layer in linear]
+        # How a layer is called: with the bias, and the weight turned.
+        self._linear = [(layer.bias.detach(), layer.weight.detach().t()) for layer in linear]
+        kind = type(layers[1]) if len(layers) > 1 else torch.nn.ReLU
+        self._activate, self._activate_backward = _ACTIVATIONS[kind]
+
+    def forward(self, inputs: torch.Tensor) -> list[torch.Tensor]:
+        """Return the inputs of every layer, shape (N, units), and the outputs at last."""
+        passed = [inputs]
+        for bias, weight in self._linear[:-1]:
+            passed.append(torch.addmm(bias, passed[-1], weight))
+            self._activate(passed[-1])
+        bias, weight = self._linear[-1]
+        passed.append(torch.addmm(bias, passed[-1], weight))
+        return passed
+
+    def backward(
+        self,
+        passed: Passed,
+        gradient: torch.Tensor,
+        into: Sequence[torch.Tensor],
+        of_inputs: bool = False,
+    ) -> torch.Tensor:
+        """Write the gradient of the loss with respect to the weights.
+
+        Args:
+            passed: what :meth:`forward` returned.
+            gradient: gradient with respect to the outputs.
+            into: tensors for the gradients of weight and bias of every layer, in their order.
+            of_inputs: also return the gradient with respect to the inputs.
+        """
+        for place in reversed(range(len(self._linear))):
+            torch.mm(gradient.t(), passed[place], out=into[2 * place])
+            torch.sum(gradient, 0, out=into[2 * place + 1])
+            if place > 0 or of_inputs:
+                gradient = gradient.mm(self._weights[place])
+            if place > 0:
+                self._activate_backward(gradient, passed[place])
+        return gradient
+
+
+class Policy(Protocol):
+    """Passes of an actor. Rows are steps, or (steps, teams) of a recurrent one."""
+
+    def act(
+        self, inputs: torch.Tensor, memory: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Return the logits in one step of N teams, and the new recurrent state.
+
+        ``memory``, shape (1, N, units), is None at the start of an episode.
+        """
+        ...
+
+    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
+        """Return the logits of recorded steps, and what :meth:`backward` needs."""
+        ...
+
+    def backward(
+        self, passed: Passed, gradient: torch.Tensor, into: Sequence[torch.Tensor]
+    ) -> None:
+        """Write the gradient for every weight, given that for the logits."""
+
+
+def policy_of(actor: MLPModel) -> Policy:
+    """Return the passes of an actor of either seat, or of both."""
+    if isinstance(actor.mlp, TwoSeats):
+        return Composite(actor.mlp)
+    return Recurrent(actor) if actor.is_recurrent else Feedforward(actor)
+
+
+class Feedforward:
+    """:class:`Policy` of one seat."""
+
+    def __init__(self, actor: MLPModel) -> None:
+        self._layers = Layers(actor.mlp)
+
+    def act(
+        self, inputs: torch.Tensor, memory: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """See :meth:`Policy.act`."""
+        return self._layers.forward(inputs)[-1], None
+
+    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
+        """See :meth:`Policy.forward`."""
+        passed = self._layers.forward(inputs)
+        return passed[-1], passed
+
+    def backward(
+        self, passed: Passed, gradient: torch.Tensor, into: Sequence[torch.Tensor]
+    ) -> None:
+        """See :meth:`Policy.backward`."""
+        self._layers.backward(passed, gradient, into)
+
+
+class Composite:
+    """:class:`Policy` of both seats."""
+
+    def __init__(self, seats: TwoSeats) -> None:
+        self._seats = seats
+        self._driver, self._vehicle_ai = Layers(seats.driver), Layers(seats.vehicle_ai)
+        self._weights = len(list(seats.driver.parameters()))
+
+    def act(
+        self, inputs: torch.Tensor, memory: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """See :meth:`Policy.act`."""
+        return self.forward(inputs, None)[0], None
+
+    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
+        """See :meth:`Policy.forward`."""
+        of_driver, of_vehicle_ai = self._seats.split(inputs)
+        one, other = self._driver.forward(of_driver), self._vehicle_ai.forward(of_vehicle_ai)
+        return torch.cat([one[-1], other[-1]], dim=-1), (*one, *other)
+
+    def backward(
+        self, passed: Passed, gradient: torch.Tensor, into: Sequence[torch.Tensor]
+    ) -> None:
+        """See :meth:`Policy.backward`."""
+        half = len(passed) // 2
+        columns = passed[half - 1].shape[-1]
+        of_driver, of_vehicle_ai = gradient[:, :columns], gradient[:, columns:]
+        self._driver.backward(passed[:half], of_driver, into[: self._weights])
+        self._vehicle_ai.backward(passed[half:], of_vehicle_ai, into[self._weights :])
+
+
+class Recurrent:
+    """:class:`Policy` of a seat with a GRU, which autograd differentiates."""
+
+    def __init__(self, actor: MLPModel) -> None:
+        self._layers, self._gru = Layers(actor.mlp), actor.rnn.rnn
+
+    def act(
+        self, inputs: torch.Tensor, memory: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """See :meth:`Policy.act`."""
+        remembered, memory = self._gru(inputs.unsqueeze(0), memory)
+        together = torch.cat([remembered.squeeze(0), inputs], dim=-1)
+        return self._layers.forward(together)[-1], memory
+
+    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
+        """See :meth:`Policy.forward`."""
+        assert padded is not None  # episodes are needed for the recurrent state
+        with torch.enable_grad():
+            remembered = unpad_trajectories(self._gru(padded[0])[0], padded[1])
+        together = torch.cat([remembered.detach(), inputs], dim=-1)
+        passed = self._layers.forward(together.flatten(0, 1))
+        return torch.unflatten(passed[-1], 0, inputs.shape[:2]), (*passed, remembered)
+
+    def backward(
+        self, passed: Passed, gradient: torch.Tensor, into: Sequence[torch.Tensor]
+    ) -> None:
+        """See :meth:`Policy.backward`."""
+        *layers, remembered = passed
+        weights = list(self._gru.parameters())
+        of_inputs = self._layers.backward(
+            layers, gradient.flatten(0, 1), into[: -len(weights)], of_inputs=True
+        )
+        of_memory = of_inputs[:, : remembered.shape[-1]].reshape(remembered.shape)
+        for place, part in zip(
+            into[-len(weights) :], torch.autograd.grad(remembered, weights, of_memory), strict=True
+        ):
+            place.copy_(part)
