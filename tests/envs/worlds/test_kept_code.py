@@ -1,6 +1,7 @@
 """Compiled code in files: a broken file or folder costs a compilation, never a trace."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -51,11 +52,24 @@ print(values.sum(), sum(sum(each.stats.cache_misses.values()) for each, _ in cal
 is left out, so that nothing of this comes to lie there."""
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The program, a folder with what it keeps, and what came of its first run."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "program.py").write_text(PROGRAM)
+    code = folder / "missing" / "code"
+    return folder / "program.py", code, run(folder / "program.py", code)
+
+
 @pytest.fixture
-def program(tmp_path):
-    path = tmp_path / "program.py"
-    path.write_text(PROGRAM)
-    return path
+def program(made, tmp_path):
+    return shutil.copy(made[0], tmp_path / "program.py")
+
+
+@pytest.fixture
+def code(made, tmp_path):
+    """A folder as the program left it that has run before."""
+    return shutil.copytree(made[1], tmp_path / "code")
 
 
 def start(program, folder, *arguments):
@@ -84,9 +98,8 @@ def kept(folder):
     return sorted(folder.rglob("*.nbc"))
 
 
-def test_compiling_is_announced_once_and_where_and_a_second_process_says_nothing(program, tmp_path):
-    folder = tmp_path / "missing" / "code"
-    compiled, said = run(program, folder)
+def test_compiling_is_announced_once_and_where_and_a_second_process_says_nothing(made):
+    program, folder, (compiled, said) = made
     assert compiled == 2
     assert len(said) == 2
     assert "compiling the batched world" in said[0]
@@ -96,46 +109,42 @@ def test_compiling_is_announced_once_and_where_and_a_second_process_says_nothing
     assert run(program, folder) == (0, [])
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_file_that_was_cut_short_is_compiled_again(program, tmp_path, share):
-    run(program, tmp_path)
-    victim, other = kept(tmp_path)
-    whole = victim.read_bytes()
-    victim.write_bytes(whole[: int(share * len(whole))])
-    compiled, said = run(program, tmp_path)
-    assert compiled == 1
-    assert str(victim) in said[0]
-    assert "compiling again" in said[0]
-    assert run(program, tmp_path) == (0, [])
-    assert kept(tmp_path) == [victim, other]
+def test_files_that_were_cut_short_are_compiled_again(program, code):
+    for victim, share in zip(kept(code), (0.0, 0.5), strict=True):
+        whole = victim.read_bytes()
+        victim.write_bytes(whole[: int(share * len(whole))])
+    before = kept(code)
+    compiled, said = run(program, code)
+    assert compiled == 2
+    for victim in before:
+        assert any(str(victim) in line and "compiling again" in line for line in said)
+    assert run(program, code) == (0, [])
+    assert kept(code) == before
 
 
-def test_a_foreign_file_is_compiled_again(program, tmp_path):
-    run(program, tmp_path)
-    victim, other = kept(tmp_path)
+def test_a_foreign_file_is_compiled_again(program, code):
+    victim, other = kept(code)
     victim.write_bytes(b"\x80\x04K\x01." * 50)  # pickles of the number 1
     other.write_bytes(b"not a kernel")
-    compiled, said = run(program, tmp_path)
+    compiled, said = run(program, code)
     assert compiled == 2
     assert all(any(str(path) in line for line in said) for path in (victim, other))
 
 
-def test_the_file_of_another_kernel_is_not_taken_for_this_one(program, tmp_path):
-    run(program, tmp_path)
-    victim, other = kept(tmp_path)
+def test_the_file_of_another_kernel_is_not_taken_for_this_one(program, code):
+    victim, other = kept(code)
     victim.write_bytes(other.read_bytes())
-    compiled, said = run(program, tmp_path)
+    compiled, said = run(program, code)
     assert compiled == 1
     assert str(victim) in said[0]
 
 
-def test_one_changed_byte_is_noticed(program, tmp_path):
-    run(program, tmp_path)
-    victim = kept(tmp_path)[0]
+def test_one_changed_byte_is_noticed(program, code):
+    victim = kept(code)[0]
     content = bytearray(victim.read_bytes())
     content[len(content) // 2] ^= 1
     victim.write_bytes(content)
-    assert run(program, tmp_path)[0] == 1
+    assert run(program, code)[0] == 1
 
 
 def test_a_folder_that_cannot_be_written_is_named_once(program, tmp_path):
@@ -155,16 +164,14 @@ def test_without_any_folder_it_compiles_in_every_process_and_says_how_to_change_
     assert kept(tmp_path) == []
 
 
-def test_a_folder_that_is_taken_away_while_it_is_in_use(program, tmp_path):
-    folder = tmp_path / "code"
-    run(program, folder)
-    for path in folder.rglob("*"):
+def test_a_folder_that_is_taken_away_while_it_is_in_use(program, code, tmp_path):
+    for path in code.rglob("*"):
         if path.is_file():
             path.unlink()
-    path = next(path for path in folder.iterdir() if path.is_dir())
+    path = next(path for path in code.iterdir() if path.is_dir())
     path.rmdir()
     path.write_text("in the way")
-    assert run(program, folder)[0] == 2
+    assert run(program, code)[0] == 2
     assert len(kept(tmp_path / "user")) == 2
 
 
@@ -179,28 +186,26 @@ def test_where_files_cannot_be_locked_it_compiles_all_the_same(program, tmp_path
     assert run(program, tmp_path, "no locks")[0] == 2
 
 
-def test_it_waits_for_a_process_that_compiles_but_not_for_ever(program, tmp_path):
+def test_it_waits_for_a_process_that_compiles_but_not_for_ever(program, code):
     fcntl = pytest.importorskip("fcntl")
-    run(program, tmp_path)
-    lock = next(tmp_path.rglob("*.lock"))
-    for path in kept(tmp_path):
+    lock = next(code.rglob("*.lock"))
+    for path in kept(code):
         path.unlink()
     with lock.open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        compiled, said = run(program, tmp_path, "impatient")
+        compiled, said = run(program, code, "impatient")
     assert compiled == 2
     assert sum("waiting for another process" in line for line in said) == 1
 
 
-def test_parts_of_files_that_killed_processes_left_are_removed_when_old(program, tmp_path):
-    run(program, tmp_path)
-    victim = kept(tmp_path)[0]
+def test_parts_of_files_that_killed_processes_left_are_removed_when_old(program, code):
+    victim = kept(code)[0]
     old, new = (victim.with_suffix(f".{number}.part") for number in (1, 2))
     for part in (old, new):
         part.write_bytes(b"half")
     os.utime(old, (1, 1))
     victim.unlink()
-    assert run(program, tmp_path)[0] == 1
+    assert run(program, code)[0] == 1
     assert not old.exists()
     assert new.exists()
 
