@@ -1,9 +1,10 @@
 """Settings and fixtures for every test."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -29,18 +30,36 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         counting.start()
 
 
+class _Here:
+    """A pool of workers that is this process."""
+
+    def submit(self, function: Callable[..., None], *arguments: Any) -> Future[None]:
+        done: Future[None] = Future()
+        done.set_result(function(*arguments))
+        return done
+
+
+@contextmanager
+def _training_here() -> Iterator[None]:
+    from hmi_marl.training import jobs
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jobs, "pool", lambda *_: nullcontext(_Here()))
+        yield
+
+
 @pytest.fixture
-def trained_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train in this process, which has torch already, what is else trained in worker processes.
+def trained_here() -> Iterator[None]:
+    """Train in this process, which has torch already, what else is trained in worker processes.
 
     ``tests/training/test_jobs.py`` tests the workers.
     """
-    from hmi_marl.training import jobs
+    with _training_here():
+        yield
 
-    class Here:
-        def submit(self, function, *arguments):
-            done = Future()
-            done.set_result(function(*arguments))
-            return done
 
-    monkeypatch.setattr(jobs, "pool", lambda *_: nullcontext(Here()))
+@pytest.fixture(scope="module")
+def module_trained_here() -> Iterator[None]:
+    """:func:`trained_here` for all tests of a module."""
+    with _training_here():
+        yield

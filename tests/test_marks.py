@@ -6,7 +6,7 @@ import pytest
 from fresh import run
 
 MARKS = """
-import hashlib, locale, logging, os, random, signal, sys, warnings
+import locale, logging, os, random, signal, sys, warnings
 import gymnasium, highway_env, matplotlib, numba, numpy as np, pettingzoo, pygame, torch
 import rsl_rl.env, scipy.stats, tensordict  # what others mark as they are imported is theirs
 
@@ -35,6 +35,17 @@ def marks():
     }
 
 
+def check(what):
+    global before
+    after = marks()
+    for name, mark in after.items():
+        assert mark == before[name], f"{what}: {name} was {before[name]!r}, now {mark!r}"
+"""
+OTHER_PICTURE = """
+import hashlib
+import gymnasium, highway_env
+
+
 def other_picture():
     env = gymnasium.make("merge-v0", render_mode="rgb_array")
     env.reset(seed=1)
@@ -43,13 +54,6 @@ def other_picture():
     env.close()
     assert len(set(picture)) > 4, "black"
     return picture
-
-
-def check(what):
-    global before
-    after = marks()
-    for name, mark in after.items():
-        assert mark == before[name], f"{what}: {name} was {before[name]!r}, now {mark!r}"
 """
 ENVIRONMENTS = """
 random.seed(1), np.random.seed(2), torch.manual_seed(3)
@@ -161,6 +165,8 @@ print(hashlib.sha256(between).hexdigest())
 ALONE = "print(hashlib.sha256(other_picture()).hexdigest())"
 NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": "", "SDL_VIDEODRIVER": ""}
 
+pytestmark = pytest.mark.usefixtures("unmeasured")
+
 
 @pytest.mark.parametrize("world", ["highway", "batched"])
 def test_environments_of_every_kind_leave_no_mark(world: str) -> None:
@@ -177,7 +183,7 @@ def test_learning_leaves_no_mark(tmp_path: Path) -> None:
 
 def test_highway_envs_own_pictures_are_the_same_before_between_and_after_ours() -> None:
     pictures = {
-        run("-c", MARKS + program, **NO_DISPLAY).split()[-1]
+        run("-c", OTHER_PICTURE + program, **NO_DISPLAY).split()[-1]
         for program in (ALONE, HIGHWAY_FIRST, OURS_FIRST)
     }
     assert len(pictures) == 1

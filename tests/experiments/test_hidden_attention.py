@@ -40,6 +40,7 @@ def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):
     assert share == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / (64 * 30)))
 
 
+@pytest.mark.usefixtures("trained_here")
 @pytest.mark.parametrize("given", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_command_compares_learned_hmis_with_bayes_filters(given, tmp_path, capsys):
     size = ["--hmi-steps", "1", "--driver-steps", "1", "--rnn-hidden-dim", "4", "--episodes", "4"]

@@ -3,7 +3,7 @@
 from itertools import product
 
 import pytest
-from fresh import run, run_example
+from fresh import ROOT, run, run_each
 
 ASYNC = """
 import gymnasium, numpy, hmi_marl
@@ -31,24 +31,24 @@ def test_processes_give_what_one_gives() -> None:
     assert run("-c", ASYNC.format(seats=SEATS)).count("equal") == 4
 
 
-PAIRS = [  # each two of them together once; the rest in make test-slow
+PAIRS = [  # each two of them together once
     ("MergeDriver", "highway", "sync"),
     ("MergeDriver", "batched", "async"),
     ("MergeHMI", "highway", "async"),
     ("MergeHMI", "batched", "sync"),
 ]
-EVERY = product(("MergeDriver", "MergeHMI"), ("highway", "batched"), ("sync", "async"))
+EVERY = list(product(("MergeDriver", "MergeHMI"), ("highway", "batched"), ("sync", "async")))
 
 
-@pytest.mark.parametrize(
-    ("seat", "world", "vector"),
-    [each if each in PAIRS else pytest.param(*each, marks=pytest.mark.slow) for each in EVERY],
-)
-def test_cleanrls_manner(seat: str, world: str, vector: str) -> None:
+@pytest.mark.parametrize("kinds", [PAIRS, pytest.param(EVERY, marks=pytest.mark.slow)])
+def test_cleanrls_manner(kinds: list[tuple[str, str, str]]) -> None:
     pytest.importorskip("torch")
     size = ["--cars", "2", "--batch", "16", "--steps", "64", "--duration", "2"]
-    printed = run_example(
-        "cleanrl_ppo", "--seat", seat, "--world", world, "--vector", vector, *size
-    )
-    assert printed.count("mean return") == 2
-    assert "nan" not in printed
+    script = (ROOT / "examples" / "trainers" / "cleanrl_ppo").with_suffix(".py")
+    every = [
+        (script, ["--seat", seat, "--world", world, "--vector", vector, *size])
+        for seat, world, vector in kinds
+    ]
+    for printed in run_each(*every):
+        assert printed.count("mean return") == 2
+        assert "nan" not in printed

@@ -45,8 +45,9 @@ def python_under(settings, *arguments):
     return run.stdout.strip()
 
 
-def fingerprint_under(settings):
-    return python_under(settings, str(TESTS / "episode_hash.py"))
+def fingerprint_under(settings, episodes=1000):
+    code = f"from episode_hash import fingerprint; print(fingerprint({episodes}))"
+    return python_under(settings, "-c", code)
 
 
 @pytest.mark.parametrize("threads", [1, None])
@@ -54,6 +55,7 @@ def test_a_thousand_episodes_are_these(threads):
     assert fingerprint(1000, threads) == FINGERPRINT
 
 
+@pytest.mark.slow
 @only_x86
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: "-".join(settings.values()))
 def test_numpy_blas_and_the_c_library_do_not_enter(settings):
@@ -61,6 +63,7 @@ def test_numpy_blas_and_the_c_library_do_not_enter(settings):
 
 
 @only_x86
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize(
     "processor",
     [
@@ -73,8 +76,10 @@ def test_it_is_the_same_compiled_for_another_processor(processor, tmp_path):
     assert fingerprint_under(settings | {"NUMBA_CACHE_DIR": str(tmp_path)}) == FINGERPRINT
 
 
-FOLLOWS = (
+SAME_AND_FOLLOWS = (
+    "from episode_hash import fingerprint\n"
     "from parity import *\n"
+    "print(fingerprint(100))\n"
     "stand = assert_parity(Scene(), STANDING, inflation=3.0)\n"
     "rng = np.random.default_rng(3)\n"
     "scene = assert_parity(random_scene(rng), range(2), 8.0, float(rng.uniform(1, 9)))\n"
@@ -86,8 +91,10 @@ state grows to a centimetre."""
 
 
 @only_x86
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: "-".join(settings.values()))
-def test_it_follows_highway_env_wherever_that_runs(settings):
-    printed = python_under(settings, "-c", FOLLOWS.replace("STANDING", str(STANDING)))
-    steps, _, more, _ = map(int, printed.split())
-    assert steps + more > 100
+def test_it_is_the_same_and_follows_highway_env_wherever_that_runs(settings):
+    code = SAME_AND_FOLLOWS.replace("STANDING", str(STANDING))
+    found, steps, _, more, _ = python_under(settings, "-c", code).split()
+    assert found == fingerprint(100), "NumPy, BLAS or the C library entered"
+    assert int(steps) + int(more) > 100

@@ -55,6 +55,7 @@ SCENES = [
 ]
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("scene", SCENES, ids=str)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_follows_an_unmodified_merge_generic_v1_exactly(scene, seed):

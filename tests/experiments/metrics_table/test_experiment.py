@@ -119,6 +119,7 @@ def test_the_diagonal_is_the_papers_own_row():
     assert table.paper_row("AvgHMI", "bart") == "AvgHMI"
 
 
+@pytest.mark.usefixtures("trained_here")
 def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys):
     out = tmp_path / "table"
     command = ["reproduce", "table", *TINY, "--workers", "1", "--out", str(out)]

@@ -40,8 +40,11 @@ TYPED = (
 )
 
 
+pytestmark = pytest.mark.usefixtures("module_trained_here")
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(module_trained_here: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("compare") / "out"
     assert main([*TYPED.split(), "--out", str(out)]) == 0
     return out
