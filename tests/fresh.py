@@ -39,6 +39,26 @@ def run_example(name: str, *arguments: str) -> str:
     return run(ROOT / "examples" / "trainers" / f"{name}.py", *arguments)
 
 
+ALL_THREADS = {"OMP_NUM_THREADS": "", "NUMBA_NUM_THREADS": ""}
+"""Environment of a user, who limits no threads."""
+DRIVE_MANY = """
+def drive_many():
+    import numpy
+    from hmi_marl.envs.config import TeamConfig
+    from hmi_marl.envs.teaming import Teaming
+    from hmi_marl.envs.worlds import make_world
+
+    config = TeamConfig(driver="bart", duration=2.0)
+    team = Teaming(config, 512, make_world("batched", config.scene, 512))
+    team.reset(numpy.arange(512, dtype=numpy.uint64))
+    for _ in range(3):
+        team.intend(numpy.full(512, 3))
+        team.step(numpy.zeros(512, numpy.int64))
+    return float(team.state().sum())
+"""
+"""Defines a function that drives so many teams that all threads there are have work."""
+
+
 _EACH = """
 import json, runpy, sys
 for script, arguments in json.loads(sys.argv.pop()):

@@ -26,6 +26,7 @@ EVERY_KIND = [
 ]
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("settings", EVERY_KIND, ids=str)
 def test_pettingzoos_own_checks(settings):
     api_test(merge_v0.env(**SMALL, **settings), num_cycles=40)
@@ -34,6 +35,7 @@ def test_pettingzoos_own_checks(settings):
     parallel_seed_test(lambda: merge_v0.parallel_env(**SMALL, **settings), num_cycles=40)
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_pettingzoos_checks_at_whole_size():
     api_test(merge_v0.env(), num_cycles=105)
     parallel_api_test(merge_v0.parallel_env(), num_cycles=105)

@@ -3,15 +3,18 @@
 from itertools import product
 
 import pytest
-from fresh import ROOT, run, run_each
+from fresh import ALL_THREADS, DRIVE_MANY, ROOT, run, run_each
 
-ASYNC = """
+ASYNC = (
+    DRIVE_MANY.replace("{", "{{").replace("}", "}}")
+    + """
 import gymnasium, numpy, hmi_marl
 from itertools import product
 if __name__ == "__main__":
+    alone = drive_many()  # what a process did, in all its threads, before it forked
     for world, seat in product(("highway", "batched"), {seats}):
         settings = {{"driver": "homer", "world": world, "duration": 2.0}}
-        here = gymnasium.make(seat, **settings)  # what a process did before it forked
+        here = gymnasium.make(seat, **settings)  # and in one
         here.reset(seed=0)
         here.step(1)
         seen = []
@@ -23,12 +26,14 @@ if __name__ == "__main__":
             cars.close()
         numpy.testing.assert_array_equal(*seen)
         print("equal", world, seat)
+    assert drive_many() == alone
 """
+)
 SEATS = ("hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0")
 
 
 def test_processes_give_what_one_gives() -> None:
-    assert run("-c", ASYNC.format(seats=SEATS)).count("equal") == 4
+    assert run("-c", ASYNC.format(seats=SEATS), **ALL_THREADS).count("equal") == 4
 
 
 PAIRS = [  # each two of them together once

@@ -3,23 +3,26 @@
 import gymnasium
 import numpy as np
 import pytest
-from fresh import run
+from fresh import ALL_THREADS, DRIVE_MANY, run
 
 import hmi_marl  # noqa: F401
 
 pytest.importorskip("stable_baselines3")
 
 SEATS = ("hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0")
-FORKED = """
+FORKED = (
+    DRIVE_MANY.replace("{", "{{").replace("}", "}}")
+    + """
 import gymnasium, hmi_marl
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 if __name__ == "__main__":
+    alone = drive_many()  # what a process did, in all its threads, before it forked
     for world, seat in {cars!r}:
         settings = {{"driver": "homer", "world": world, "duration": 2.0}}
-        here = gymnasium.make(seat, **settings)  # what a process did before it forked
+        here = gymnasium.make(seat, **settings)  # and in one
         here.reset(seed=0)
         here.step(1)
         cars = make_vec_env(
@@ -36,7 +39,9 @@ if __name__ == "__main__":
         here.step(action)
         cars.close()
         print(model.num_timesteps)
+    assert drive_many() == alone
 """
+)
 CARS = [(world, seat) for world in ("highway", "batched") for seat in SEATS]
 SPAWNED, SPAWNED_TOO = [CARS[0], CARS[3]], [CARS[1], CARS[2]]
 """Each world and each seat once, and the rest. A process that is spawned imports torch again."""
@@ -59,7 +64,8 @@ def test_its_own_check(world: str, seat: str) -> None:
     ],
 )
 def test_ppo_in_processes(method: str, cars: list[tuple[str, str]]) -> None:
-    assert run("-c", FORKED.format(cars=cars, method=method)) == "64\n" * len(cars)
+    code = FORKED.format(cars=cars, method=method)
+    assert run("-c", code, **ALL_THREADS) == "64\n" * len(cars)
 
 
 @pytest.mark.parametrize("seat", SEATS)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fresh import run
+from fresh import ALL_THREADS, DRIVE_MANY, run
 
 from hmi_marl import merge_v0
 
@@ -27,14 +27,17 @@ WRAPPERS: dict[str, Callable[[Any], Any]] = {
     "black_death": supersuit.black_death_v3,
 }
 OF_PARALLEL_ALONE = {"black_death", "frame_skip of a random number"}
-VECTOR = """
+VECTOR = (
+    DRIVE_MANY
+    + """
 import numpy, supersuit
 from hmi_marl import merge_v0
 
 if __name__ == "__main__":
+    alone = drive_many()  # what a process did, in all its threads, before it forked
     for world in ("highway", "batched"):
         settings = {"driver": "homer", "world": world, "duration": 2.0}
-        here = merge_v0.parallel_env(**settings)  # what a process did before it forked
+        here = merge_v0.parallel_env(**settings)  # and in one
         here.reset(seed=0)
         here.step({"driver": 1, "vehicle_ai": 1})
         seen = []
@@ -49,7 +52,9 @@ if __name__ == "__main__":
             cars.close()
         numpy.testing.assert_array_equal(*seen)
         print("equal")
+    assert drive_many() == alone
 """
+)
 
 
 def play_at_once(env: Any) -> list[Any]:
@@ -86,4 +91,4 @@ def test_a_wrapper_plays_whole_episodes_that_follow_the_seed(name: str) -> None:
 
 
 def test_two_processes_give_what_one_gives() -> None:
-    assert run("-c", VECTOR) == "equal\nequal\n"
+    assert run("-c", VECTOR, **ALL_THREADS) == "equal\nequal\n"

@@ -62,15 +62,30 @@ def test_numpy_blas_and_the_c_library_do_not_enter(settings):
     assert fingerprint_under(settings) == FINGERPRINT
 
 
+ELEMENTARY = """
+import hashlib, sys
+import numpy as np
+sys.path.insert(0, {folder!r})
+from test_elementary import FUNCTIONS, arguments
+digest = hashlib.sha256()
+for name, (function, _, largest, _) in FUNCTIONS.items():
+    digest.update(np.array([function(x) for x in arguments(largest, len(name))]).tobytes())
+print(digest.hexdigest())
+"""
+"""A hash of the elementary functions, which multiply and add in one rounding."""
+
+
 @only_x86
 @pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize(
-    "processor",
-    [
-        name if name == "nehalem" else pytest.param(name, marks=pytest.mark.slow)
-        for name in COMPILED_FOR
-    ],
-)
+def test_the_elementary_functions_are_the_same_compiled_without_fused_multiply_add():
+    code = ELEMENTARY.format(folder=str(Path(__file__).parent))
+    without = {"NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": ""}
+    assert python_under(without, "-c", code) == python_under({}, "-c", code)
+
+
+@pytest.mark.slow
+@only_x86
+@pytest.mark.parametrize("processor", COMPILED_FOR)
 def test_it_is_the_same_compiled_for_another_processor(processor, tmp_path):
     settings = {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": ""}
     assert fingerprint_under(settings | {"NUMBA_CACHE_DIR": str(tmp_path)}) == FINGERPRINT

@@ -65,6 +65,9 @@ if __name__ == "__main__":
 SIZE = "--num-teams 16 --duration 1 --vehicles 1 2"
 
 
+pytestmark = pytest.mark.usefixtures("unmeasured")
+
+
 @pytest.fixture
 def commands(tmp_path: Path):
     """Runs ``hmi-marl`` with the new protocol, several times in a process of their own."""
