@@ -41,22 +41,34 @@ def run_example(name, arguments, folder):
     return run
 
 
-@pytest.mark.usefixtures("unmeasured")
+def printed_by_each(arguments, folder):
+    """What examples print with their arguments, all in one process; one that fails is named.
+
+    ``make wheel`` runs each in a process of its own.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
+        every = [(ROOT / "examples" / f"{name}.py", words) for name, words in arguments.items()]
+        return dict(zip(arguments, run_each(*every), strict=True))
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory):
+    sizes = {name: arguments for name, (arguments, _) in TINY.items() if name != SB3}
+    return printed_by_each(sizes, tmp_path_factory.mktemp("examples"))
+
+
 @pytest.mark.parametrize("name", [name for name in TINY if name != SB3])
-def test_an_example_runs(name, tmp_path):
-    arguments, printed = TINY[name]
-    assert printed in run_example(name, arguments, tmp_path).stdout
+def test_an_example_runs(name, outputs):
+    assert TINY[name][1] in outputs[name]
 
 
 @pytest.fixture(scope="module")
 def helps(tmp_path_factory):
-    """What each example prints for ``--help``, all in one process; none of them leaves a file."""
+    """What each example prints for ``--help``; none of them leaves a file."""
     folder = tmp_path_factory.mktemp("helps")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
-        every = [(ROOT / "examples" / f"{name}.py", ["--help"]) for name in TINY]
-        printed = dict(zip(TINY, run_each(*every), strict=True))
+    printed = printed_by_each({name: ["--help"] for name in TINY}, folder)
     assert list(folder.iterdir()) == []
     return printed
 

@@ -134,7 +134,7 @@ before = marks()
 size = {"num_teams": 4, "duration": 1.0, "network": NetworkConfig((8,)), "threads": 1}
 ppo = PPOSettings(num_learning_epochs=1, num_mini_batches=2)
 settings = TwoStage(driver_steps=20, hmi_steps=20, ppo=ppo, device="cpu", **size)
-train(settings, Path(sys.argv[1]), quiet=True)
+train(settings, Path(sys.argv[1]) / "run", quiet=True)
 check("train")
 """
 HIGHWAY_FIRST = """
@@ -168,17 +168,13 @@ NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": "", "SDL_VIDEODRIVER": ""}
 pytestmark = pytest.mark.usefixtures("unmeasured")
 
 
-@pytest.mark.parametrize("world", ["highway", "batched"])
-def test_environments_of_every_kind_leave_no_mark(world: str) -> None:
-    run("-c", f"WORLD = {world!r}\n{MARKS}{ENVIRONMENTS}", **NO_DISPLAY)
+def test_environments_of_every_kind_leave_no_mark() -> None:
+    worlds = [f"WORLD = {world!r}\n{ENVIRONMENTS}" for world in ("highway", "batched")]
+    run("-c", MARKS + "".join(worlds), **NO_DISPLAY)
 
 
-def test_tables_figures_clips_and_datasets_leave_no_mark(tmp_path: Path) -> None:
-    run("-c", MARKS + PAGES, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
-
-
-def test_learning_leaves_no_mark(tmp_path: Path) -> None:
-    run("-c", MARKS + LEARNING, tmp_path, **NO_DISPLAY)
+def test_tables_figures_clips_datasets_and_learning_leave_no_mark(tmp_path: Path) -> None:
+    run("-c", MARKS + PAGES + LEARNING, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
 
 
 def test_highway_envs_own_pictures_are_the_same_before_between_and_after_ours() -> None:

@@ -20,6 +20,7 @@ def python(code):
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_importing_and_running_an_environment_imports_no_torch():
     pytest.importorskip("torch")  # otherwise the test would show nothing
     printed = python(
@@ -61,6 +62,7 @@ def test_every_public_name_is_imported_from_its_home():
 IDS = ("hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0")
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_an_id_that_names_the_module_resolves_in_a_fresh_process():
     for name in IDS:
         printed = python(
@@ -70,6 +72,7 @@ def test_an_id_that_names_the_module_resolves_in_a_fresh_process():
         assert printed.splitlines()[-1] == name
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("module", ["", "hmi_marl:"])
 def test_ids_resolve_in_spawned_workers(module, tmp_path):
     script = tmp_path / "workers.py"
@@ -87,6 +90,7 @@ def test_ids_resolve_in_spawned_workers(module, tmp_path):
     assert run.stdout.splitlines()[-1] == "2"
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_the_entry_point_registers_and_registering_again_does_not_warn():
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     assert groups == {"gymnasium.envs": {"__root__": "hmi_marl:register_envs"}}
@@ -103,6 +107,7 @@ def test_the_entry_point_registers_and_registering_again_does_not_warn():
     assert printed.splitlines() == [str(list(IDS)), "True", "True"]
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_a_plugin_loader_may_call_it_while_gymnasium_is_being_imported():
     printed = python(  # as Gymnasium did up to 0.29, at the end of gymnasium.envs
         "import importlib.abc, importlib.machinery, sys\n"

@@ -27,7 +27,7 @@ if __name__ == "__main__":
         here.step(1)
         cars = make_vec_env(
             "hmi_marl:" + seat,  # the module to import in a process of its own
-            n_envs=2,
+            n_envs={cars_at_once},
             seed=0,
             env_kwargs=settings,
             vec_env_cls=SubprocVecEnv,
@@ -64,7 +64,8 @@ def test_its_own_check(world: str, seat: str) -> None:
     ],
 )
 def test_ppo_in_processes(method: str, cars: list[tuple[str, str]]) -> None:
-    code = FORKED.format(cars=cars, method=method)
+    at_once = 1 if method == "spawn" else 2
+    code = FORKED.format(cars=cars, method=method, cars_at_once=at_once)
     assert run("-c", code, **ALL_THREADS) == "64\n" * len(cars)
 
 

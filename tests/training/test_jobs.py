@@ -9,6 +9,7 @@ from hmi_marl.training.protocols.two_stage import TwoStage
 TINY = {"num_teams": 16, "duration": 1.0}
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_the_number_of_workers_does_not_change_the_weights(tmp_path):
     weights = []
     for workers in (1, 2):
@@ -22,6 +23,7 @@ def test_the_number_of_workers_does_not_change_the_weights(tmp_path):
     assert weights[0][0] != weights[0][1]
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_the_environment_of_this_process_is_left_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)

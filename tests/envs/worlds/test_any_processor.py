@@ -63,9 +63,8 @@ def test_numpy_blas_and_the_c_library_do_not_enter(settings):
 
 
 ELEMENTARY = """
-import hashlib, sys
+import hashlib
 import numpy as np
-sys.path.insert(0, {folder!r})
 from test_elementary import FUNCTIONS, arguments
 digest = hashlib.sha256()
 for name, (function, _, largest, _) in FUNCTIONS.items():
@@ -77,10 +76,13 @@ print(digest.hexdigest())
 
 @only_x86
 @pytest.mark.usefixtures("unmeasured")
-def test_the_elementary_functions_are_the_same_compiled_without_fused_multiply_add():
-    code = ELEMENTARY.format(folder=str(Path(__file__).parent))
+def test_the_elementary_functions_are_the_same_compiled_without_fused_multiply_add(
+    monkeypatch, capsys
+):
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    exec(ELEMENTARY, {})
     without = {"NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": ""}
-    assert python_under(without, "-c", code) == python_under({}, "-c", code)
+    assert python_under(without, "-c", ELEMENTARY) == capsys.readouterr().out.strip()
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ def test_it_follows_highway_env_on_an_empty_road():
     assert_parity(Scene(vehicles=(0, 1)), seeds(4, 20), 6.0, 3.0, "random")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("block", range(20))
 @pytest.mark.parametrize("driver", ["random", "rule"])
 def test_it_follows_highway_env_for_200_seeds(driver, block):
@@ -41,7 +41,7 @@ def test_it_follows_highway_env_for_200_seeds(driver, block):
     assert_parity(Scene(), seeds(10, 1000 + 10 * block), inflation=inflation, driver=driver)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("number", range(100, 120))
 def test_it_follows_highway_env_in_many_scenes(number):
     rng = np.random.default_rng(number)
@@ -215,7 +215,7 @@ def test_a_soak():
     assert soak(60_000, 3, seed=1) >= 60_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_million_team_steps():
     assert soak(10_000_000, 40, seed=2) >= 10_000_000
 

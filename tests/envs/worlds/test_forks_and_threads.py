@@ -11,8 +11,6 @@ import pytest
 
 from hmi_marl.envs.worlds.batched.threads import available
 
-pytestmark = pytest.mark.usefixtures("unmeasured")
-
 LIMIT = 120
 """Seconds after which a process counts as stuck; each takes a few."""
 
@@ -74,6 +72,7 @@ def run_file(code, folder, **env):
     return ended.stdout.strip()
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(tmp_path):
     printed = run_file(
         "if __name__ == '__main__':\n"
@@ -89,6 +88,7 @@ def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(tmp_path):
     assert printed.splitlines() == told
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_joblib_of_any_kind_and_with_worlds_that_are_large(tmp_path):
     pytest.importorskip("joblib")
     printed = run_file(
@@ -112,6 +112,7 @@ def test_joblib_of_any_kind_and_with_worlds_that_are_large(tmp_path):
     assert printed.splitlines() == [f"{kind} True" for kind in kinds]
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("layer", ["workqueue", "omp", "default"])
 def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
     printed = run(
@@ -124,6 +125,7 @@ def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
     assert printed == "True"
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_thread_counts_of_numba_and_torch_stay_as_they_were():
     pytest.importorskip("torch")
     printed = run(
@@ -153,6 +155,7 @@ def test_one_world_and_one_thread_start_no_threads_and_many_no_openmp():
     assert openmp == "False"
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_training_with_one_thread_learns_on_one_thread_in_a_cold_process(tmp_path):
     pytest.importorskip("rsl_rl")
     printed = run(
@@ -199,6 +202,7 @@ def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
     assert after == before
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_an_interrupt_leaves_no_helper_at_work():
     printed = run(
         "import signal, time\n"
