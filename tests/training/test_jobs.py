@@ -1,8 +1,10 @@
 import os
+from dataclasses import replace
 
 import pytest
 
 from hmi_marl.training.jobs import Job, train_all
+from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.joint import Joint
 from hmi_marl.training.protocols.two_stage import TwoStage
 
@@ -10,17 +12,15 @@ TINY = {"num_teams": 16, "duration": 1.0}
 
 
 @pytest.mark.usefixtures("unmeasured")
-def test_the_number_of_workers_does_not_change_the_weights(tmp_path):
-    weights = []
-    for workers in (1, 2):
-        jobs = [
-            Job(Joint(steps=1, seed=seed, **TINY), tmp_path / f"{workers}-{seed}")
-            for seed in (0, 1)
-        ]
-        train_all(jobs, workers, quiet=True)
-        weights.append([(job.folder / "driver.safetensors").read_bytes() for job in jobs])
-    assert weights[0] == weights[1]
-    assert weights[0][0] != weights[0][1]
+def test_weights_are_those_of_one_process_however_many_workers_there_are(tmp_path):
+    jobs = [Job(Joint(steps=1, seed=seed, **TINY), tmp_path / f"{seed}") for seed in (0, 1)]
+    train_all(jobs, 2, quiet=True)
+    weights = [(job.folder / "driver.safetensors").read_bytes() for job in jobs]
+    for job, found in zip(jobs, weights, strict=True):
+        alone = tmp_path / "alone" / job.folder.name
+        train(replace(job.settings, threads=1), alone, quiet=True)
+        assert (alone / "driver.safetensors").read_bytes() == found
+    assert weights[0] != weights[1]
 
 
 @pytest.mark.usefixtures("unmeasured")

@@ -113,7 +113,9 @@ def test_joblib_of_any_kind_and_with_worlds_that_are_large(tmp_path):
 
 
 @pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize("layer", ["workqueue", "omp", "default"])
+@pytest.mark.parametrize(
+    "layer", ["omp", "default", pytest.param("workqueue", marks=pytest.mark.slow)]
+)
 def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
     printed = run(
         "from concurrent.futures import ThreadPoolExecutor\n"
