@@ -53,15 +53,27 @@ def printed_by_each(arguments, folder):
         return dict(zip(arguments, run_each(*every), strict=True))
 
 
+ALONE = ("new_experiment", "new_hmi", "new_protocol")
+"""Each registers what it brings, so it is the only one in its process."""
+
+
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory):
-    sizes = {name: arguments for name, (arguments, _) in TINY.items() if name != SB3}
+    apart = (SB3, *ALONE)
+    sizes = {name: arguments for name, (arguments, _) in TINY.items() if name not in apart}
     return printed_by_each(sizes, tmp_path_factory.mktemp("examples"))
 
 
-@pytest.mark.parametrize("name", [name for name in TINY if name != SB3])
+@pytest.mark.parametrize("name", [name for name in TINY if name not in (SB3, *ALONE)])
 def test_an_example_runs(name, outputs):
     assert TINY[name][1] in outputs[name]
+
+
+@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.parametrize("name", ALONE)
+def test_an_example_that_registers_something_runs(name, tmp_path):
+    arguments, printed = TINY[name]
+    assert printed in run_example(name, arguments, tmp_path).stdout
 
 
 @pytest.fixture(scope="module")

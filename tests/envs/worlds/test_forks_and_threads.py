@@ -72,7 +72,6 @@ def run_file(code, folder, **env):
     return ended.stdout.strip()
 
 
-@pytest.mark.usefixtures("unmeasured")
 def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(tmp_path):
     printed = run_file(
         "if __name__ == '__main__':\n"
@@ -204,7 +203,6 @@ def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
     assert after == before
 
 
-@pytest.mark.usefixtures("unmeasured")
 def test_an_interrupt_leaves_no_helper_at_work():
     printed = run(
         "import signal, time\n"

@@ -63,7 +63,7 @@ def test_r2_is_negative_where_a_constant_does_better():
     assert found.linear.mean == pytest.approx(1.0 - 1140 / 82.5, rel=1e-3)
 
 
-@pytest.mark.usefixtures("unmeasured", "two_folds")
+@pytest.mark.usefixtures("two_folds")
 def test_every_trait_has_its_own_score():
     rng = np.random.default_rng(0)
     z, new = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))

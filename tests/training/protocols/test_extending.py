@@ -65,9 +65,6 @@ if __name__ == "__main__":
 SIZE = "--num-teams 16 --duration 1 --vehicles 1 2"
 
 
-pytestmark = pytest.mark.usefixtures("unmeasured")
-
-
 @pytest.fixture
 def commands(tmp_path: Path):
     """Runs ``hmi-marl`` with the new protocol, several times in a process of their own."""
@@ -86,6 +83,7 @@ def commands(tmp_path: Path):
     return run
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Path) -> None:
     overview, own, _, wrong = commands(
         "train --help",
@@ -106,6 +104,7 @@ def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Pat
     assert (folder / "vehicle_ai.json").is_file()
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_it_is_compared_with_the_others(commands, tmp_path: Path) -> None:
     words = f"compare --protocols two-stage reversed --steps 160 --rounds 1 --seeds 1 {SIZE}"
     for printed in commands(
