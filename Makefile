@@ -3,12 +3,13 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test test-slow wheel trainers parity soak docs lint format clean
+.PHONY: help run test test-slow test-long wheel trainers parity soak docs lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
 	@echo "make test       run the tests"
-	@echo "make test-slow  run everything, hundreds of seeds and long statistics included"
+	@echo "make test-slow  run what make test leaves out: long statistics, whole sizes, every pair"
+	@echo "make test-long  run what is too long for make test-slow: whole training, hundreds of seeds"
 	@echo "make wheel      install the wheel with each extra alone, and run everything it promises"
 	@echo "make trainers   test RLlib, TorchRL, Tianshou and AgileRL, each in an environment of its own"
 	@echo "make parity     compare the batched world with highway-env, for hundreds of seeds"
@@ -24,10 +25,13 @@ run: $(VENV)/.for-run
 	  --world batched --episodes 256
 
 test: $(VENV)/.for-test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-fail-under=95
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=95
 
 test-slow: $(VENV)/.for-test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not wheel"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "slow and not long"
+
+test-long: $(VENV)/.for-test
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m long
 
 wheel: $(VENV)/.for-test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadgroup -m wheel tests/installed
@@ -36,10 +40,10 @@ trainers: $(BIN)/python
 	OMP_NUM_THREADS=1 $(BIN)/python tests/trainers/run.py
 
 parity: $(VENV)/.for-test
-	$(BIN)/python -m pytest -n 2 -m "slow or not slow" -k follows_highway_env tests/envs/worlds
+	$(BIN)/python -m pytest -n 2 -m "not wheel" -k follows_highway_env tests/envs/worlds
 
 soak: $(VENV)/.for-test
-	$(BIN)/python -m pytest -n 0 -m slow -k ten_million tests/envs/worlds
+	$(BIN)/python -m pytest -n 0 -m long -k ten_million tests/envs/worlds
 
 docs: $(VENV)/.for-docs
 	$(BIN)/mkdocs build --strict

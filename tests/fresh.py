@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -36,3 +37,47 @@ def run(*arguments: str | Path, **environment: str) -> str:
 def run_example(name: str, *arguments: str) -> str:
     """What an example for another trainer prints."""
     return run(ROOT / "examples" / "trainers" / f"{name}.py", *arguments)
+
+
+ALL_THREADS = {"OMP_NUM_THREADS": "", "NUMBA_NUM_THREADS": ""}
+"""Environment of a user, who limits no threads."""
+DRIVE_MANY = """
+def drive_many():
+    import numpy
+    from hmi_marl.envs.config import TeamConfig
+    from hmi_marl.envs.teaming import Teaming
+    from hmi_marl.envs.worlds import make_world
+
+    config = TeamConfig(driver="bart", duration=2.0)
+    team = Teaming(config, 512, make_world("batched", config.scene, 512))
+    team.reset(numpy.arange(512, dtype=numpy.uint64))
+    for _ in range(3):
+        team.intend(numpy.full(512, 3))
+        team.step(numpy.zeros(512, numpy.int64))
+    return float(team.state().sum())
+"""
+"""Defines a function that drives so many teams that all threads there are have work."""
+
+
+_EACH = """
+import json, runpy, sys
+for script, arguments in json.loads(sys.argv.pop()):
+    sys.argv[:] = [script, *arguments]
+    try:
+        runpy.run_path(script, run_name="__main__")
+    except SystemExit as stop:
+        assert not stop.code, stop
+    print(END, flush=True)
+"""
+_END = "\f"
+
+
+def run_each(*programs: tuple[Path, list[str]], **environment: str) -> list[str]:
+    """What scripts print with their arguments, one after the other in one process.
+
+    Imports torch and highway-env once, which takes longer than what most of them do.
+    """
+    listed = json.dumps([(str(script), arguments) for script, arguments in programs])
+    printed = run("-c", _EACH.replace("END", repr(_END)), listed, **environment).split(f"{_END}\n")
+    assert len(printed) == len(programs) + 1
+    return printed[:-1]

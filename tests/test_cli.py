@@ -3,6 +3,7 @@ import re
 import subprocess
 import sys
 from contextlib import redirect_stdout
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from urllib.parse import urlparse
@@ -174,25 +175,26 @@ def test_watch_writes_a_clip(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "21/21" in printed.err, "the bar ran to its end"
 
 
+@cache
+def clip_of(*arguments: str) -> bytes:
+    """The clip that a command leaves in this folder."""
+    assert main([*arguments, "--out", "watched.gif"]) == 0
+    return Path("watched.gif").read_bytes()
+
+
 @pytest.mark.parametrize(
     "option", [["--perceived"], ["--seed", "3"], ["--driver", "bart"], ["--policy", "random"]]
 )
-def test_what_is_watched_depends_on_the_options(tmp_path: Path, option: list[str]) -> None:
+def test_what_is_watched_depends_on_the_options(option: list[str]) -> None:
     watch = ["watch", "--duration", "1", "--vehicles", "9", "9"]
-    plain, changed = tmp_path / "plain.gif", tmp_path / "changed.gif"
-    assert main([*watch, "--out", str(plain)]) == 0
-    assert main([*watch, *option, "--out", str(changed)]) == 0
-    assert plain.read_bytes() != changed.read_bytes()
+    assert clip_of(*watch) != clip_of(*watch, *option)
 
 
 @pytest.mark.parametrize("option", [["--alert-window", "1"], ["--no-end-at-crash"]])
-def test_what_is_watched_depends_on_the_rules(tmp_path: Path, option: list[str]) -> None:
+def test_what_is_watched_depends_on_the_rules(option: list[str]) -> None:
     watch = ["watch", "--duration", "2", "--vehicles", "20", "20", "--seed", "5"]
     watch += ["--policy", "random", "--hmi", "random"]  # crashes within two seconds
-    plain, changed = tmp_path / "plain.gif", tmp_path / "changed.gif"
-    assert main([*watch, "--out", str(plain)]) == 0
-    assert main([*watch, *option, "--out", str(changed)]) == 0
-    assert plain.read_bytes() != changed.read_bytes()
+    assert clip_of(*watch) != clip_of(*watch, *option)
 
 
 def test_watch_works_with_hidden_attention(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from fresh import run
 
 MARKS = """
-import hashlib, locale, logging, os, random, signal, sys, warnings
+import locale, logging, os, random, signal, sys, warnings
 import gymnasium, highway_env, matplotlib, numba, numpy as np, pettingzoo, pygame, torch
 import rsl_rl.env, scipy.stats, tensordict  # what others mark as they are imported is theirs
 
@@ -35,6 +35,17 @@ def marks():
     }
 
 
+def check(what):
+    global before
+    after = marks()
+    for name, mark in after.items():
+        assert mark == before[name], f"{what}: {name} was {before[name]!r}, now {mark!r}"
+"""
+OTHER_PICTURE = """
+import hashlib
+import gymnasium, highway_env
+
+
 def other_picture():
     env = gymnasium.make("merge-v0", render_mode="rgb_array")
     env.reset(seed=1)
@@ -43,13 +54,6 @@ def other_picture():
     env.close()
     assert len(set(picture)) > 4, "black"
     return picture
-
-
-def check(what):
-    global before
-    after = marks()
-    for name, mark in after.items():
-        assert mark == before[name], f"{what}: {name} was {before[name]!r}, now {mark!r}"
 """
 ENVIRONMENTS = """
 random.seed(1), np.random.seed(2), torch.manual_seed(3)
@@ -130,7 +134,7 @@ before = marks()
 size = {"num_teams": 4, "duration": 1.0, "network": NetworkConfig((8,)), "threads": 1}
 ppo = PPOSettings(num_learning_epochs=1, num_mini_batches=2)
 settings = TwoStage(driver_steps=20, hmi_steps=20, ppo=ppo, device="cpu", **size)
-train(settings, Path(sys.argv[1]), quiet=True)
+train(settings, Path(sys.argv[1]) / "run", quiet=True)
 check("train")
 """
 HIGHWAY_FIRST = """
@@ -161,23 +165,21 @@ print(hashlib.sha256(between).hexdigest())
 ALONE = "print(hashlib.sha256(other_picture()).hexdigest())"
 NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": "", "SDL_VIDEODRIVER": ""}
 
-
-@pytest.mark.parametrize("world", ["highway", "batched"])
-def test_environments_of_every_kind_leave_no_mark(world: str) -> None:
-    run("-c", f"WORLD = {world!r}\n{MARKS}{ENVIRONMENTS}", **NO_DISPLAY)
+pytestmark = pytest.mark.usefixtures("unmeasured")
 
 
-def test_tables_figures_clips_and_datasets_leave_no_mark(tmp_path: Path) -> None:
-    run("-c", MARKS + PAGES, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
+def test_environments_of_every_kind_leave_no_mark() -> None:
+    worlds = [f"WORLD = {world!r}\n{ENVIRONMENTS}" for world in ("highway", "batched")]
+    run("-c", MARKS + "".join(worlds), **NO_DISPLAY)
 
 
-def test_learning_leaves_no_mark(tmp_path: Path) -> None:
-    run("-c", MARKS + LEARNING, tmp_path, **NO_DISPLAY)
+def test_tables_figures_clips_datasets_and_learning_leave_no_mark(tmp_path: Path) -> None:
+    run("-c", MARKS + PAGES + LEARNING, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
 
 
 def test_highway_envs_own_pictures_are_the_same_before_between_and_after_ours() -> None:
     pictures = {
-        run("-c", MARKS + program, **NO_DISPLAY).split()[-1]
+        run("-c", OTHER_PICTURE + program, **NO_DISPLAY).split()[-1]
         for program in (ALONE, HIGHWAY_FIRST, OURS_FIRST)
     }
     assert len(pictures) == 1

@@ -20,6 +20,7 @@ def python(code):
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_importing_and_running_an_environment_imports_no_torch():
     pytest.importorskip("torch")  # otherwise the test would show nothing
     printed = python(
@@ -61,6 +62,7 @@ def test_every_public_name_is_imported_from_its_home():
 IDS = ("hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0")
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_an_id_that_names_the_module_resolves_in_a_fresh_process():
     for name in IDS:
         printed = python(
@@ -70,23 +72,25 @@ def test_an_id_that_names_the_module_resolves_in_a_fresh_process():
         assert printed.splitlines()[-1] == name
 
 
-@pytest.mark.parametrize("module", ["", "hmi_marl:"])
-def test_ids_resolve_in_spawned_workers(module, tmp_path):
+@pytest.mark.usefixtures("unmeasured")
+def test_ids_resolve_in_spawned_workers(tmp_path):
     script = tmp_path / "workers.py"
     script.write_text(
         "import gymnasium\n"
         "if __name__ == '__main__':\n"
         "    import hmi_marl  # here alone, not in the workers\n"
-        f"    envs = gymnasium.make_vec('{module}{IDS[1]}', num_envs=2, duration=0.4,\n"
-        "        vectorization_mode='async', vector_kwargs={'context': 'spawn'})\n"
-        "    print(envs.reset(seed=0)[0].shape[0])\n"
-        "    envs.close()\n"
+        "    for module, count in (('', 2), ('hmi_marl:', 1)):\n"
+        f"        envs = gymnasium.make_vec(module + '{IDS[1]}', num_envs=count, duration=0.4,\n"
+        "            vectorization_mode='async', vector_kwargs={'context': 'spawn'})\n"
+        "        print(envs.reset(seed=0)[0].shape[0])\n"
+        "        envs.close()\n"
     )
     run = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
-    assert run.stdout.splitlines()[-1] == "2"
+    assert run.stdout.splitlines()[-2:] == ["2", "1"]
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_the_entry_point_registers_and_registering_again_does_not_warn():
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     assert groups == {"gymnasium.envs": {"__root__": "hmi_marl:register_envs"}}
@@ -103,6 +107,7 @@ def test_the_entry_point_registers_and_registering_again_does_not_warn():
     assert printed.splitlines() == [str(list(IDS)), "True", "True"]
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_a_plugin_loader_may_call_it_while_gymnasium_is_being_imported():
     printed = python(  # as Gymnasium did up to 0.29, at the end of gymnasium.envs
         "import importlib.abc, importlib.machinery, sys\n"

@@ -6,7 +6,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.observations import driver_layout
 from hmi_marl.envs.teaming import Teaming
-from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.envs.worlds import VEHICLE_ACTIONS, make_world
 
 
 def attentive(inflation):
@@ -49,7 +49,8 @@ def test_at_the_highest_speed_it_keeps_it():
 
 def drive(inflation, count=10):
     config = TeamConfig(driver=attentive(inflation), duration=12.0)
-    teams, driver = Teaming(config, count), RuleBasedDriver(config)
+    teams = Teaming(config, count, make_world("batched", config.scene, count, threads=1))
+    driver = RuleBasedDriver(config)
     teams.reset(np.arange(count, dtype=np.uint64))
     speeds, headways, lanes = [], [], set()
     while not teams.over.all():

@@ -208,6 +208,7 @@ def test_bad_partners_and_actions_are_refused(seat):
         env.step(0)
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("seat", ["driver", "vehicle_ai", "team"])
 def test_the_batched_world_gives_what_highway_env_gives(seat):
     envs = [

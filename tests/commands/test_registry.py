@@ -1,10 +1,12 @@
 """Commands import what they need when they run, and say which extra they lack before they begin."""
 
+import json
 import re
 import subprocess
 import sys
 import typing
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -22,14 +24,32 @@ SLOW = {
 HIDING = """
 import sys
 from importlib.machinery import PathFinder
+HIDDEN = {hidden!r}
 class Others(PathFinder):
     @classmethod
     def find_spec(cls, name, path=None, target=None):
-        hidden = name.partition(".")[0] in {hidden!r}
+        hidden = name.partition(".")[0] in HIDDEN
         return None if hidden else super().find_spec(name, path, target)
 sys.meta_path[sys.meta_path.index(PathFinder)] = Others
 from hmi_marl.cli import main
 """
+ONE_BY_ONE = """
+import contextlib, io, json
+def one(hidden, arguments):
+    HIDDEN.clear()
+    HIDDEN.update(hidden)
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        with contextlib.redirect_stderr(io.StringIO()) as err:
+            try:
+                status = main(arguments)
+            except SystemExit as stop:
+                status = stop.code
+    loaded = sorted({slow!r} & set(sys.modules))
+    return status or 0, out.getvalue(), err.getvalue(), loaded
+print(json.dumps([one(*each) for each in {cases!r}]))
+"""
+"""Calls of main with modules hidden, one after the other in one process: whether any of them has
+loaded what is slow is told after each."""
 ARGUMENTS = {
     "export": ["--policy", "trained:homer"],
     "reproduce ship": ["--out", "agents"],
@@ -57,23 +77,31 @@ def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def without(modules: list[str], arguments: list[str], folder: Path):
-    code = HIDING.format(hidden=set(modules)) + f"sys.exit(main({arguments!r}))"
-    return run(code, folder)
+class Told(NamedTuple):
+    """What a call of main said, and which slow modules had been loaded when it ended."""
+
+    status: int
+    out: str
+    err: str
+    loaded: list[str]
 
 
-@pytest.mark.parametrize("path", ["", *GROUPS, *LEAVES])
-def test_help_imports_nothing_slow_and_nothing_of_an_extra(path: str, tmp_path: Path) -> None:
-    code = (
-        "import sys\nfrom hmi_marl.cli import main\n"
-        f"try:\n    main({[*path.split(), '--help']!r})\nexcept SystemExit as stop:\n"
-        "    assert not stop.code\n"
-        f"print('imported:', *sorted({SLOW!r} & set(sys.modules)))"
-    )
-    done = run(code, tmp_path)
+def one_by_one(cases: list[tuple[list[str], list[str]]], folder: Path) -> list[Told]:
+    """What calls of main say, each a pair of the modules to hide and the arguments."""
+    code = HIDING.format(hidden=set()) + ONE_BY_ONE.format(slow=SLOW, cases=cases)
+    done = run(code, folder)
+    assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    assert f"usage: hmi-marl {path}".strip() in done.stdout
-    assert done.stdout.splitlines()[-1] == "imported:"
+    return [Told(*each) for each in json.loads(done.stdout)]
+
+
+def test_help_imports_nothing_slow_and_nothing_of_an_extra(tmp_path: Path) -> None:
+    paths = ["", *GROUPS, *LEAVES]
+    every = one_by_one([([], [*path.split(), "--help"]) for path in paths], tmp_path)
+    for path, told in zip(paths, every, strict=True):
+        assert (told.status, told.err) == (0, ""), path
+        assert f"usage: hmi-marl {path}".strip() in told.out
+        assert told.loaded == [], f"hmi-marl {path} --help, or one before it"
 
 
 def test_only_the_module_of_the_subcommand_is_imported(tmp_path: Path) -> None:
@@ -99,42 +127,50 @@ def test_the_version_imports_no_parser_and_no_settings(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("path", [path for path, leaf in LEAVES.items() if leaf.needs])
-def test_a_missing_extra_is_named_before_anything_is_done(path: str, tmp_path: Path) -> None:
-    for extra, modules in EXTRAS.items():
-        missed = [module for module in modules if module in LEAVES[path].needs]
-        if not missed:
-            continue
-        done = without(modules, [*path.split(), *ARGUMENTS.get(path, [])], tmp_path)
-        assert done.returncode == 2
-        assert done.stdout == ""
+def test_a_missing_extra_is_named_before_anything_is_done(tmp_path: Path) -> None:
+    lacking = [
+        (path, extra, [module for module in modules if module in leaf.needs])
+        for path, leaf in LEAVES.items()
+        for extra, modules in EXTRAS.items()
+    ]
+    lacking = [each for each in lacking if each[2]]
+    assert {path for path, *_ in lacking} == {path for path, leaf in LEAVES.items() if leaf.needs}
+    cases = [
+        (list(EXTRAS[extra]), [*path.split(), *ARGUMENTS.get(path, [])])
+        for path, extra, _ in lacking
+    ]
+    for (path, extra, missed), told in zip(lacking, one_by_one(cases, tmp_path), strict=True):
+        assert (told.status, told.out) == (2, "")
         who = re.escape(path)
-        told = rf"hmi-marl: {who} needs ({'|'.join(missed)}): pip install 'hmi-marl\[{extra}\]'\n"
-        assert re.fullmatch(told, done.stderr), done.stderr
-        assert list(tmp_path.iterdir()) == []
+        line = rf"hmi-marl: {who} needs ({'|'.join(missed)}): pip install 'hmi-marl\[{extra}\]'\n"
+        assert re.fullmatch(line, told.err), told.err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_option_that_needs_an_extra_says_so_before_anything_is_done(tmp_path: Path) -> None:
     found = {(path, each.shown): each for path, leaf in LEAVES.items() for each in leaf.options}
     assert set(found) == set(OPTIONS)
-    for (path, shown), option in found.items():
-        arguments = [*path.split(), *OPTIONS[path, shown]]
-        done = without(list(option.needs), arguments, tmp_path)
-        assert done.returncode == 2
-        told = rf"hmi-marl: {re.escape(f'{path} {shown}')} needs \w+: pip install 'hmi-marl\[\w+\]'"
-        assert re.fullmatch(told + "\n", done.stderr), done.stderr
-        assert list(tmp_path.iterdir()) == []
+    cases = [
+        (list(option.needs), [*path.split(), *OPTIONS[path, shown]])
+        for (path, shown), option in found.items()
+    ]
+    for (path, shown), told in zip(found, one_by_one(cases, tmp_path), strict=True):
+        assert told.status == 2
+        line = rf"hmi-marl: {re.escape(f'{path} {shown}')} needs \w+: pip install 'hmi-marl\[\w+\]'"
+        assert re.fullmatch(line + "\n", told.err), told.err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_command_without_extras_is_among_the_cheap_runs() -> None:
     assert set(CHEAP) == {path for path, leaf in LEAVES.items() if not leaf.needs}
 
 
-@pytest.mark.parametrize("path", [path for path, words in CHEAP.items() if words])
-def test_a_command_that_needs_no_extra_runs_without_any(path: str, tmp_path: Path) -> None:
+def test_a_command_that_needs_no_extra_runs_without_any(tmp_path: Path) -> None:
     every = [module for modules in EXTRAS.values() for module in modules]
-    done = without(every, [*path.split(), *CHEAP[path].split()], tmp_path)
-    assert done.returncode == 0, done.stderr
+    cases = {path: [*path.split(), *words.split()] for path, words in CHEAP.items() if words}
+    ended = one_by_one([(every, arguments) for arguments in cases.values()], tmp_path)
+    for path, told in zip(cases, ended, strict=True):
+        assert told.status == 0, (path, told.err)
 
 
 @pytest.mark.parametrize(

@@ -108,6 +108,7 @@ def test_pictures_are_not_black(plain: Picture) -> None:
     assert len(np.unique(road(plain).reshape(-1, 3), axis=0)) > 4, "road, lines and two cars"
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("driver", ["dummy", "offscreen", None])
 def test_pictures_do_not_depend_on_sdls_driver(driver: str | None, plain: Picture) -> None:
     script = (

@@ -82,7 +82,7 @@ def log(p: float) -> float:
     return float(np.log(p)) if p > 0 else -np.inf
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(drivers=st.tuples(candidates, candidates), window=st.integers(1, 4), data=st.data())
 def test_the_evidence_is_that_of_all_hidden_sequences_together(
     drivers: tuple[Driver, Driver], window: int, data: st.DataObject

@@ -35,15 +35,16 @@ def test_missed_claims_are_told():
     assert "supported      cautious: keep 1.2 times the headway (1.50 times)" in text
 
 
+@pytest.mark.usefixtures("trained_here")
 def test_the_command_looks_at_drivers_on_the_way(tmp_path, capsys):
-    command = ["reproduce", "driver", "--steps", "102400", "--snapshots", "2", "--episodes", "4"]
-    assert main([*command, "--out", str(tmp_path)]) == 0
+    size = ["--num-teams", "16", "--steps", "3200", "--snapshots", "2", "--episodes", "4"]
+    assert main(["reproduce", "driver", *size, "--out", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / "driver.table.json").read_text())["rows"]
     assert [(row["driver"], row["steps"]) for row in rows] == [
-        ("confident", 51200),
-        ("cautious", 51200),
-        ("confident", 102400),
-        ("cautious", 102400),
+        ("confident", 1600),
+        ("cautious", 1600),
+        ("confident", 3200),
+        ("cautious", 3200),
     ]
     assert all(row["time_headway"] == pytest.approx(1.5, abs=1.4) for row in rows)
     assert "million steps" in capsys.readouterr().out

@@ -87,6 +87,7 @@ def test_a_case_is_assessed_beside_what_is_exact(tmp_path):
     assert np.isfinite(found.learned.mean)
 
 
+@pytest.mark.usefixtures("trained_here")
 def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("hmi_marl.experiments.graded_alerts.CASES", (FRESH,))
     size = ["--hmi-steps", "1", "--episodes", "4", "--num-teams", "8"]

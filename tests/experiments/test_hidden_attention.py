@@ -1,10 +1,13 @@
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.experiments import experiment
+from hmi_marl.experiments import hidden_attention as module
 from hmi_marl.experiments.hidden_attention import (
     BAYES_OWN,
     HiddenAttention,
@@ -40,8 +43,11 @@ def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):
     assert share == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / (64 * 30)))
 
 
+@pytest.mark.usefixtures("trained_here")
 @pytest.mark.parametrize("given", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_the_command_compares_learned_hmis_with_bayes_filters(given, tmp_path, capsys):
+def test_the_command_compares_learned_hmis_with_bayes_filters(given, tmp_path, capsys, monkeypatch):
+    for owner, name in ((experiment, "TwoStage"), (module, "TwoStage"), (module, "TeamConfig")):
+        monkeypatch.setattr(owner, name, partial(getattr(owner, name), duration=2.0))
     size = ["--hmi-steps", "1", "--driver-steps", "1", "--rnn-hidden-dim", "4", "--episodes", "4"]
     command = ["reproduce", "hidden", *size, "--num-teams", "16", "--workers", "1"]
     if given:
@@ -50,6 +56,8 @@ def test_the_command_compares_learned_hmis_with_bayes_filters(given, tmp_path, c
             "two-stage",
             "--num-teams",
             "16",
+            "--duration",
+            "2",
             "--driver-steps",
             "1",
             "--hmi-steps",

@@ -6,15 +6,28 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import pytest
 from stages import Counting
 
 from hmi_marl.experiments.experiment import Place, learned_in
+from hmi_marl.paper import audit
+from hmi_marl.reproduction import report
 from hmi_marl.reproduction.report import NUMBERS, PAGE, full_report
 from hmi_marl.reproduction.suite import TIMINGS, is_done, run_suite
 
+
+@pytest.fixture(autouse=True)
+def audited_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every report asks for the same exact values, which take most of its time."""
+    monkeypatch.setattr(report, "exact_values", EXACT_VALUES)
+    for module in (report, audit):
+        monkeypatch.setattr(module, "audit", AUDIT)
+
+
+AUDIT, EXACT_VALUES = cache(report.audit), cache(report.exact_values)
 ONE, OTHER = Counting("one"), Counting("other", 2)
 TINY = """
 import sys
@@ -148,7 +161,7 @@ def started(folder: Path) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, script, folder], env=environment, **quiet)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_whole_reproduction_killed_three_times_ends_with_the_same_report(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     began = time.monotonic()

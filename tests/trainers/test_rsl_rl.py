@@ -52,8 +52,17 @@ def group(seat: str) -> str:
     return "driver" if seat == "driver" else "vehicle_ai"
 
 
-@pytest.mark.parametrize("memory", [False, True])
-@pytest.mark.parametrize("seat", SEATS)
+@pytest.mark.parametrize(
+    ("seat", "memory"),
+    [
+        ("driver", False),
+        ("vehicle_ai", True),
+        ("team", False),
+        ("team", True),
+        pytest.param("driver", True, marks=pytest.mark.slow),
+        pytest.param("vehicle_ai", False, marks=pytest.mark.slow),
+    ],
+)
 def test_the_runners_own_exports_act_as_the_policy_does(
     seat: str, memory: bool, tmp_path: Path
 ) -> None:

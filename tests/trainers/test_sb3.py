@@ -3,39 +3,48 @@
 import gymnasium
 import numpy as np
 import pytest
-from fresh import run
+from fresh import ALL_THREADS, DRIVE_MANY, run
 
 import hmi_marl  # noqa: F401
 
 pytest.importorskip("stable_baselines3")
 
 SEATS = ("hmi_marl/MergeDriver-v0", "hmi_marl/MergeHMI-v0")
-FORKED = """
+FORKED = (
+    DRIVE_MANY.replace("{", "{{").replace("}", "}}")
+    + """
 import gymnasium, hmi_marl
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 if __name__ == "__main__":
-    settings = {{"driver": "homer", "world": {world!r}, "duration": 2.0}}
-    here = gymnasium.make({seat!r}, **settings)  # what a process did before it forked
-    here.reset(seed=0)
-    here.step(1)
-    cars = make_vec_env(
-        "hmi_marl:" + {seat!r},  # the module to import in a process of its own
-        n_envs=2,
-        seed=0,
-        env_kwargs=settings,
-        vec_env_cls=SubprocVecEnv,
-        vec_env_kwargs={{"start_method": {method!r}}},
-    )
-    model = PPO("MlpPolicy", cars, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0)
-    model.learn(64)
-    action, _ = model.predict(here.reset(seed=1)[0])
-    here.step(action)
-    cars.close()
-    print(model.num_timesteps)
+    alone = drive_many()  # what a process did, in all its threads, before it forked
+    for world, seat in {cars!r}:
+        settings = {{"driver": "homer", "world": world, "duration": 2.0}}
+        here = gymnasium.make(seat, **settings)  # and in one
+        here.reset(seed=0)
+        here.step(1)
+        cars = make_vec_env(
+            "hmi_marl:" + seat,  # the module to import in a process of its own
+            n_envs={cars_at_once},
+            seed=0,
+            env_kwargs=settings,
+            vec_env_cls=SubprocVecEnv,
+            vec_env_kwargs={{"start_method": {method!r}}},
+        )
+        model = PPO("MlpPolicy", cars, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0)
+        model.learn(64)
+        action, _ = model.predict(here.reset(seed=1)[0])
+        here.step(action)
+        cars.close()
+        print(model.num_timesteps)
+    assert drive_many() == alone
 """
+)
+CARS = [(world, seat) for world in ("highway", "batched") for seat in SEATS]
+SPAWNED, SPAWNED_TOO = CARS[3:], CARS[:3]
+"""A process that is spawned imports torch again, which takes longer than all else."""
 
 
 @pytest.mark.parametrize("seat", SEATS)
@@ -46,11 +55,18 @@ def test_its_own_check(world: str, seat: str) -> None:
     check_env(gymnasium.make(seat, world=world, duration=2.0).unwrapped)
 
 
-@pytest.mark.parametrize("seat", SEATS)
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-@pytest.mark.parametrize("world", ["highway", "batched"])
-def test_ppo_in_processes(world: str, method: str, seat: str) -> None:
-    assert run("-c", FORKED.format(world=world, seat=seat, method=method)) == "64\n"
+@pytest.mark.parametrize(
+    ("method", "cars"),
+    [
+        ("fork", CARS),
+        ("spawn", SPAWNED),
+        pytest.param("spawn", SPAWNED_TOO, marks=pytest.mark.slow),
+    ],
+)
+def test_ppo_in_processes(method: str, cars: list[tuple[str, str]]) -> None:
+    at_once = 1 if method == "spawn" else 2
+    code = FORKED.format(cars=cars, method=method, cars_at_once=at_once)
+    assert run("-c", code, **ALL_THREADS) == "64\n" * len(cars)
 
 
 @pytest.mark.parametrize("seat", SEATS)

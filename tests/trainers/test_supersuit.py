@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fresh import run
+from fresh import ALL_THREADS, DRIVE_MANY, run
 
 from hmi_marl import merge_v0
 
@@ -27,28 +27,34 @@ WRAPPERS: dict[str, Callable[[Any], Any]] = {
     "black_death": supersuit.black_death_v3,
 }
 OF_PARALLEL_ALONE = {"black_death", "frame_skip of a random number"}
-VECTOR = """
+VECTOR = (
+    DRIVE_MANY
+    + """
 import numpy, supersuit
 from hmi_marl import merge_v0
 
 if __name__ == "__main__":
-    settings = {{"driver": "homer", "world": {world!r}, "duration": 2.0}}
-    here = merge_v0.parallel_env(**settings)  # what a process did before it forked
-    here.reset(seed=0)
-    here.step({{"driver": 1, "vehicle_ai": 1}})
-    seen = []
-    for processes in (1, 2):
-        env = merge_v0.parallel_env(**settings)
-        env = supersuit.pad_action_space_v0(supersuit.pad_observations_v0(env))
-        cars = supersuit.pettingzoo_env_to_vec_env_v1(env)
-        cars = supersuit.concat_vec_envs_v1(cars, 2, num_cpus=processes, base_class="gymnasium")
-        steps = [cars.reset(seed=3)[0].copy()]
-        steps += [cars.step(numpy.array([1, 0, 3, 1]))[0].copy() for _ in range(12)]
-        seen.append(numpy.stack(steps))
-        cars.close()
-    numpy.testing.assert_array_equal(*seen)
-    print("equal")
+    alone = drive_many()  # what a process did, in all its threads, before it forked
+    for world in ("highway", "batched"):
+        settings = {"driver": "homer", "world": world, "duration": 2.0}
+        here = merge_v0.parallel_env(**settings)  # and in one
+        here.reset(seed=0)
+        here.step({"driver": 1, "vehicle_ai": 1})
+        seen = []
+        for processes in (1, 2):
+            env = merge_v0.parallel_env(**settings)
+            env = supersuit.pad_action_space_v0(supersuit.pad_observations_v0(env))
+            cars = supersuit.pettingzoo_env_to_vec_env_v1(env)
+            cars = supersuit.concat_vec_envs_v1(cars, 2, num_cpus=processes, base_class="gymnasium")
+            steps = [cars.reset(seed=3)[0].copy()]
+            steps += [cars.step(numpy.array([1, 0, 3, 1]))[0].copy() for _ in range(12)]
+            seen.append(numpy.stack(steps))
+            cars.close()
+        numpy.testing.assert_array_equal(*seen)
+        print("equal")
+    assert drive_many() == alone
 """
+)
 
 
 def play_at_once(env: Any) -> list[Any]:
@@ -84,6 +90,5 @@ def test_a_wrapper_plays_whole_episodes_that_follow_the_seed(name: str) -> None:
         np.testing.assert_equal(first, second)
 
 
-@pytest.mark.parametrize("world", ["highway", "batched"])
-def test_two_processes_give_what_one_gives(world: str) -> None:
-    assert run("-c", VECTOR.format(world=world)) == "equal\n"
+def test_two_processes_give_what_one_gives() -> None:
+    assert run("-c", VECTOR, **ALL_THREADS) == "equal\nequal\n"

@@ -1,8 +1,10 @@
 import os
+from dataclasses import replace
 
 import pytest
 
 from hmi_marl.training.jobs import Job, train_all
+from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.joint import Joint
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -11,19 +13,19 @@ from hmi_marl.training.runs.folder import read_curve
 TINY = {"num_teams": 16, "duration": 1.0}
 
 
-def test_the_number_of_workers_does_not_change_the_weights(tmp_path):
-    weights = []
-    for workers in (1, 2):
-        jobs = [
-            Job(Joint(steps=1, seed=seed, **TINY), tmp_path / f"{workers}-{seed}")
-            for seed in (0, 1)
-        ]
-        train_all(jobs, workers, quiet=True)
-        weights.append([(job.folder / "driver.safetensors").read_bytes() for job in jobs])
-    assert weights[0] == weights[1]
-    assert weights[0][0] != weights[0][1]
+@pytest.mark.usefixtures("unmeasured")
+def test_weights_are_those_of_one_process_however_many_workers_there_are(tmp_path):
+    jobs = [Job(Joint(steps=1, seed=seed, **TINY), tmp_path / f"{seed}") for seed in (0, 1)]
+    train_all(jobs, 2, quiet=True)
+    weights = [(job.folder / "driver.safetensors").read_bytes() for job in jobs]
+    for job, found in zip(jobs, weights, strict=True):
+        alone = tmp_path / "alone" / job.folder.name
+        train(replace(job.settings, threads=1), alone, quiet=True)
+        assert (alone / "driver.safetensors").read_bytes() == found
+    assert weights[0] != weights[1]
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_spare_workers_join_a_run_and_do_not_change_the_weights(tmp_path):
     ppo = PPOSettings(num_learning_epochs=1, num_mini_batches=2)
     settings = Joint(steps=1, num_teams=8, duration=1.0, ppo=ppo, device="cpu")
@@ -37,6 +39,7 @@ def test_spare_workers_join_a_run_and_do_not_change_the_weights(tmp_path):
     assert waited[0] == 0 < waited[1]
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_the_environment_of_this_process_is_left_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)

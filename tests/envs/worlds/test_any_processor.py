@@ -21,6 +21,8 @@ SETTINGS = [
     {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-AVX512F"},
 ]
 """Settings that make NumPy, BLAS and the C library take the loops of other processors."""
+ONE_OF_EACH = [SETTINGS[0], SETTINGS[3], SETTINGS[6], SETTINGS[7]]
+"""BLAS with and without fused multiply-add, NumPy and the C library without what both lack."""
 NEEDS = {"Haswell": "avx2", "SkylakeX": "avx512f", "Sandybridge": "avx", "haswell": "avx2"}
 NEEDS |= {"skylake-avx512": "avx512vl"}
 """Features that the processor needs to run another one's loops."""
@@ -45,8 +47,9 @@ def python_under(settings, *arguments):
     return run.stdout.strip()
 
 
-def fingerprint_under(settings):
-    return python_under(settings, str(TESTS / "episode_hash.py"))
+def fingerprint_under(settings, episodes=1000):
+    code = f"from episode_hash import fingerprint; print(fingerprint({episodes}))"
+    return python_under(settings, "-c", code)
 
 
 @pytest.mark.parametrize("threads", [1, None])
@@ -54,27 +57,48 @@ def test_a_thousand_episodes_are_these(threads):
     assert fingerprint(1000, threads) == FINGERPRINT
 
 
+@pytest.mark.slow
 @only_x86
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: "-".join(settings.values()))
 def test_numpy_blas_and_the_c_library_do_not_enter(settings):
     assert fingerprint_under(settings) == FINGERPRINT
 
 
+ELEMENTARY = """
+import hashlib
+import numpy as np
+from test_elementary import FUNCTIONS, arguments
+digest = hashlib.sha256()
+for name, (function, _, largest, _) in FUNCTIONS.items():
+    digest.update(np.array([function(x) for x in arguments(largest, len(name))]).tobytes())
+print(digest.hexdigest())
+"""
+"""A hash of the elementary functions, which multiply and add in one rounding."""
+
+
 @only_x86
-@pytest.mark.parametrize(
-    "processor",
-    [
-        name if name == "nehalem" else pytest.param(name, marks=pytest.mark.slow)
-        for name in COMPILED_FOR
-    ],
-)
+@pytest.mark.usefixtures("unmeasured")
+def test_the_elementary_functions_are_the_same_compiled_without_fused_multiply_add(
+    monkeypatch, capsys
+):
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    exec(ELEMENTARY, {})
+    without = {"NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": ""}
+    assert python_under(without, "-c", ELEMENTARY) == capsys.readouterr().out.strip()
+
+
+@pytest.mark.slow
+@only_x86
+@pytest.mark.parametrize("processor", COMPILED_FOR)
 def test_it_is_the_same_compiled_for_another_processor(processor, tmp_path):
     settings = {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": ""}
     assert fingerprint_under(settings | {"NUMBA_CACHE_DIR": str(tmp_path)}) == FINGERPRINT
 
 
-FOLLOWS = (
+SAME_AND_FOLLOWS = (
+    "from episode_hash import fingerprint\n"
     "from parity import *\n"
+    "print(fingerprint(100))\n"
     "stand = assert_parity(Scene(), STANDING, inflation=3.0)\n"
     "rng = np.random.default_rng(3)\n"
     "scene = assert_parity(random_scene(rng), range(2), 8.0, float(rng.uniform(1, 9)))\n"
@@ -86,8 +110,17 @@ state grows to a centimetre."""
 
 
 @only_x86
-@pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: "-".join(settings.values()))
-def test_it_follows_highway_env_wherever_that_runs(settings):
-    printed = python_under(settings, "-c", FOLLOWS.replace("STANDING", str(STANDING)))
-    steps, _, more, _ = map(int, printed.split())
-    assert steps + more > 100
+@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.parametrize(
+    "settings",
+    [
+        settings if settings in ONE_OF_EACH else pytest.param(settings, marks=pytest.mark.slow)
+        for settings in SETTINGS
+    ],
+    ids=lambda settings: "-".join(settings.values()),
+)
+def test_it_is_the_same_and_follows_highway_env_wherever_that_runs(settings):
+    code = SAME_AND_FOLLOWS.replace("STANDING", str(STANDING))
+    found, steps, _, more, _ = python_under(settings, "-c", code).split()
+    assert found == fingerprint(100), "NumPy, BLAS or the C library entered"
+    assert int(steps) + int(more) > 100

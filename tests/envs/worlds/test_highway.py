@@ -55,14 +55,15 @@ SCENES = [
 ]
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("scene", SCENES, ids=str)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_follows_an_unmodified_merge_generic_v1_exactly(scene, seed):
-    scene = scene.fitted(8.0)
+    scene = scene.fitted(5.0)
     world = HighwayWorld(scene, 1)
     world.reset(np.array([seed], np.uint64), np.ones(1), ALL)
     reference, observation = unmodified(scene, seed)
-    actions = np.random.default_rng(seed).integers(0, 5, 8 * scene.policy_frequency)
+    actions = np.random.default_rng(seed).integers(0, 5, 5 * scene.policy_frequency)
     for action in actions:
         ours = all_vehicles(world.merges[0].road)
         np.testing.assert_array_equal(ours, all_vehicles(reference.road))

@@ -33,6 +33,7 @@ def surrounded(observer, others):
     return False
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("inflation", [1.0, 3.0, 6.0, 9.0])
 def test_inflated_lidar_is_highway_envs_on_a_road_of_really_larger_objects(inflation):
     scene = Scene(vehicles=(3, 20)).fitted(10.0)

@@ -23,6 +23,7 @@ def wrong(block, field, change):
     return stepped
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize(
     ("block", "field", "change"),
     [

@@ -28,6 +28,8 @@ from hmi_marl.experiments.latent_traits.imitation import by_driver, driving, rep
 from hmi_marl.files import json_value
 
 CAST = ("lisa", "homer")
+pytestmark = pytest.mark.usefixtures("few_folds")
+
 SMALL = AssessSettings(windows=10, episodes=3, ranked=4)
 
 
@@ -61,7 +63,7 @@ def model_for(split: Split, **card: Any) -> TraitModel:
 
 
 @pytest.fixture(scope="module")
-def assessment(split: Split, population: Demonstrations) -> Assessment:
+def assessment(few_folds: None, split: Split, population: Demonstrations) -> Assessment:
     exact = exact_evidence(split.unseen, None)
     sizes = pool_sizes(split, 2, 2)
     return assess(model_for(split), split, exact, population, SMALL, sizes)

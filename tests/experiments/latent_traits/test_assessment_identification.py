@@ -26,6 +26,8 @@ from hmi_marl.experiments.latent_traits.ceiling import likes_help
 from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
+pytestmark = pytest.mark.usefixtures("few_folds")
+
 NAMES = ("lisa", "marge", "bart")
 
 

@@ -32,6 +32,8 @@ from hmi_marl.files import sha256_of
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.training.traits.settings import TraitSettings
 
+pytestmark = pytest.mark.usefixtures("few_folds")
+
 SMALL = AssessSettings(windows=10, episodes=2, ranked=2)
 TINY = LatentTraits(demonstrated=2000, population=4, learn=TraitSettings(pool=1), evaluation=SMALL)
 
@@ -182,15 +184,16 @@ def test_what_is_recorded_is_not_recorded_again(
 
 
 def test_runs_are_judged_by_setting_in_the_papers_order(
-    tmp_path: Path, data: Path, population: Path
+    tmp_path: Path, data: Path, population: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs = [
         a_run(tmp_path / "a", data, "id"),
         a_run(tmp_path / "b", data, "none", seed=1),
         a_run(tmp_path / "c", data, "id", seed=2),
     ]
-    found, pools = assess_runs(runs, data, population, None, SMALL)
-    assert pools == 2
+    judged = TraitEvaluation(tuple(runs), data, population, None, SMALL).run(Place(data, data))
+    found = dict(judged.assessments)
+    assert judged.pool == 2
     assert {name: len(several) for name, several in found.items()} == {"none": 1, "id": 2}
     assert list(found) == ["none", "id"]
     first, second = found["id"]
@@ -201,6 +204,7 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
     assert not second.reward_ranking
     watch = Stopwatch()
     watch.seconds["judging"] = 1.0
+    monkeypatch.setattr(TraitEvaluation, "run", lambda *_: judged)
     report = write_report(tmp_path / "out", runs, data, population, watch=watch)
     out = tmp_path / "out"
     assert {path.name for path in out.iterdir()} == {

@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 
 from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.experiments.latent_traits import probes
 from hmi_marl.experiments.latent_traits.probes import trait_r2
 from hmi_marl.files import json_value
+
+
+@pytest.fixture
+def two_folds(monkeypatch):
+    """Instead of five, where it is not the question how well traits are read."""
+    monkeypatch.setattr(probes, "_FOLDS", 2)
 
 
 def scores(trait, train=200, held_out=200, noise=0.0):
@@ -17,6 +24,7 @@ def scores(trait, train=200, held_out=200, noise=0.0):
     return trait_r2(z, known[:, None], new, truth[:, None], ["it"])["it"]
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_a_linear_trait_is_read_exactly():
     found = scores(lambda z: 3.0 + 2.0 * z[:, 0] - z[:, 1])
     assert found.linear.mean == pytest.approx(1.0, abs=1e-6)
@@ -24,12 +32,14 @@ def test_a_linear_trait_is_read_exactly():
     assert found.smooth.mean > 0.98
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_a_curved_trait_is_read_by_the_smooth_regression_alone():
     found = scores(lambda z: np.cos(2.0 * z[:, 0]))
     assert found.linear.high < 0.2
     assert found.smooth.mean > 0.95
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_noise_is_not_read():
     found = scores(lambda z: 0.0 * z[:, 0], noise=1.0)
     for estimate in (found.linear, found.smooth):
@@ -37,6 +47,7 @@ def test_noise_is_not_read():
         assert estimate.low < estimate.mean < estimate.high
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_half_noise_leaves_half_the_variance():
     # 1 - variance of the noise over that of the whole; its standard error is about 0.05
     found = scores(lambda z: z[:, 0], noise=1.0)
@@ -44,6 +55,7 @@ def test_half_noise_leaves_half_the_variance():
     assert found.linear.low < 0.5 < found.linear.high
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_r2_is_negative_where_a_constant_does_better():
     z = np.arange(10.0)[:, None]
     found = trait_r2(z, z, z, -z, ["it"])["it"]
@@ -51,6 +63,7 @@ def test_r2_is_negative_where_a_constant_does_better():
     assert found.linear.mean == pytest.approx(1.0 - 1140 / 82.5, rel=1e-3)
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_every_trait_has_its_own_score():
     rng = np.random.default_rng(0)
     z, new = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
@@ -67,6 +80,7 @@ def test_every_trait_has_its_own_score():
     assert content["smooth"] == {"mean": None, "low": None, "high": None}
 
 
+@pytest.mark.usefixtures("unmeasured", "two_folds")
 def test_intervals_count_drivers_not_vectors():
     rng = np.random.default_rng(0)
     traits = rng.uniform(size=(40, 1))
@@ -77,11 +91,13 @@ def test_intervals_count_drivers_not_vectors():
     assert vars(often) == pytest.approx(vars(once))
 
 
+@pytest.mark.usefixtures("unmeasured", "two_folds")
 def test_the_same_seed_gives_the_same_numbers():
     first, second = (scores(lambda z: z[:, 0], 30, 30, noise=1.0) for _ in range(2))
     assert first == second
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("size", [2, 3, 7])
 def test_few_drivers_are_enough_to_try(size):
     found = scores(lambda z: z[:, 0], train=size, held_out=size)
@@ -89,6 +105,7 @@ def test_few_drivers_are_enough_to_try(size):
     assert math.isfinite(found.smooth.mean)
 
 
+@pytest.mark.usefixtures("two_folds")
 def test_vectors_that_have_collapsed_tell_nothing():
     traits = np.arange(20.0)[:, None]
     found = trait_r2(np.zeros((20, 2)), traits, np.zeros((20, 2)), traits, ["it"])["it"]

@@ -1,12 +1,15 @@
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import DRIVERS, get_driver
+from hmi_marl.experiments import experiment
 from hmi_marl.experiments.experiment import spec
+from hmi_marl.experiments.metrics_table import experiment as module
 from hmi_marl.experiments.metrics_table.experiment import MetricsTable
 from hmi_marl.experiments.metrics_table.paper_table import (
     ETA_1,
@@ -119,7 +122,10 @@ def test_the_diagonal_is_the_papers_own_row():
     assert table.paper_row("AvgHMI", "bart") == "AvgHMI"
 
 
-def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys):
+@pytest.mark.usefixtures("trained_here")
+def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys, monkeypatch):
+    for owner, name in ((experiment, "TwoStage"), (module, "TwoStage"), (module, "TableConfig")):
+        monkeypatch.setattr(owner, name, partial(getattr(owner, name), duration=2.0))
     out = tmp_path / "table"
     command = ["reproduce", "table", *TINY, "--workers", "1", "--out", str(out)]
     assert main(command) == 0

@@ -126,22 +126,15 @@ def test_a_report_writes_all_its_files(
     assert png_size((page.parent / "table.png").read_bytes())[0] > 800
 
 
-def test_a_report_without_a_clip_shows_none(
+def test_a_report_without_a_clip_shows_none_and_removes_an_older_one(
     tmp_path: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
+    (tmp_path / "clip.gif").write_bytes(CLIP)
     path = report.write_report(tmp_path, config, cells, COMMAND)
     assert {path.name for path in tmp_path.iterdir()} == WITHOUT_CLIP
     page = Page(path.read_text("utf-8"))
     assert page.tags.count("img") == 1
     assert "One episode" not in page.text
-
-
-def test_a_report_without_a_clip_removes_an_older_one(
-    tmp_path: Path, config: TableConfig, cells: list[Cell]
-) -> None:
-    report.write_report(tmp_path, config, cells, COMMAND, clip())
-    report.write_report(tmp_path, config, cells, COMMAND)
-    assert {path.name for path in tmp_path.iterdir()} == WITHOUT_CLIP
 
 
 def test_the_page_needs_nothing_besides_itself(
@@ -187,15 +180,20 @@ def test_json_has_the_sentences_and_the_caption(
     ]
 
 
-def test_a_page_is_made_for_telephones(config: TableConfig, cells: list[Cell]) -> None:
-    html = report.make_report(config, cells, COMMAND).page
+@pytest.fixture(scope="module")
+def plain_page(config: TableConfig, cells: list[Cell]) -> str:
+    return report.make_report(config, cells, COMMAND).page
+
+
+def test_a_page_is_made_for_telephones(plain_page: str) -> None:
+    html = plain_page
     assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in html
     tables = html.count("<table>")
     assert tables == html.count('<div class="wide"><table>') == len(report.METRICS)
 
 
-def test_the_page_tells_how_it_was_made(config: TableConfig, cells: list[Cell]) -> None:
-    page = Page(report.make_report(config, cells, COMMAND).page)
+def test_the_page_tells_how_it_was_made(plain_page: str) -> None:
+    page = Page(plain_page)
     assert COMMAND in page.text
     assert hmi_marl.__version__ in page.text
     assert "seed = 0" in page.text
@@ -203,8 +201,10 @@ def test_the_page_tells_how_it_was_made(config: TableConfig, cells: list[Cell]) 
     assert "4 cells of 3 episodes" in page.text
 
 
-def test_the_page_shows_the_entries_of_the_text(config: TableConfig, cells: list[Cell]) -> None:
-    page = Page(report.make_report(config, cells, COMMAND).page)
+def test_the_page_shows_the_entries_of_the_text(
+    plain_page: str, config: TableConfig, cells: list[Cell]
+) -> None:
+    page = Page(plain_page)
     heads = [row for row in page.rows if row[1:] == ["homer", "lisa"]]
     assert len(heads) == len(report.METRICS)
     rows = [row for row in page.rows if row[0] in ("NoHMI", "belief")]

@@ -126,6 +126,7 @@ def test_the_default_table_is_the_papers() -> None:
     assert config.team("bart").alert_window == 7
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_the_result_does_not_depend_on_the_number_of_workers(
     config: TableConfig, cells: list[Cell]
 ) -> None:

@@ -2,6 +2,7 @@ import base64
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
@@ -76,14 +77,23 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("report")
-    write_report(out, made(crashes=60))
-    return out
+    return tmp_path_factory.mktemp("report")
 
 
-def block(comparison: Comparison, title: str) -> list[str]:
+@pytest.fixture(scope="module", autouse=True)
+def written(out: Path) -> Report:
+    return write_report(out, made(crashes=60))
+
+
+@cache
+def text_of(crashes: int) -> str:
+    comparison = made(crashes=crashes)
+    return as_text(comparison.settings.blocks(comparison))
+
+
+def block(title: str, crashes: int = 0) -> list[str]:
     """A part of the text, by its title."""
-    text = as_text(comparison.settings.blocks(comparison)).split("\n")
+    text = text_of(crashes).split("\n")
     start = text.index(title)
     ends = [k for k, line in enumerate(text) if k > start and line and not line.startswith(" ")]
     return [line.strip() for line in text[start + 1 : ends[0] if ends else None]]
@@ -109,9 +119,8 @@ def test_the_page_tells_how_it_was_made(out: Path) -> None:
     assert "workers: 2" in page.text
 
 
-def test_the_text_is_written_as_it_is_printed(tmp_path: Path) -> None:
-    text = write_report(tmp_path, made(crashes=60)).text
-    assert (tmp_path / "compare.txt").read_text("utf-8") == text + "\n"
+def test_the_text_is_written_as_it_is_printed(written: Report, out: Path) -> None:
+    assert (out / "compare.txt").read_text("utf-8") == written.text + "\n"
 
 
 def test_json_has_no_nan_and_everything_in_it(out: Path) -> None:
@@ -135,7 +144,7 @@ def test_json_has_no_nan_and_everything_in_it(out: Path) -> None:
 
 
 def test_the_summary_worked_by_hand() -> None:
-    head, *rows = block(made(), "Final team return, crashes and alerts")
+    head, *rows = block("Final team return, crashes and alerts")
     assert head.startswith("driver and HMI")
     # pairs 0 and 4 are two-stage's own: -100 and -60; 300 alerts in 50 minutes
     own = rows[0].split("  ")
@@ -155,7 +164,7 @@ def test_the_summary_worked_by_hand() -> None:
 
 
 def test_own_pairs_are_marked() -> None:
-    _, first, second, *_ = block(made(), "Swapped partners")
+    _, first, second, *_ = block("Swapped partners")
     # two-stage with both HMIs: -100 and -90, then -60 and -50 with the other seed
     assert first.split()[1:4] == ["*-80.0", "[-334.1,", "174.1]*"]
     assert first.count("*") == second.count("*") == 2
@@ -173,13 +182,13 @@ def test_verdicts_name_their_drivers() -> None:
         ("simultaneous", Outcome.NOT_SUPPORTED, "GAMED with all, bart")
     ]
     assert judged(made()) == [("simultaneous", Outcome.UNTESTABLE, "unknown with homer")]
-    rows = block(made(crashes=60), "Does crashing pay?")
+    rows = block("Does crashing pay?", crashes=60)
     assert rows[1].split()[:2] + rows[1].split()[-1:] == ["two-stage", "all", "reference"]
     assert rows[4].split()[:2] + rows[4].split()[-1:] == ["simultaneous", "all", "GAMED"]
 
 
 def test_the_time_of_a_run() -> None:
-    _, row, *_ = block(made(), "Wall time")
+    _, row, *_ = block("Wall time")
     assert row.split() == ["two-stage", "300", "6.0", "[6.0,", "6.0]", "50"]
 
 

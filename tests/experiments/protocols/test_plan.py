@@ -40,8 +40,11 @@ TYPED = (
 )
 
 
+pytestmark = pytest.mark.usefixtures("module_trained_here")
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(module_trained_here: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("compare") / "out"
     assert main([*TYPED.split(), "--out", str(out)]) == 0
     return out
@@ -238,6 +241,7 @@ def test_a_swapped_pair_plays_as_anybody_would_play_it(folder: Path) -> None:
     assert sums.alerts == episodes.alerts.sum()
 
 
+@pytest.mark.usefixtures("unmeasured")
 def test_results_do_not_depend_on_the_workers(folder: Path) -> None:
     few = replace(TINY, protocols=("two-stage",), seeds=1, crash_check=False)
     heard: list[int] = []

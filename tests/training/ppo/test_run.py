@@ -217,6 +217,7 @@ train({name}, Path(sys.argv[1]), quiet=True)
 """
 
 
+@pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize(
     ("name", "batches", "before"),
     [("TWO_STAGE", 4, (1, 1)), ("ALTERNATING", 6, (2, 1))],

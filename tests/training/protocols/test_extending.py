@@ -45,39 +45,57 @@ class Reversed(TrainSettings):
 '''
 ONE_LINE = 'register("reversed", Reversed)'
 USED = """
-import json, sys
+import contextlib, io, json, sys
 from new_protocol import Reversed
 from hmi_marl.training.protocols.registry import register
 {line}
 from hmi_marl.cli import main
+
+def told(words):
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
+        try:
+            status = main(words.split())
+        except SystemExit as stop:
+            status = stop.code
+    return status or 0, " ".join(out.getvalue().replace("│", " ").split())
+
 if __name__ == "__main__":
-    sys.exit(main(json.loads(sys.argv[1])))
+    print(json.dumps([told(words) for words in sys.argv[1:]]))
 """
 SIZE = "--num-teams 16 --duration 1 --vehicles 1 2"
 
 
 @pytest.fixture
-def command(tmp_path: Path):
-    """Runs ``hmi-marl`` with the new protocol in a process of its own."""
+def commands(tmp_path: Path):
+    """Runs ``hmi-marl`` with the new protocol, several times in a process of their own."""
     (tmp_path / "new_protocol.py").write_text(NEW_FILE)
     (tmp_path / "use.py").write_text(USED.format(line=ONE_LINE))
 
-    def run(words: str, status: int = 0) -> str:
-        program = [sys.executable, "use.py", json.dumps(words.split())]
+    def run(*lines: str, last: int = 0) -> list[str]:
+        program = [sys.executable, "use.py", *lines]
         done = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == status, done.stderr
-        return " ".join((done.stdout + done.stderr).replace("│", " ").split())
+        assert done.returncode == 0, done.stderr
+        found = json.loads(done.stdout)
+        statuses, printed = zip(*found, strict=True)
+        assert statuses == (*[0] * (len(lines) - 1), last), printed
+        return list(printed)
 
     return run
 
 
-def test_it_is_trained_and_offered_by_help_and_by_errors(command, tmp_path: Path) -> None:
-    overview = command("train --help")
+@pytest.mark.usefixtures("unmeasured")
+def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Path) -> None:
+    overview, own, _, wrong = commands(
+        "train --help",
+        "train reversed --help",
+        f"train reversed --hmi-steps 1 --driver-steps 1 --device cpu {SIZE}",
+        "train revesed",
+        last=2,
+    )
     assert "reversed" in overview
     assert "Reversed: an HMI for the rule driver, then a driver with that HMI." in overview
-    assert "--hmi-steps" in command("train reversed --help")
-    assert "did you mean reversed?" in command("train revesed", status=2)
-    command(f"train reversed --hmi-steps 1 --driver-steps 1 --device cpu {SIZE}")
+    assert "--hmi-steps" in own
+    assert "did you mean reversed?" in wrong
     folder = tmp_path / "runs" / "reversed"
     assert json.loads((folder / "run.json").read_text())["protocol"] == "Reversed"
     curve = json.loads((folder / "curve.json").read_text())
@@ -86,22 +104,27 @@ def test_it_is_trained_and_offered_by_help_and_by_errors(command, tmp_path: Path
     assert (folder / "vehicle_ai.json").is_file()
 
 
-def test_it_is_compared_with_the_others(command, tmp_path: Path) -> None:
-    assert "reversed" in command("compare --help")
+@pytest.mark.usefixtures("unmeasured")
+def test_it_is_compared_with_the_others(commands, tmp_path: Path) -> None:
     words = f"compare --protocols two-stage reversed --steps 160 --rounds 1 --seeds 1 {SIZE}"
-    printed = command(f"{words} --episodes 4 --no-crash-check --workers 1 --out out")
-    assert "reversed" in printed
+    for printed in commands(
+        "compare --help", f"{words} --episodes 4 --no-crash-check --workers 1 --out out"
+    ):
+        assert "reversed" in printed
     runs = [tmp_path / "out" / f"{name}-seed0" for name in ("two-stage", "reversed")]
     steps = [json.loads((run / "curve.json").read_text())[-1]["steps"] for run in runs]
     assert steps[0] == steps[1]
 
 
-def test_one_without_a_budget_is_trained_but_not_compared(command, tmp_path: Path) -> None:
+def test_one_without_a_budget_is_trained_but_not_compared(commands, tmp_path: Path) -> None:
     without = NEW_FILE.partition("    @classmethod")[0]
     (tmp_path / "new_protocol.py").write_text(without)
-    assert "reversed" in command("train --help")
-    assert "two-stage" in command("compare --help")
-    assert "unknown protocol 'reversed'" in command("compare --protocols reversed", status=2)
+    trained, compared, wrong = commands(
+        "train --help", "compare --help", "compare --protocols reversed", last=2
+    )
+    assert "reversed" in trained
+    assert "two-stage" in compared
+    assert "unknown protocol 'reversed'" in wrong
 
 
 def test_the_terms_of_its_driver_follow_from_its_phases() -> None:
