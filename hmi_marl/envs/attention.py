@@ -147,8 +147,19 @@ def step(
         draws: uniform in [0, 1), shape (N,); d_t = 1 where the draw is below its probability.
         alerts: what a^A means.
     """
-    now, (beta, alpha, eta) = vars(attention).values(), (traits.beta, traits.alpha, traits.eta)
-    after = next_attention(*now, alert, beta, alpha, eta, draws, window, alerts.effects)
+    after = next_attention(
+        attention.distracted,
+        attention.accepted,
+        attention.counter,
+        attention.fatigue,
+        alert,
+        traits.beta,
+        traits.alpha,
+        traits.eta,
+        draws,
+        window,
+        alerts.effects,
+    )
     return Attention(*after)
 
 

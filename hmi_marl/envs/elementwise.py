@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +18,17 @@ from numpy.typing import NDArray
 EVERY = slice(None)
 """All teams at once, as the number of a team."""
 
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
+_Rule = TypeVar("_Rule", bound=Callable[..., Any])
 
 
-def elementwise(rule: Callable[_P, _R]) -> Callable[_P, _R]:
+def elementwise(rule: _Rule) -> _Rule:
     """Let a rule that works on arrays take lists too; ``rule`` stays reachable for the compiler."""
 
     @functools.wraps(rule)
     def on_arrays(*arguments: Any) -> Any:
-        return rule(*(np.asarray(each) for each in arguments))  # type: ignore[call-arg]
+        return rule(*(np.asarray(each) for each in arguments))
 
-    return on_arrays
+    return on_arrays  # type: ignore[return-value]
 
 
 def choose(condition: Any, yes: Any, no: Any) -> Any:
@@ -61,7 +60,7 @@ def put_one_hot(rows: NDArray[np.float32], row: Any, column: int, index: Any, si
         rows[row, column : column + size] = np.expand_dims(index, -1) == np.arange(size)
 
 
-def put_row(rows: NDArray[np.float32], row: Any, column: int, values: Any) -> None:
+def put_row(rows: NDArray[Any], row: Any, column: int, values: Any) -> None:
     """Write as many columns as there are values, as they are."""
     if column >= 0:
         rows[row, column : column + values.shape[-1]] = values

@@ -33,9 +33,6 @@ from hmi_marl.envs.team_step import Settings, settings_of
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 
-FEW = 16
-"""Teams below which a world that is not compiled is not worth compiling the loops for."""
-
 
 class Rules(NamedTuple):
     """Constants of a team's settings that the rules need."""
@@ -391,8 +388,12 @@ class InNumPy(Execution):
         after: After,
     ) -> None:
         """See :meth:`Execution.reward`."""
-        results = self.rules.settings, after.rewards, after.ends, teams.totals
-        team_step.reward(EVERY, active, alert, teams.state, state, *self._readings, *results)
+        settings, totals, before = self.rules.settings, teams.totals, teams.state
+        numbers, flags = self._readings
+        rewards, ends = after.rewards, after.ends
+        team_step.reward(
+            EVERY, active, alert, before, state, numbers, flags, settings, rewards, ends, totals
+        )
 
     def write(
         self,
@@ -410,13 +411,3 @@ class InNumPy(Execution):
 def _first(*marks: NDArray[np.bool_]) -> NDArray[np.int64]:
     """First team of each mark, -1 where there is none."""
     return np.array([each.argmax() if each.any() else -1 for each in marks])
-
-
-def execution_for(world: World, num_teams: int, rules: Rules) -> Execution:
-    """Return the way that suits a world and a number of teams."""
-    batched = hasattr(world, "take_step")
-    if num_teams < FEW and not batched:
-        return InNumPy(world, rules)
-    from hmi_marl.envs.loops import InLoops, InOneLoop  # numba is slow to import
-
-    return InOneLoop(world, rules) if batched else InLoops(world, rules)

@@ -32,7 +32,7 @@ from hmi_marl.envs.worlds.batched.kernels import (
 )
 from hmi_marl.envs.worlds.batched.threads import share, take
 
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+_OPTIONS: Any = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
 for rule in (
     alerts.help_share,
@@ -389,7 +389,8 @@ class InOneLoop(InLoops):
     def __init__(self, world: BatchedWorld, rules: Rules) -> None:
         super().__init__(world, rules)
         count, nothing = world.num_worlds, (np.zeros((0, 1), np.uint64), np.zeros((0, 1, 4)))
-        self._lidars = tuple(np.zeros((count, self._cells), np.float32) for _ in range(2))
+        cells = count, self._cells
+        self._lidars = np.zeros(cells, np.float32), np.zeros(cells, np.float32)
         """The lidars as they are shown."""
         self._last_totals = np.zeros((count, TOTALS))
         self._nothing_follows = NextEpisodes(
@@ -445,7 +446,8 @@ class InOneLoop(InLoops):
 
     def _showing(self, merges: Merges, teams: Teams) -> values.Shown:
         state, given, traits = teams.state, teams.intent_given, teams.traits
-        return values.Shown(*self._lidars, merges.numbers, merges.flags, state, given, traits)
+        true, perceived = self._lidars
+        return values.Shown(true, perceived, merges.numbers, merges.flags, state, given, traits)
 
 
 def _lidars(groups: tuple[Group, ...]) -> tuple[bool, bool]:

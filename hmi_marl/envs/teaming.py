@@ -22,7 +22,7 @@ from hmi_marl.envs import observations as obs
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Traits, check_traits
-from hmi_marl.envs.execution import Group, Rules, Teams, execution_for
+from hmi_marl.envs.execution import Execution, Group, InNumPy, Rules, Teams
 from hmi_marl.envs.observation_values import first_columns
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.series import Series
@@ -47,6 +47,8 @@ from hmi_marl.envs.worlds.base import CRASHED, GAP, SPEED, Readings
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
+FEW = 16
+"""Teams below which a world that is not compiled is not worth compiling loops for."""
 STATE = "state"
 """Name of the whole team's state among what :meth:`Teaming.views` gives."""
 
@@ -140,7 +142,7 @@ class Teaming:
         }
         self.state_layout = obs.state_layout(config)
         self._columns: dict[tuple[str, tuple[str, ...] | None], Group] = {}
-        self._execution = execution_for(self.world, num_teams, Rules.of(config))
+        self._execution = _execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
         self._everywhere = np.ones(num_teams, np.bool_)
         self._every = np.arange(num_teams)
@@ -479,6 +481,16 @@ def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]
             f"{mask.shape}"
         )
     return mask
+
+
+def _execution_for(world: World, num_teams: int, rules: Rules) -> Execution:
+    """Return the way to take steps that suits a world and a number of teams."""
+    batched = hasattr(world, "take_step")
+    if num_teams < FEW and not batched:
+        return InNumPy(world, rules)
+    from hmi_marl.envs.loops import InLoops, InOneLoop  # numba is slow to import
+
+    return InOneLoop(world, rules) if batched else InLoops(world, rules)  # type: ignore[arg-type]
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

@@ -27,7 +27,7 @@ Needs torch, tensordict and rsl_rl (the ``train`` extra).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -112,7 +112,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         partner: Policy | None = None,
         seed: int = 0,
         device: str | torch.device = "cpu",
-        groups: Sequence[str] = GROUPS,
+        groups: Collection[str] = GROUPS,
     ) -> None:
         _check_seat(seat, partner)
         self.teaming = teaming
@@ -176,7 +176,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         return self._groups
 
     @groups.setter
-    def groups(self, groups: Sequence[str]) -> None:
+    def groups(self, groups: Collection[str]) -> None:
         self._groups = _checked_groups(groups)
         self._views = _views_of(self._groups)
         self._observe({})
@@ -418,7 +418,7 @@ def _views_of(groups: Sequence[str]) -> tuple[str, ...]:
     return tuple(_VIEW[group] for group in groups if group in _VIEW)
 
 
-def _checked_groups(groups: Sequence[str]) -> tuple[str, ...]:
+def _checked_groups(groups: Collection[str]) -> tuple[str, ...]:
     """Return the groups in the order of GROUPS, or raise ``ValueError``."""
     if isinstance(groups, str) or not groups:
         raise ValueError(f"groups= are one or more of {', '.join(GROUPS)}, not {groups!r}")

@@ -124,6 +124,8 @@ class IntentShown:
         one_hot = torch.nn.functional.one_hot(intents.long().squeeze(-1), INTENTS)
         groups = {name: observations[name] for name in observations.keys()}  # noqa: SIM118
         for name, columns in self._columns.items():
+            if name not in groups:
+                continue
             groups[name] = groups[name].clone()
             groups[name][:, columns] = one_hot.to(groups[name].dtype)
         return TensorDict(groups, batch_size=observations.batch_size)

@@ -133,6 +133,8 @@ class _Run(Run):
         self._phases = [_in_context(phase, context) for phase in settings.phases()]
         self.phases = len(self._phases)
         self._learners: dict[str, PPOLearner] = {}
+        self._groups: dict[str, tuple[str, ...]] = {}
+        """Groups of observations that each learner reads."""
         self._restored: Tensors = {}
 
     def learn(self) -> None:
@@ -210,8 +212,11 @@ class _Run(Run):
 
     def _make_learner(self, phase: Phase, env: TeamVecEnv) -> Learner:
         if phase.seat != TEAM or phase.joint:
-            return self._learner(phase.seat, phase.cards, env)
+            learner = self._learner(phase.seat, phase.cards, env)
+            env.groups = self._groups[phase.seat]  # the others need not be computed
+            return learner
         driver, vehicle_ai = (self._learner(card.seat, (card,), env) for card in phase.cards)
+        env.groups = {name for card in phase.cards for name in self._groups[card.seat]}
         return TwoLearners(driver, vehicle_ai, IntentShown(env) if phase.sequential else None)
 
     def _learner(self, name: str, cards: tuple[PolicyCard, ...], env: TeamVecEnv) -> PPOLearner:
@@ -222,6 +227,7 @@ class _Run(Run):
         torch.manual_seed(self.draw(Stream.LEARNING, _INITIAL_WEIGHTS[name]))
         teams = settings.num_teams // self._shards.count
         view = SeatView(env, cards, settings.critic == "team", self._context, teams)
+        self._groups[name] = view.groups
         critic = NetworkConfig(settings.network.hidden_dims, settings.network.activation)
         learner = PPOLearner(
             make_joint_actor(*cards) if len(cards) == 2 else make_actor(*cards),

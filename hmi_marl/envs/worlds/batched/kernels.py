@@ -77,7 +77,7 @@ class Merges(NamedTuple):
     integers: NDArray[np.int32]
     worlds: NDArray[np.int32]
     lanes: NDArray[np.float64]
-    table: NDArray[np.int32]
+    table: NDArray[np.int64]
     rows: int
     """Main lanes."""
     speeds: NDArray[np.float64]
