@@ -142,6 +142,11 @@ class Execution(ABC):
         self._no_lidar = np.zeros((0, self._cells), np.float32)
 
     @property
+    def bytes_per_team(self) -> int:
+        """Memory that is kept for each team."""
+        return 0
+
+    @property
     def readings(self) -> Readings:
         """The driven cars; later steps may write into these arrays."""
         return self._readings

@@ -398,6 +398,12 @@ class InOneLoop(InLoops):
         )
 
     @property
+    def bytes_per_team(self) -> int:
+        """See :meth:`Execution.bytes_per_team`."""
+        arrays = (*self._lidars, self._last_totals, self._active, self._alert)
+        return sum(array.nbytes for array in arrays) // len(self._active)
+
+    @property
     def readings(self) -> Readings:
         """See :meth:`Execution.readings`."""
         merges = self.world.arrays()

@@ -152,6 +152,13 @@ class Teaming:
         self._finals: dict[str, Group] = {}
         """Room for observations at the end of episodes."""
 
+    @property
+    def bytes_per_team(self) -> int:
+        """Memory that each team takes, its batched world included, without what was returned."""
+        arrays = (*self._teams, self._spare, *(group.rows for group in self._finals.values()))
+        own = sum(array.nbytes for array in arrays) // self.num_teams
+        return own + self._execution.bytes_per_team + getattr(self.world, "bytes_per_world", 0)
+
     # The arrays of the teams are written into, so whoever asks for one gets a copy.
 
     @property
