@@ -1,9 +1,9 @@
 """Measure the speed of training with the learner on a GPU, by the number of teams.
 
 The training loop of ``hmi-marl train two-stage`` with its default settings, but for the number of
-teams: the learner is on the device, and the world on many threads of the CPU. Each stage takes a few
-batches, of which the first is left out, since it loads the compiled world and warms up the device.
-Writes JSON beside what it prints, with the name of the card. Needs the train extra.
+teams: the learner is on the device, and the world on many threads of the CPU. Each stage takes a
+few batches, of which the first is left out, since it loads the compiled world and warms up the
+device. Writes JSON beside what it prints, with the name of the card. Needs the train extra.
 
 Run: python benchmarks/gpu.py --device cuda --num-teams 4096 8192 16384
 """

@@ -26,8 +26,8 @@ from hmi_marl.demonstrations.parquet import (
 from hmi_marl.demonstrations.recording import CollectSettings, Summary, collect
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, TRAIT_RANGES
-from hmi_marl.envs.observations import lidar_part, motion_parts
-from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.observations import FASTEST, one_hot
+from hmi_marl.envs.scene import LANE_WIDTH, Scene
 from hmi_marl.envs.worlds import make_world
 
 CRASHING: dict[str, Any] = {"driver_policy": "random", "vehicles": (20, 20), "duration": 4.0}
@@ -238,9 +238,20 @@ def test_a_window_is_driven_again_from_its_seed_and_what_was_applied() -> None:
     world = make_world("batched", scene, len(observed))
     world.reset(observed.seeds, np.full(len(observed), 9.0), everywhere)
     for t in range(10):
-        parts: dict[str, Any] = {"lidar": lidar_part(world.lidar(inflated=False), scene)}
-        parts |= motion_parts(world.ego(), scene)
-        np.testing.assert_array_equal(observed.layout.join(parts), observed.states[:, t])
+        ego, lidar = world.ego(), world.lidar(inflated=False)
+        parts = {
+            "lidar": (lidar / np.float32(scene.lidar_range)).reshape(len(lidar), -1),
+            "speed": ego.speed[:, None] / FASTEST,
+            "target_speed": ego.target_speed[:, None] / FASTEST,
+            "heading": ego.heading[:, None] / np.pi,
+            "lateral": ego.lateral[:, None] / LANE_WIDTH,
+            "lane": one_hot(ego.lane, scene.lanes + 1),
+            "position": ego.x[:, None] / scene.length,
+        }
+        assert set(parts) == set(observed.layout.slices)
+        for part, value in parts.items():
+            seen = observed.layout.get(observed.states[:, t], part)
+            np.testing.assert_array_equal(seen, value.astype(np.float32))
         world.step(observed.actions[:, t], everywhere)
 
 

@@ -28,13 +28,6 @@ def test_parts_lie_one_after_another():
         TINY["c"]
 
 
-def test_joining_keeps_to_the_box():
-    joined = TINY.join({"a": np.array([[0.5, -3.0]]), "b": np.array([[9.0]])})
-    assert joined.tolist() == [[0.5, -1.0, 2.0]]
-    assert joined.dtype == np.float32
-    assert TINY.space().contains(joined[0])
-
-
 def test_one_hot_there_and_back():
     index = np.array([2, -1, 0])
     assert one_hot(index, 3).tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 0]]

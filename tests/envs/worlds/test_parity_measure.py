@@ -13,10 +13,10 @@ SCENE = Scene(vehicles=4)
 
 def wrong(block, field, change):
     """A step of the batched world after which a number of its second vehicle is wrong."""
-    step = BatchedWorld.step
+    step = BatchedWorld.take_step
 
-    def stepped(self, actions, which):
-        step(self, actions, which)
+    def stepped(self, *arguments):
+        step(self, *arguments)
         values = getattr(self, block)
         values[:, field, 1] = change(values[:, field, 1])
 
@@ -35,7 +35,7 @@ def wrong(block, field, change):
     ],
 )
 def test_a_wrong_number_is_found(monkeypatch, block, field, change):
-    monkeypatch.setattr(BatchedWorld, "step", wrong(block, field, change))
+    monkeypatch.setattr(BatchedWorld, "take_step", wrong(block, field, change))
     with pytest.raises(AssertionError, match="step"):
         parity.assert_parity(SCENE, [3], duration=1.0)
 

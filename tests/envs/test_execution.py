@@ -1,0 +1,280 @@
+"""The rules of a step give the same bits in NumPy, in loops, and in one loop with the world."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from standing_world import StandingWorld
+
+from hmi_marl.envs.alerts import Fatigue
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import TraitDistributions
+from hmi_marl.envs.elementwise import put, put_one_hot, put_row, scale_row, within
+from hmi_marl.envs.execution import InNumPy, Rules, WrongActionError
+from hmi_marl.envs.loops import InLoops, InOneLoop
+from hmi_marl.envs.observation_values import PARTS, first_columns
+from hmi_marl.envs.observations import driver_layout, state_layout, vehicle_ai_layout
+from hmi_marl.envs.rewards import RewardWeights
+from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.series import Series
+from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH
+from hmi_marl.envs.teaming import Teaming, Then
+from hmi_marl.envs.worlds.batched import BatchedWorld
+
+CONFIGS = {
+    "paper": {"driver": ["lisa", "homer"]},
+    "graded": {
+        "driver": TraitDistributions(),
+        "alert_strengths": (0.25, 0.5, 1.0),
+        "fatigue": Fatigue(),
+        "reward": "individual",
+    },
+    "hidden": {
+        "driver": "bart",
+        "ai_sees_attention": False,
+        "observe_traits": False,
+        "end_at_crash": False,
+        "alert_window": 1,
+        "weights": RewardWeights(speed_reward=-0.3, merging=0.7, collision=-1.5, alert=-2.0),
+    },
+}
+VIEWS = ("driver", "vehicle_ai", "state")
+
+
+class Plain:
+    """A batched world that shows the methods of World alone, as a world of one's own has them."""
+
+    def __init__(self, world):
+        self.scene, self.num_worlds = world.scene, world.num_worlds
+        for name in ("reset", "step", "halt", "perceive", "ego", "lidar", "snapshot"):
+            setattr(self, name, getattr(world, name))
+
+
+def teams_of(kind, config, count):
+    world = BatchedWorld(config.scene, count, 1)
+    teams = Teaming(config, count, world if kind is InOneLoop else Plain(world))
+    teams._execution = kind(teams.world, Rules.of(config))
+    return teams
+
+
+def play(teams, steps, seed, series=None):
+    """Everything that teams show in some steps of random actions, as a list of arrays."""
+    rng = np.random.default_rng(seed)
+    shown = []
+    then = None if series is None else Then(series, VIEWS)
+    for step in range(steps):
+        shown += teams.views(VIEWS).values()
+        some = rng.random(teams.num_teams) < 0.5
+        actions = rng.integers(0, 5, teams.num_teams)
+        for which in (some, ~some):
+            teams.intend(actions, which)
+            shown += teams.views(VIEWS).values()
+        alerts = rng.integers(0, teams.alerts.choices, teams.num_teams)
+        result = teams.step(alerts, VIEWS, then)
+        shown += [result.table, result.ends, *result.views.values()]
+        if result.ended_teams is not None:
+            ended = result.ended_teams
+            shown += [ended.teams, ended.totals, *ended.views.values()]
+        shown += [teams.seeds, teams.over, teams.steps, teams.traits.as_array(), teams.ego.x]
+        if series is None and step % 7 == 3:
+            teams.reset(teams.seeds + np.uint64(50), teams.over)
+        if step == 9:
+            teams.hand_over(teams.traits, teams.steps > 4)
+    return shown
+
+
+@pytest.mark.parametrize("with_series", [False, True])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_all_ways_give_the_same_bits(name, with_series):
+    config = TeamConfig(duration=3.0, scene=Scene(vehicles=(8, 20)), **CONFIGS[name])
+    played = []
+    for kind in (InNumPy, InLoops, InOneLoop):
+        teams = teams_of(kind, config, 21)
+        seeds = np.arange(21, dtype=np.uint64) + np.uint64(3)
+        teams.reset(seeds)
+        series = Series(seeds, config.population) if with_series else None
+        played.append(play(teams, 40, 5, series))
+    for others in played[1:]:
+        assert len(others) == len(played[0])
+        for ours, theirs in zip(played[0], others, strict=True):
+            assert ours.dtype == theirs.dtype
+            assert ours.tobytes() == theirs.tobytes()
+
+
+def test_threads_do_not_change_what_the_loop_does():
+    config = TeamConfig(driver=["lisa", "homer"], duration=3.0)
+    seeds = np.arange(70, dtype=np.uint64)
+    played = []
+    for threads in (1, 2):
+        teams = Teaming(config, 70, BatchedWorld(config.scene, 70, min(threads, 2)))
+        teams.reset(seeds)
+        played.append(play(teams, 20, 1, Series(seeds, config.population)))
+    for ours, theirs in zip(*played, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_next_episodes_are_those_of_teams_that_are_reset_by_hand():
+    config = TeamConfig(driver=["lisa", "homer"], duration=1.0)
+    seeds = np.arange(4, dtype=np.uint64)
+    ours, theirs = (Teaming(config, 4, "batched") for _ in range(2))
+    series, again = Series(seeds, config.population), Series(seeds, config.population)
+    for teams in (ours, theirs):
+        teams.reset(seeds)
+    rng = np.random.default_rng(0)
+    for _ in range(Series.AHEAD * 5 + 12):  # beyond what was computed ahead
+        actions, alerts = rng.integers(0, 5, 4), rng.integers(0, 2, 4)
+        ours.intend(actions)
+        theirs.intend(actions)
+        result = ours.step(alerts, ("state",), Then(series, ("state",)))
+        by_hand = theirs.step(alerts)
+        np.testing.assert_array_equal(result.table, by_hand.table)
+        if by_hand.ended.any():
+            teams = np.flatnonzero(by_hand.ended)
+            ended = result.ended_teams
+            np.testing.assert_array_equal(ended.teams, teams)
+            np.testing.assert_array_equal(ended.views["state"], theirs.state()[teams])
+            assert set(ended.totals[:, LENGTH]) <= {1.0, 2.0, 3.0, 4.0, 5.0}
+            theirs.begin(teams, again.go_on(teams)[0])
+        else:
+            assert result.ended_teams is None
+        np.testing.assert_array_equal(result.views["state"], theirs.state())
+        np.testing.assert_array_equal(ours.seeds, theirs.seeds)
+        assert not ours.over.any()
+
+
+def test_totals_of_an_episode_by_hand():
+    config = TeamConfig(driver="homer", duration=1.0, reward="individual")
+    world = StandingWorld(config.scene, 1)
+    teams = Teaming(config, 1, world)
+    seeds = np.array([3], np.uint64)
+    teams.reset(seeds)
+    then = Then(Series(seeds, config.population))
+    tables = []
+    for alert in (1, 0, 1, 0, 0):
+        teams.intend([1])
+        result = teams.step([alert], then=then)
+        tables.append(result.table[0])
+    (totals,) = result.ended_teams.totals
+    np.testing.assert_allclose(totals[:10], np.sum(tables, axis=0))
+    assert totals[OF_BOTH] == pytest.approx(np.sum(tables, axis=0)[8:].sum())
+    assert (totals[LENGTH], totals[ALERTS], totals[CRASHES]) == (5.0, 2.0, 0.0)
+
+
+def test_what_was_returned_stays_as_it_is():
+    config = TeamConfig(driver=["lisa", "homer"])
+    for world in ("batched", "highway"):
+        teams = Teaming(config, 2, world)
+        teams.reset([1, 2])
+        teams.intend([3, 1])
+        result = teams.step([1, 0], ("state", "driver"))
+        held = [
+            *vars(teams.attention).values(),
+            *vars(teams.traits).values(),
+            *vars(teams.ego).values(),
+            *(getattr(teams, name) for name in ("steps", "applied", "intended", "seeds", "over")),
+            result.table,
+            result.ends,
+            *result.views.values(),
+            teams.state(),
+        ]
+        kept = [array.copy() for array in held]
+        for _ in range(4):
+            teams.intend([0, 4])
+            teams.step([0, 1], ("state",))
+        teams.reset([5, 6])
+        for ours, theirs in zip(held, kept, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("kind", [InNumPy, InLoops])
+@pytest.mark.parametrize(
+    ("actions", "team", "column"),
+    [
+        (np.array([[0, 1], [4, 2]]), 1, 1),
+        (np.array([[5, 0], [0, 0]]), 0, 0),
+        (np.array([[0, 0], [-1, 0]]), 1, 0),
+        (np.array([[0.0, 0.5], [0.0, 0.0]]), 0, 1),
+        (np.array([[0.0, 0.0], [np.nan, 0.0]]), 1, 0),
+        (np.array([[0.0, np.inf], [0.0, 0.0]], np.float32), 0, 1),
+        (np.array([[1e30, 0.0], [0.0, 0.0]]), 0, 0),
+    ],
+)
+def test_an_action_that_is_none_is_named(kind, actions, team, column):
+    execution = teams_of(kind, TeamConfig(), 2)._execution
+    with pytest.raises(WrongActionError) as error:
+        execution.whole(actions, (5, 2))
+    assert (error.value.team, error.value.column) == (team, column)
+    good = np.array([[4, 1], [0, 0]]).astype(actions.dtype)
+    np.testing.assert_array_equal(execution.whole(good, (5, 2)), [[4, 0], [1, 0]])
+
+
+@pytest.mark.parametrize("kind", [InNumPy, InLoops, InOneLoop])
+def test_nothing_changes_where_an_action_is_refused(kind):
+    teams = teams_of(kind, TeamConfig(driver="homer"), 3)
+    teams.reset([1, 2, 3])
+    before = teams.state()
+    with pytest.raises(ValueError, match="driver action 7 is out of range: it is one of 0 to 4"):
+        teams.intend([0, 7, 9])
+    with pytest.raises(ValueError, match="the driver acts first"):
+        teams.step([0, 0, 0])
+    np.testing.assert_array_equal(teams.state(), before)
+    teams.intend([0, 1, 2])
+    with pytest.raises(ValueError, match="already acted"):
+        teams.intend([0, 0, 0])
+    with pytest.raises(ValueError, match="vehicle_ai action -1 is out of range"):
+        teams.step([0, -1, 0])
+    assert teams.intent_given.all()
+    assert (teams.steps == 0).all()
+    np.testing.assert_array_equal(teams.intended, [0, 1, 2])
+
+
+def test_actions_of_teams_that_are_over_are_not_read():
+    teams = Teaming(TeamConfig(driver="homer"), 17, "batched")
+    teams.reset(np.arange(17), np.arange(17) < 9)
+    wild = np.where(np.arange(17) < 9, 1, 10**15)
+    teams.intend(wild)
+    teams.step(np.where(np.arange(17) < 9, 1, -(10**15)))
+    np.testing.assert_array_equal(teams.steps, np.arange(17) < 9)
+
+
+def test_every_part_of_every_layout_is_written():
+    for settings_ in CONFIGS.values():
+        config = TeamConfig(**settings_)
+        for agent, layout in (
+            ("driver", driver_layout(config)),
+            ("vehicle_ai", vehicle_ai_layout(config)),
+            ("state", state_layout(config)),
+        ):
+            first = first_columns(layout, agent)
+            assert sorted(first[first >= 0]) == sorted(s.start for s in layout.slices.values())
+    with pytest.raises(KeyError, match="no part 'fatigue'"):
+        first_columns(driver_layout(TeamConfig()), "driver", ["fatigue"])
+    assert len(set(PARTS)) == len(PARTS)
+
+
+@settings(max_examples=30)
+@given(
+    st.lists(st.floats(width=32), min_size=3, max_size=3),
+    st.integers(-1, 2),
+    st.floats(0.5, 4.0, width=32),
+)
+def test_the_building_blocks_by_hand(values, index, scale):
+    rows = np.full((1, 8), 9.0, np.float32)
+    low, high = np.float32(-1.0), np.float32(2.0)
+    for column, value in enumerate(values):
+        put(rows, slice(None), column, low, high, np.array([value]))
+    put_one_hot(rows, slice(None), 3, np.array([index]), 3)
+    put(rows, slice(None), -1, low, high, np.array([5.0]))
+    expected = np.clip(np.array(values, np.float32), low, high)
+    np.testing.assert_array_equal(rows[0, :3], expected)
+    assert rows[0, 3:6].tolist() == [float(index == k) for k in range(3)]
+    assert rows[0, 6:].tolist() == [9.0, 9.0]
+    put_row(rows, 0, 6, np.array([3.0, 4.0], np.float32))
+    assert rows[0, 6:].tolist() == [3.0, 4.0]
+    table = np.array([[values[:2]]], np.float32)
+    out = np.empty((1, 2), np.float32)
+    scale_row(out, slice(None), table, np.float32(scale), np.float32(2.0))
+    with np.errstate(over="ignore"):
+        wanted = np.clip(table / np.float32(scale), -2.0, 2.0).reshape(1, 2)
+    np.testing.assert_array_equal(out, wanted)
+    assert within(np.nan, 0.0, 1.0) != within(np.nan, 0.0, 1.0)  # stays NaN
