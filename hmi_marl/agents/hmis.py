@@ -60,16 +60,18 @@ class RandomAlert:
         if not 0.0 <= rate <= 1.0:
             raise ValueError(f"an alert rate lies in [0, 1], but got {rate}")
         self.rate = float(rate)
+        self._certain = self.rate in (0.0, 1.0)  # then no draw decides
         self._alerts = alerts
         self._draws = Draws(Stream.HMI_POLICY)
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Policy.reset`."""
-        self._draws.reset(seeds, which)
+        if not self._certain:
+            self._draws.reset(seeds, which)
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """See :meth:`Policy.act`."""
-        if self.rate in (0.0, 1.0):  # no draw decides
+        if self._certain:
             return np.full(len(observations), self._alerts.strongest * int(self.rate))
         return self._alerts.strongest * (self._draws.next() < self.rate).astype(np.int64)
 

@@ -25,6 +25,9 @@ class Series:
     AHEAD = 16
     """Most episodes of a series that are computed at a time."""
 
+    AT_FIRST = 4
+    """Episodes that are computed at first, since many trainers soon begin other series."""
+
     def __init__(self, seeds: NDArray[np.uint64], population: Population) -> None:
         self._first, self._population = seeds, population
         count = len(seeds)
@@ -36,7 +39,7 @@ class Series:
         """Traits of their drivers."""
         self._until = np.zeros(count, np.int64)
         """Last episode of each series that is computed."""
-        self._compute(np.arange(count), 0, 2)  # most trainers begin new series after an episode
+        self._compute(np.arange(count), 0, self.AT_FIRST)
 
     @property
     def present(self) -> NDArray[np.uint64]:

@@ -626,3 +626,81 @@ def test_rsl_rls_ppo_learns_on_it(seat, tmp_path):
     after = list(runner.alg.actor.parameters())
     assert any(not torch.equal(one, two) for one, two in zip(before, after, strict=True))
     assert all(parameter.isfinite().all() for parameter in after)
+
+
+def lidars_read(env):
+    """Which lidars of the batched world were traced since it last moved: true, perceived."""
+    arrays = env.teaming.world.arrays()
+    return bool((arrays.true_news < 2).any()), bool((arrays.perceived_news < 2).any())
+
+
+@pytest.mark.parametrize(
+    ("seat", "partner", "groups", "expected"),
+    [
+        ("driver", "never", ("driver",), (False, True)),
+        ("driver", "never", ("traits",), (False, False)),
+        ("driver", "when-distracted", ("driver",), (False, True)),
+        ("driver", "never", ("driver", "critic"), (True, True)),
+        ("vehicle_ai", "random", ("vehicle_ai",), (True, False)),
+        ("vehicle_ai", "rule", ("vehicle_ai",), (True, True)),
+        ("team", None, ("vehicle_ai", "traits"), (True, False)),
+    ],
+)
+def test_only_lidars_that_somebody_reads_are_traced(seat, partner, groups, expected):
+    full, lean = (make_vec(6, seat, partner, seed=4, **SMALL) for _ in range(2))
+    lean.groups = groups
+    assert lean.groups == groups
+    first, _ = full.reset()
+    lean.reset()
+    assert set(first.keys()) == {"driver", "vehicle_ai", "traits", "critic"}
+    for actions in random_actions(full, 25):
+        whole, part = full.step(actions), lean.step(actions)
+        assert lidars_read(lean) == expected
+        assert tuple(part[0].keys()) == groups
+        for group in groups:
+            assert torch.equal(part[0][group], whole[0][group])
+        assert torch.equal(part[1], whole[1])
+        assert part[3].get("final_teams", torch.tensor([])).tolist() == (
+            whole[3].get("final_teams", torch.tensor([])).tolist()
+        )
+        if "final_teams" in part[3]:
+            for group in groups:
+                last = whole[3]["final_observation"][group]
+                assert torch.equal(part[3]["final_observation"][group], last)
+
+
+def test_a_group_that_was_not_computed_can_be_read_later():
+    full, lean = (make_vec(3, "driver", "never", seed=1, **SMALL) for _ in range(2))
+    lean.groups = ["driver"]
+    full.reset()
+    lean.reset()
+    for actions in random_actions(full, 12):  # an episode ends in between
+        observations, *_ = full.step(actions)
+        seen, *_ = lean.step(actions)
+        with pytest.raises(KeyError):
+            seen["critic"]
+        for group in ("critic", "vehicle_ai", "traits", "driver"):
+            assert torch.equal(lean.read(group), observations[group])
+    lean.groups = ("critic", "driver")
+    assert lean.groups == ("driver", "critic")
+    assert torch.equal(lean.get_observations()["critic"], full.get_observations()["critic"])
+    for wrong in ((), "driver", ("driver", "lidar")):
+        with pytest.raises(ValueError, match="groups="):
+            lean.groups = wrong
+    with pytest.raises(ValueError, match="group="):
+        lean.read("lidar")
+
+
+def test_what_an_episode_logged_stays_and_can_be_read_by_name():
+    env = standing(1)
+    env.reset()
+    for _ in range(5):
+        _, _, _, extras = env.step(torch.tensor([[1, 0]]))
+    log = extras["log"]
+    assert len(log) == len(set(log)) == 12
+    before = {name: value.clone() for name, value in log.items()}
+    for _ in range(5):
+        env.step(torch.tensor([[1, 1]]))
+    assert all(torch.equal(log[name], before[name]) for name in before)
+    with pytest.raises(KeyError):
+        log["Episode/none"]

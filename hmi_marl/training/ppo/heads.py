@@ -207,8 +207,7 @@ class LikeliestPair(torch.nn.Module):
 class Choice:
     """Probabilities of a few choices, by logits of shape (..., choices).
 
-    They lie in memory choice by choice: in this order a softmax of a few choices takes a third of
-    the time.
+    They lie in memory choice by choice: in this order a softmax of a few choices is faster.
     """
 
     def __init__(self, logits: torch.Tensor) -> None:

@@ -1,6 +1,6 @@
 """Forward and backward passes of linear layers, written out.
 
-Networks of 64 units are so small that autograd's bookkeeping and copies take a third of the
+Networks of 64 units are so small that autograd's bookkeeping and copies take a good part of the
 learner's time. These passes work in place, and write gradients where they belong.
 """
 

@@ -1,7 +1,6 @@
 """Exchange of numbers among processes that learn together; no torch until they have some.
 
-Processes of one machine exchange them through shared memory, which takes a tenth of the time of a
-local network connection. Processes on several machines, and those that learn on GPUs, use
+Processes of one machine exchange them through shared memory, without a network connection. Processes on several machines, and those that learn on GPUs, use
 torch.distributed.
 """
 

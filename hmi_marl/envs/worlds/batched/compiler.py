@@ -50,6 +50,8 @@ _RULES = (
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _PATIENCE = 180.0
 """Longest wait for another process that compiles [s]."""
+_QUIET = 3.0
+"""Wait for another process that is not worth a line [s]."""
 _ABANDONED = 3600.0
 """Age from which a half-written file is one of a process that was killed [s]."""
 
@@ -81,13 +83,14 @@ def one_process_at_a_time() -> Iterator[None]:
 
 def _wait_for(lock: IO[str]) -> None:
     """Take the lock; after a while, or where there are no locks, go on without."""
-    until = time.monotonic() + _PATIENCE
-    while time.monotonic() < until:
+    start = time.monotonic()
+    while (waited := time.monotonic() - start) < _PATIENCE:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return
         except BlockingIOError:
-            _say_once("waiting for another process that compiles the batched world ...")
+            if waited > min(_QUIET, _PATIENCE / 2):  # to load what is kept takes less
+                _say_once("waiting for another process that compiles the batched world ...")
             time.sleep(0.1)
         except OSError:
             return
