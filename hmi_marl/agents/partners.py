@@ -23,7 +23,8 @@ from hmi_marl.extras import needing
 if TYPE_CHECKING:
     import torch
 
-    from hmi_marl.envs.vector import Seat, TeamVecEnv
+    from hmi_marl.envs.groups import Seat
+    from hmi_marl.envs.vector import TeamVecEnv
 
 _PARTNERS = {DRIVER: (make_hmi, "never"), VEHICLE_AI: (make_driver_policy, "rule")}
 """By the seat that learns: how the partner is made, and which one by default."""

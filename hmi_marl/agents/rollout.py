@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.seats import Policy, moves_sequentially
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.step_result import StepResult
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import World
 
 

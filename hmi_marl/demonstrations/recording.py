@@ -29,8 +29,9 @@ from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, TraitDistributions, Traits, get_driver
 from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import Stream, check_seed, episode_seed, mix
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.files import json_value, sha256, sha256_of
 
 POPULATION = "population"

@@ -8,108 +8,23 @@ where numba need not be imported; the loops (:mod:`hmi_marl.envs.loops`) suit al
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs import team_step
-from hmi_marl.envs.alerts import Effects
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.elementwise import EVERY
 from hmi_marl.envs.observation_values import (
-    PERCEIVED_LIDAR,
-    TRUE_LIDAR,
-    Scales,
     Shown,
     scale_lidar,
-    scales_of,
     write,
 )
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.team_step import Settings, settings_of
+from hmi_marl.envs.team_arrays import After, Group, Rules, Teams
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
-
-
-class Rules(NamedTuple):
-    """Constants of a team's settings that the rules need."""
-
-    window: int
-    """N, in steps."""
-    effects: Effects
-    settings: Settings
-    scales: Scales
-
-    @classmethod
-    def of(cls, config: TeamConfig) -> Rules:
-        """Constants of these settings."""
-        effects = config.alerts.effects
-        return cls(config.alert_window, effects, settings_of(config), scales_of(config))
-
-
-class Teams(NamedTuple):
-    """N teams as the rules see them, in arrays that are written into; see :mod:`team_step`."""
-
-    state: NDArray[np.int64]
-    traits: NDArray[np.float64]
-    seeds: NDArray[np.uint64]
-    over: NDArray[np.bool_]
-    """Teams without a running episode: ended, or not begun. Shape (N,)."""
-    intent_given: NDArray[np.bool_]
-    """Teams in mid-turn: the driver has acted, the vehicle AI has not. Shape (N,)."""
-    totals: NDArray[np.float64]
-
-    @classmethod
-    def new(cls, count: int) -> Teams:
-        """N teams without episodes."""
-        return cls(
-            np.repeat(team_step.AT_START[None], count, axis=0),
-            np.zeros((count, len(TRAIT_NAMES))),
-            np.zeros(count, np.uint64),
-            np.ones(count, np.bool_),
-            np.zeros(count, np.bool_),
-            np.zeros((count, team_step.TOTALS)),
-        )
-
-
-@dataclass(frozen=True)
-class Group:
-    """Observations to be written."""
-
-    rows: NDArray[np.float32]
-    """Shape (M, D)."""
-    first: NDArray[np.int64]
-    """First column of each part; see :func:`first_columns`."""
-    shows_true_lidar: bool
-    shows_perceived_lidar: bool
-
-    @classmethod
-    def of(cls, rows: NDArray[np.float32], first: NDArray[np.int64]) -> Group:
-        """Rows to be written with these columns."""
-        return cls(rows, first, bool(first[TRUE_LIDAR] >= 0), bool(first[PERCEIVED_LIDAR] >= 0))
-
-    def another(self, rows: NDArray[np.float32]) -> Group:
-        """Other rows with the same columns."""
-        return Group(rows, self.first, self.shows_true_lidar, self.shows_perceived_lidar)
-
-
-class After(NamedTuple):
-    """What a step gave N teams. The arrays are new in every step."""
-
-    rewards: NDArray[np.float64]
-    ends: NDArray[np.bool_]
-    last_totals: NDArray[np.float64] | None
-    """Totals of the episodes that ended, if the next ones began: shape (N, 14), of which only the
-    rows of these teams are filled in."""
-
-    @classmethod
-    def new(cls, count: int, last_totals: NDArray[np.float64] | None = None) -> After:
-        """Arrays to be filled in."""
-        rewards = np.empty((count, team_step.SUMS))
-        return cls(rewards, np.empty((count, team_step.OVER + 1), np.bool_), last_totals)
 
 
 def read_world(world: World) -> Readings:

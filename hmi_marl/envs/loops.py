@@ -1,7 +1,7 @@
 """Compiled loops over teams: the rules of a step, one team after the other, on several threads.
 
-The rules are those that NumPy applies to all teams at once (:mod:`hmi_marl.envs.elementwise`);
-here numba learns what they consist of. Importing this module imports numba.
+The rules are those that NumPy applies to all teams at once (:mod:`hmi_marl.envs.elementwise`).
+Importing this module imports numba.
 """
 
 from __future__ import annotations
@@ -9,13 +9,17 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
-from hmi_marl.envs import alerts, attention, elementwise, rewards, streams, team_step
+from hmi_marl.envs import (
+    compiled_rules,  # noqa: F401  (so that the rules can be compiled)
+    team_step,
+)
 from hmi_marl.envs import observation_values as values
-from hmi_marl.envs.execution import After, Execution, Group, Rules, Teams
+from hmi_marl.envs.action_loops import admit_alerts, check_actions, intend_teams
+from hmi_marl.envs.execution import Execution
 from hmi_marl.envs.series import Series
+from hmi_marl.envs.team_arrays import After, Group, Rules, Teams
 from hmi_marl.envs.team_step import AT_START, TOTALS
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
@@ -31,130 +35,6 @@ from hmi_marl.envs.worlds.batched.kernels import (
     move_world,
 )
 from hmi_marl.envs.worlds.batched.threads import share, take
-
-_OPTIONS: Any = {"error_model": "numpy", "forceinline": True, "_nrt": False}
-
-for rule in (
-    alerts.help_share,
-    alerts.next_level,
-    attention.next_attention,
-    elementwise.within,
-    rewards.add_up,
-    rewards.attention_values,
-    rewards.driving_values,
-    streams.mix_bits,
-    streams.unit_draw,
-    team_step.begin,
-    team_step.decide,
-    team_step.reward,
-    values.scale_lidar,
-    values.write,
-):
-    register_jitable(**_OPTIONS)(rule)
-
-
-def _compile_inside(rule: Any) -> None:
-    """Let compiled code call a rule that takes lists too, without the part that takes lists."""
-    overload(rule, jit_options=_OPTIONS, strict=False)(lambda *_: rule.__wrapped__)
-
-
-_compile_inside(attention.next_acceptance)
-_compile_inside(attention.distraction_probability)
-
-
-@overload(elementwise.choose, jit_options=_OPTIONS, strict=False)
-def _choose(condition: Any, yes: Any, no: Any) -> Any:
-    return lambda condition, yes, no: yes if condition else no
-
-
-@overload(elementwise.put, jit_options=_OPTIONS, strict=False)
-def _put(rows: Any, row: Any, column: Any, low: Any, high: Any, value: Any) -> Any:
-    def put(rows: Any, row: Any, column: Any, low: Any, high: Any, value: Any) -> None:
-        if column >= 0:
-            rows[row, column] = elementwise.within(np.float32(value), low, high)
-
-    return put
-
-
-@overload(elementwise.put_one_hot, jit_options=_OPTIONS, strict=False)
-def _put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> Any:
-    def put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> None:
-        if column >= 0:
-            for value in range(size):
-                rows[row, column + value] = 1.0 if value == index else 0.0
-
-    return put_one_hot
-
-
-@overload(elementwise.put_row, jit_options=_OPTIONS, strict=False)
-def _put_row(rows: Any, row: Any, column: Any, values: Any) -> Any:
-    def put_row(rows: Any, row: Any, column: Any, values: Any) -> None:
-        if column >= 0:
-            for place in range(len(values)):
-                rows[row, column + place] = values[place]
-
-    return put_row
-
-
-@overload(elementwise.scale_row, jit_options=_OPTIONS, strict=False)
-def _scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> Any:
-    def scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> None:
-        flat, scaled = values.reshape(values.size), rows[row]
-        for place in range(len(flat)):
-            scaled[place] = elementwise.within(flat[place] / scale, -bound, bound)
-
-    return scale_row
-
-
-@kernel
-def check_actions(progress, actions, sizes, columns, found):
-    """Copy actions of shape (N, C) to int64 of shape (C, N), in which they are whole numbers.
-
-    ``found`` becomes the team and column of the first that is not, or not below its column's size,
-    else -1.
-    """
-    found[0] = -1
-    for column in range(len(sizes)):
-        for team in range(len(actions)):
-            value = actions[team, column]
-            if not 0 <= value < sizes[column] or value != np.int64(value):
-                found[0], found[1] = team, column
-                return
-            columns[column, team] = np.int64(value)
-
-
-@kernel
-def intend_teams(progress, teams, actions, choices, acts, found):
-    """Set the drivers' actions; see :meth:`Execution.intend`."""
-    state, over, given = teams.state, teams.over, teams.intent_given
-    found[0], found[1] = -1, -1
-    for k in range(len(over)):
-        on = acts[k] and not over[k]
-        if on and given[k] and found[0] < 0:
-            found[0] = k
-        if on and not 0 <= actions[k] < choices and found[1] < 0:
-            found[1] = k
-    if found[0] >= 0 or found[1] >= 0:
-        return
-    for k in range(len(over)):
-        if acts[k] and not over[k]:
-            state[k, team_step.PREVIOUS] = state[k, team_step.INTENDED]
-            state[k, team_step.INTENDED] = actions[k]
-            given[k] = True
-
-
-@kernel
-def admit_alerts(progress, teams, alerts, choices, active, alert, found):
-    """Find out which teams take a step, and by which alerts; see :meth:`Execution.admit`."""
-    found[0], found[1] = -1, -1
-    for k in range(len(teams.over)):
-        on = not teams.over[k]
-        if on and not teams.intent_given[k] and found[0] < 0:
-            found[0] = k
-        if on and not 0 <= alerts[k] < choices and found[1] < 0:
-            found[1] = k
-        active[k] = on
-        alert[k] = alerts[k] if on else 0
 
 
 @kernel

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-from hmi_marl.envs.teaming import StepResult, Teaming, Then
+from hmi_marl.envs.step_result import StepResult, Then
+from hmi_marl.envs.teaming import Teaming
 
 
 @runtime_checkable

@@ -26,8 +26,9 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
+from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import check_seed, episode_seed
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 
 if TYPE_CHECKING:

@@ -11,110 +11,36 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs import observations as obs
-from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Traits, check_traits
-from hmi_marl.envs.execution import Execution, Group, InNumPy, Rules, Teams
+from hmi_marl.envs.executions import execution_for
 from hmi_marl.envs.observation_values import first_columns
-from hmi_marl.envs.rewards import TERMS
-from hmi_marl.envs.series import Series
+from hmi_marl.envs.shown_teams import ShownTeams
+from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
+from hmi_marl.envs.team_arrays import Group, Rules, Teams
 from hmi_marl.envs.team_step import (
-    ALERTED,
-    APPLIED,
     AT_START,
     DISTRACTED,
     ENDED,
-    FATIGUE,
     INTENDED,
-    OF_DRIVER,
-    OF_VEHICLE_AI,
     PREVIOUS,
-    STEPS,
-    TERMINATED,
-    TRUNCATED,
 )
-from hmi_marl.envs.worlds import Ego, World, make_world
-from hmi_marl.envs.worlds.base import CRASHED, GAP, SPEED, Readings
+from hmi_marl.envs.worlds import World, make_world
 
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
-FEW = 16
-"""Teams below which a world that is not compiled is not worth compiling loops for."""
 STATE = "state"
 """Name of the whole team's state among what :meth:`Teaming.views` gives."""
 
 
-@dataclass(frozen=True)
-class Then:
-    """Begin the next episode of its series in each team whose episode ends."""
-
-    series: Series
-    views: tuple[str, ...] = ()
-    """Observations at the end of the episode to compute."""
-
-
-@dataclass(frozen=True)
-class EndedTeams:
-    """M teams whose episode ended in a step."""
-
-    teams: NDArray[np.int64]
-    """Their numbers, shape (M,)."""
-    views: dict[str, NDArray[np.float32]]
-    """What was seen at the end, by name; shape (M, size of the layout) each."""
-    totals: NDArray[np.float64]
-    """Sums over the episode, (M, 14); for the columns see :mod:`team_step`."""
-
-
-@dataclass(frozen=True)
-class StepResult:
-    """Rewards and ends of one step of N teams."""
-
-    table: NDArray[np.float64]
-    """Reward terms and each agent's reward, float64 of shape (N, 10); for the columns see
-    :mod:`team_step`."""
-    ends: NDArray[np.bool_]
-    """How the step ended episodes, shape (N, 4); for the columns see :mod:`team_step`."""
-    views: dict[str, NDArray[np.float32]] = field(default_factory=dict)
-    """Observations after the step that were asked for, by name; see :meth:`Teaming.views`."""
-    ended_teams: EndedTeams | None = None
-    """What is known about the episodes that ended, if the next ones have begun already."""
-
-    @cached_property
-    def rewards(self) -> dict[str, NDArray[np.float64]]:
-        """Reward of each agent, shape (N,)."""
-        return {DRIVER: self.table[:, OF_DRIVER], VEHICLE_AI: self.table[:, OF_VEHICLE_AI]}
-
-    @cached_property
-    def terms(self) -> dict[str, NDArray[np.float64]]:
-        """Value of each reward term, shape (N,)."""
-        return dict(zip(TERMS, self.table.T, strict=False))
-
-    @property
-    def terminated(self) -> NDArray[np.bool_]:
-        """The episode ended by a crash, shape (N,)."""
-        return self.ends[:, TERMINATED]
-
-    @property
-    def truncated(self) -> NDArray[np.bool_]:
-        """The episode's time is over, shape (N,)."""
-        return self.ends[:, TRUNCATED]
-
-    @property
-    def ended(self) -> NDArray[np.bool_]:
-        """The episode ended, one way or the other, shape (N,)."""
-        return self.ends[:, ENDED]
-
-
-class Teaming:
+class Teaming(ShownTeams):
     """N teams of driver and vehicle AI.
 
     Team k's episode depends on seed k and team k's actions alone.
@@ -142,7 +68,7 @@ class Teaming:
         }
         self.state_layout = obs.state_layout(config)
         self._columns: dict[tuple[str, tuple[str, ...] | None], Group] = {}
-        self._execution = _execution_for(self.world, num_teams, Rules.of(config))
+        self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
         self._everywhere = np.ones(num_teams, np.bool_)
         self._every = np.arange(num_teams)
@@ -158,82 +84,6 @@ class Teaming:
         arrays = (*self._teams, self._spare, *(group.rows for group in self._finals.values()))
         own = sum(array.nbytes for array in arrays) // self.num_teams
         return own + self._execution.bytes_per_team + getattr(self.world, "bytes_per_world", 0)
-
-    # The arrays of the teams are written into, so whoever asks for one gets a copy.
-
-    @property
-    def seeds(self) -> NDArray[np.uint64]:
-        """Seeds of the episodes, uint64."""
-        return self._teams.seeds.copy()
-
-    @property
-    def over(self) -> NDArray[np.bool_]:
-        """Teams without a running episode: ended, or not begun."""
-        return self._teams.over.copy()
-
-    @property
-    def intent_given(self) -> NDArray[np.bool_]:
-        """Teams in mid-turn: the driver has acted, the vehicle AI has not."""
-        return self._teams.intent_given.copy()
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """Steps taken in each team's episode. May be assigned, which moves the teams' clocks."""
-        return self._teams.state[:, STEPS].copy()
-
-    @steps.setter
-    def steps(self, steps: NDArray[np.int64]) -> None:
-        self._teams.state[:, STEPS] = steps
-
-    @property
-    def intended(self) -> NDArray[np.int64]:
-        """The latest a^H of each team, -1 before the first."""
-        return self._teams.state[:, INTENDED].copy()
-
-    @property
-    def previous_intended(self) -> NDArray[np.int64]:
-        """The a^H before the latest one, -1 if there is none."""
-        return self._teams.state[:, PREVIOUS].copy()
-
-    @property
-    def applied(self) -> NDArray[np.int64]:
-        """The latest v, -1 before the first."""
-        return self._teams.state[:, APPLIED].copy()
-
-    @property
-    def alerted(self) -> NDArray[np.int64]:
-        """The latest a^A, 0 to k."""
-        return self._teams.state[:, ALERTED].copy()
-
-    @property
-    def attention(self) -> Attention:
-        """The drivers' attention after the last step."""
-        return Attention(*self._teams.state[:, DISTRACTED : FATIGUE + 1].T.copy())
-
-    @property
-    def traits(self) -> Traits:
-        """The drivers' traits. May be assigned, which does not change what the lidars perceive."""
-        return Traits(*self._teams.traits.T.copy())
-
-    @traits.setter
-    def traits(self, traits: Traits) -> None:
-        self._teams.traits[:] = traits.as_array()
-
-    @property
-    def trait_table(self) -> NDArray[np.float64]:
-        """The same traits as a table, shape (N, 4)."""
-        return self._teams.traits.copy()
-
-    @property
-    def crashed(self) -> NDArray[np.bool_]:
-        """Teams whose car is crashed."""
-        return self._execution.readings.flags[:, CRASHED] == 1
-
-    @property
-    def ego(self) -> Ego:
-        """The driven cars."""
-        numbers, flags = self._execution.readings
-        return Readings(numbers.copy(), flags.copy()).ego()
 
     def reset(self, seeds: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """Begin new episodes in the teams marked in ``which`` (shape (N,), all by default).
@@ -443,13 +293,6 @@ class Teaming:
             self._columns[name, parts] = Group.of(np.empty((0, 0), np.float32), first)
         return self._columns[name, parts]
 
-    def time_headway(self) -> NDArray[np.float64]:
-        """Time to the next object ahead in the lane [s], shape (N,); inf if none, or at 0 m/s."""
-        numbers = self._execution.readings.numbers
-        speed, gap = numbers[:, SPEED], numbers[:, GAP]
-        moving = speed > 0
-        return np.where(moving, np.maximum(gap, 0.0) / np.where(moving, speed, 1.0), np.inf)
-
     def whole_actions(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """Return actions of shape (N, C) as int64 of shape (C, N); see :meth:`Execution.whole`."""
         return self._execution.whole(actions, sizes)
@@ -488,16 +331,6 @@ def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]
             f"{mask.shape}"
         )
     return mask
-
-
-def _execution_for(world: World, num_teams: int, rules: Rules) -> Execution:
-    """Return the way to take steps that suits a world and a number of teams."""
-    batched = hasattr(world, "take_step")
-    if num_teams < FEW and not batched:
-        return InNumPy(world, rules)
-    from hmi_marl.envs.loops import InLoops, InOneLoop  # numba is slow to import
-
-    return InOneLoop(world, rules) if batched else InLoops(world, rules)  # type: ignore[arg-type]
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

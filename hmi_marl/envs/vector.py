@@ -28,7 +28,7 @@ Needs torch, tensordict and rsl_rl (the ``train`` extra).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -38,35 +38,35 @@ from tensordict import TensorDict
 
 from hmi_marl.checks import check_choice
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.execution import WrongActionError
-from hmi_marl.envs.observations import Layout, Part
+from hmi_marl.envs.groups import (
+    CRITIC,
+    GROUPS,
+    TEAM,
+    TRAITS,
+    TRAITS_LAYOUT,
+    VIEW,
+    Seat,
+    check_seat,
+    checked_groups,
+    views_of,
+)
+from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import TERMS
-from hmi_marl.envs.seats import PartnerTurns, Policy, check_policy
+from hmi_marl.envs.seats import PartnerTurns, Policy
 from hmi_marl.envs.series import Series
+from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
-from hmi_marl.envs.teaming import STATE, EndedTeams, StepResult, Teaming, Then
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
 if TYPE_CHECKING:
     from hmi_marl.envs.render import Viewer
 
-Seat = Literal["driver", "vehicle_ai", "team"]
-TEAM = "team"
-TRAITS, CRITIC = "traits", "critic"
-GROUPS = (DRIVER, VEHICLE_AI, TRAITS, CRITIC)
-"""Groups of observations."""
-
-_VIEW = {DRIVER: DRIVER, VEHICLE_AI: VEHICLE_AI, CRITIC: STATE}
-"""Names of groups among the views that a Teaming gives."""
 Views = dict[str, NDArray[np.float32]]
 _LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "alerts", "crash_rate"))
-
-_TRAITS = Layout(
-    tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
-)
 
 
 class EpisodeLog(Mapping[str, torch.Tensor]):
@@ -114,7 +114,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         device: str | torch.device = "cpu",
         groups: Collection[str] = GROUPS,
     ) -> None:
-        _check_seat(seat, partner)
+        check_seat(seat, partner)
         self.teaming = teaming
         self.seat = seat
         self.partner = partner
@@ -134,7 +134,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """Steps in an episode that nothing cuts short."""
         self.layouts: Mapping[str, Layout] = {
             **teaming.layouts,
-            TRAITS: _TRAITS,
+            TRAITS: TRAITS_LAYOUT,
             CRITIC: teaming.state_layout,
         }
         """Named columns of each group of observations."""
@@ -149,8 +149,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         }
         """Description of the environment, fit for JSON; rsl_rl keeps it with the run."""
         self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
-        self._groups = _checked_groups(groups)
-        self._views = _views_of(self._groups)
+        self._groups = checked_groups(groups)
+        self._views = views_of(self._groups)
         self._observations: dict[str, torch.Tensor] = {}
         columns = (self._return, *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
         self._logged = dict(zip(_LOGGED, columns, strict=True))
@@ -168,17 +168,14 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def groups(self) -> tuple[str, ...]:
         """Groups of observations that each step computes, in their order; all by default.
 
-        May be assigned at any time, and the present observations are computed anew.
-
-        Raises:
-            ValueError: on assigning none, or a name that is no group's.
+        May be assigned at any time. Raises ValueError for none, or a name that is no group's.
         """
         return self._groups
 
     @groups.setter
     def groups(self, groups: Collection[str]) -> None:
-        self._groups = _checked_groups(groups)
-        self._views = _views_of(self._groups)
+        self._groups = checked_groups(groups)
+        self._views = views_of(self._groups)
         self._observe({})
 
     def read(self, group: str) -> torch.Tensor:
@@ -190,7 +187,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             ValueError: there is no such group.
         """
         check_choice("group=", group, GROUPS)
-        views = self.teaming.views(_views_of((group,)))
+        views = self.teaming.views(views_of((group,)))
         return self._as_groups((group,), views, self._shown_traits)[group]
 
     @property
@@ -370,7 +367,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def _as_groups(
         self, groups: Sequence[str], views: Views, traits: NDArray[np.float32]
     ) -> dict[str, torch.Tensor]:
-        arrays = {group: traits if group == TRAITS else views[_VIEW[group]] for group in groups}
+        arrays = {group: traits if group == TRAITS else views[VIEW[group]] for group in groups}
         return {group: self._tensor(array) for group, array in arrays.items()}
 
     def _tensor(self, array: NDArray[Any]) -> torch.Tensor:
@@ -400,28 +397,3 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
                 f"action {wrong.value} of {self.agents[wrong.column]} in team {wrong.team} is not "
                 f"a whole number from 0 to {self.action_sizes[wrong.column] - 1}"
             ) from None
-
-
-def _check_seat(seat: str, partner: Policy | None) -> None:
-    check_choice("seat=", seat, get_args(Seat))
-    if seat == TEAM:
-        if partner is not None:
-            raise ValueError('seat="team" acts for both seats and has no partner')
-    elif partner is None:
-        raise ValueError(f"seat={seat!r} needs a partner in the other seat")
-    else:
-        check_policy(partner)
-
-
-def _views_of(groups: Sequence[str]) -> tuple[str, ...]:
-    """Names of the views that these groups consist of."""
-    return tuple(_VIEW[group] for group in groups if group in _VIEW)
-
-
-def _checked_groups(groups: Collection[str]) -> tuple[str, ...]:
-    """Return the groups in the order of GROUPS, or raise ``ValueError``."""
-    if isinstance(groups, str) or not groups:
-        raise ValueError(f"groups= are one or more of {', '.join(GROUPS)}, not {groups!r}")
-    for group in groups:
-        check_choice("groups=", group, GROUPS)
-    return tuple(group for group in GROUPS if group in groups)

@@ -21,7 +21,8 @@ from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.step_result import StepResult
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.exact import oracle
 
 EVALUATION_SEED = 10**9

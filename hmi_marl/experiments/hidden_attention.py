@@ -20,8 +20,9 @@ from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.checks import Count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
+from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import Seed
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
 from hmi_marl.experiments.episodes import evaluation_seeds, play_named

@@ -17,7 +17,8 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.render import TeamStatus, team_status
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.step_result import StepResult
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import Snapshot, make_world
 from hmi_marl.reporting import clip
 

@@ -10,15 +10,17 @@ from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TraitDistributions
 from hmi_marl.envs.elementwise import put, put_one_hot, put_row, scale_row, within
-from hmi_marl.envs.execution import InNumPy, Rules, WrongActionError
+from hmi_marl.envs.execution import InNumPy, WrongActionError
 from hmi_marl.envs.loops import InLoops, InOneLoop
 from hmi_marl.envs.observation_values import PARTS, first_columns
 from hmi_marl.envs.observations import driver_layout, state_layout, vehicle_ai_layout
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.series import Series
+from hmi_marl.envs.step_result import Then
+from hmi_marl.envs.team_arrays import Rules
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH
-from hmi_marl.envs.teaming import Teaming, Then
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.batched import BatchedWorld
 
 CONFIGS = {

@@ -22,7 +22,8 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.rewards import ATTENTION_TERMS
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.step_result import StepResult
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.reporting.statistics import CONFIDENCE, Estimate
 
 DRAWS = 2000

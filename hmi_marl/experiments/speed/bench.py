@@ -26,7 +26,7 @@ from hmi_marl.experiments.speed import contestants
 from hmi_marl.experiments.speed.contestants import Run
 
 if TYPE_CHECKING:
-    from hmi_marl.envs.vector import Seat
+    from hmi_marl.envs.groups import Seat
 
 HIGHWAY_ENV = "highway-env, one process"
 WORLD = "batched world alone"

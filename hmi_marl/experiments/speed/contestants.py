@@ -18,7 +18,8 @@ from hmi_marl.envs.scene import Scene, draw_start
 from hmi_marl.envs.teaming import Teaming
 
 if TYPE_CHECKING:
-    from hmi_marl.envs.vector import Seat, TeamVecEnv
+    from hmi_marl.envs.groups import Seat
+    from hmi_marl.envs.vector import TeamVecEnv
     from hmi_marl.envs.worlds.batched import BatchedWorld
 
 MIX = (1, 1, 1, 3, 4)

@@ -1,7 +1,7 @@
 """Exchange of numbers among processes that learn together; no torch until they have some.
 
-Processes of one machine exchange them through shared memory, without a network connection. Processes on several machines, and those that learn on GPUs, use
-torch.distributed.
+Processes of one machine exchange them through shared memory, without a network connection.
+Processes on several machines, and those that learn on GPUs, use torch.distributed.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ from hmi_marl.agents.rollout import Observer, play
 from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver
-from hmi_marl.envs.teaming import StepResult, Teaming
+from hmi_marl.envs.step_result import StepResult
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import make_world
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)

@@ -35,8 +35,10 @@ except ImportError:  # on Windows, processes that start together may compile the
 WITHOUT_COMPILER = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 """Whether NUMBA_DISABLE_JIT lets everything run as plain Python."""
 _RULES = (
+    "action_loops.py",
     "alerts.py",
     "attention.py",
+    "compiled_rules.py",
     "elementwise.py",
     "loops.py",
     "observation_values.py",
@@ -44,6 +46,7 @@ _RULES = (
     "rewards.py",
     "scene.py",
     "streams.py",
+    "team_arrays.py",
     "team_step.py",
 )
 """Modules of the environment that hold functions which are compiled."""

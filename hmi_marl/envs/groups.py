@@ -1,0 +1,55 @@
+"""Seats of a vector environment, and groups of its observations."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Literal, get_args
+
+import numpy as np
+
+from hmi_marl.checks import check_choice
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.envs.observations import Layout, Part
+from hmi_marl.envs.seats import Policy, check_policy
+from hmi_marl.envs.teaming import STATE
+
+Seat = Literal["driver", "vehicle_ai", "team"]
+TEAM = "team"
+TRAITS, CRITIC = "traits", "critic"
+GROUPS = (DRIVER, VEHICLE_AI, TRAITS, CRITIC)
+"""Groups of observations."""
+
+VIEW = {DRIVER: DRIVER, VEHICLE_AI: VEHICLE_AI, CRITIC: STATE}
+"""Names of groups among the views that a Teaming gives."""
+
+TRAITS_LAYOUT = Layout(
+    tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
+)
+"""Columns of the group ``traits``."""
+
+
+def check_seat(seat: str, partner: Policy | None) -> None:
+    """Raise unless there is such a seat, and a partner just where the other seat needs one."""
+    check_choice("seat=", seat, get_args(Seat))
+    if seat == TEAM:
+        if partner is not None:
+            raise ValueError('seat="team" acts for both seats and has no partner')
+    elif partner is None:
+        raise ValueError(f"seat={seat!r} needs a partner in the other seat")
+    else:
+        check_policy(partner)
+
+
+def views_of(groups: Sequence[str]) -> tuple[str, ...]:
+    """Names of the views that these groups consist of."""
+    return tuple(VIEW[group] for group in groups if group in VIEW)
+
+
+def checked_groups(groups: Collection[str]) -> tuple[str, ...]:
+    """Return the groups in the order of GROUPS, or raise ``ValueError``."""
+    if isinstance(groups, str) or not groups:
+        raise ValueError(f"groups= are one or more of {', '.join(GROUPS)}, not {groups!r}")
+    for group in groups:
+        check_choice("groups=", group, GROUPS)
+    return tuple(group for group in GROUPS if group in groups)
