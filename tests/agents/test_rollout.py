@@ -105,7 +105,6 @@ def test_the_order_of_moves_is_written_once():
         "envs/teaming.py",  # the turn itself
         "envs/seats.py",  # a partner drives before the vehicle AI's seat is observed
         "envs/merge_v0.py",  # PettingZoo's AEC interface: one agent's action at a time
-        "experiments/speed.py",  # a benchmark that observes both seats
     }
     moves = re.compile(r"moves_sequentially\(")
     asked = {

@@ -136,10 +136,8 @@ def whole_team_step(config: TeamConfig, count: int, threads: int) -> tuple[Run, 
 
     def step() -> int:
         nonlocal seeds, turn
-        teams.observe(DRIVER)
-        teams.intend(actions[turn % len(actions)])
-        teams.observe(VEHICLE_AI)
-        teams.step(alerts[turn % len(alerts)])
+        intended, alert = actions[turn % len(actions)], alerts[turn % len(alerts)]
+        teams.turn(lambda seen: intended, lambda seen: alert)
         turn += 1
         over = teams.over
         if over.any():
