@@ -3,7 +3,7 @@
 The rules of a step (:mod:`attention`, :mod:`alerts`, :mod:`rewards`, :mod:`observations` and
 :mod:`team_step`) work element by element. NumPy applies them to the arrays of all teams at once;
 the compiled loops (:mod:`loops`) apply the same functions to the numbers of one team after the
-other. What the two spell differently stands here for NumPy, and in :mod:`loops` for numba.
+other. What the two spell differently stands here for NumPy, and in :mod:`compiled_rules` for numba.
 """
 
 from __future__ import annotations

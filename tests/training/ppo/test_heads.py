@@ -86,6 +86,27 @@ def test_the_parameters_of_the_pair_are_its_two_tables():
     torch.testing.assert_close(head.std**2, head.mean * (1 - head.mean))
 
 
+@pytest.mark.parametrize("shape", [(7,), (3, 4)])
+@pytest.mark.parametrize("alerts", [None, 2, 4])
+def test_written_gradients_are_those_of_autograd(alerts, shape):
+    outputs = 5 if alerts is None else 5 + 5 * alerts
+    head = OneAction(1, 5) if alerts is None else IntentThenAlert(2, alerts)
+    logits = drawn(*shape, outputs, seed=3).requires_grad_()
+    factors = drawn(*shape, seed=4)
+    generator = torch.Generator().manual_seed(5)
+    sizes = (5,) if alerts is None else (5, alerts)
+    actions = torch.stack(
+        [torch.randint(size, shape, generator=generator) for size in sizes], dim=-1
+    ).double()
+    head.update(logits)
+    objective = (factors * head.log_prob(actions)).sum() + 0.7 * head.entropy.sum()
+    (known,) = torch.autograd.grad(objective, logits)
+    with torch.no_grad():
+        head.update(logits)
+        written = head.gradient(actions, factors, 0.7)
+    torch.testing.assert_close(written, known)
+
+
 @pytest.mark.parametrize("make", [one_action, both])
 def test_draws_come_as_often_as_they_are_likely(make):
     torch.manual_seed(3)
