@@ -60,9 +60,13 @@ class RandomAlert:
         if not 0.0 <= rate <= 1.0:
             raise ValueError(f"an alert rate lies in [0, 1], but got {rate}")
         self.rate = float(rate)
-        self._certain = self.rate in (0.0, 1.0)  # then no draw decides
         self._alerts = alerts
         self._draws = Draws(Stream.HMI_POLICY)
+
+    @property
+    def _certain(self) -> bool:
+        """Whether no draw decides."""
+        return self.rate in (0.0, 1.0)
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Policy.reset`."""

@@ -47,11 +47,6 @@ class Attention:
         """d_0 = i_0 = c_0 = f_0 = 0."""
         return cls(*(np.zeros(num_teams, np.int64) for _ in range(4)))
 
-    def where(self, mask: NDArray[np.bool_], other: Attention) -> Attention:
-        """Return this where ``mask`` (shape (N,)) holds, ``other`` elsewhere."""
-        mine_and_others = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Attention(*(np.where(mask, mine, others) for mine, others in mine_and_others))
-
 
 def check_steps(name: str, steps: int) -> int:
     """Return a number of steps as an int, or raise if it is not a positive integer."""

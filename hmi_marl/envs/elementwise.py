@@ -1,9 +1,10 @@
 """Parts of rules that are written once and run two ways: on arrays, and compiled for one team.
 
-The rules of a step (:mod:`attention`, :mod:`alerts`, :mod:`rewards`, :mod:`observations` and
-:mod:`team_step`) work element by element. NumPy applies them to the arrays of all teams at once;
-the compiled loops (:mod:`loops`) apply the same functions to the numbers of one team after the
-other. What the two spell differently stands here for NumPy, and in :mod:`compiled_rules` for numba.
+The rules of a step (:mod:`attention`, :mod:`alerts`, :mod:`rewards`, :mod:`team_step` and
+:mod:`observation_values`) work element by element. NumPy applies them to the arrays of all teams at
+once; the compiled loops (:mod:`loops`) apply the same functions to the numbers of one team after
+the other. What the two spell differently stands here for NumPy, and in :mod:`compiled_rules` for
+numba.
 """
 
 from __future__ import annotations

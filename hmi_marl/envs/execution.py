@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs import team_step
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.copies import OwnArrays
 from hmi_marl.envs.elementwise import EVERY
 from hmi_marl.envs.observation_values import (
     Shown,
@@ -27,12 +28,6 @@ from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 
 
-def read_world(world: World) -> Readings:
-    """Read the driven cars of any world."""
-    read = getattr(world, "readings", None)
-    return Readings.of(world.ego()) if read is None else read()
-
-
 class WrongActionError(ValueError):
     """An action that is none; ``team``, ``column`` and ``value`` say which."""
 
@@ -41,7 +36,7 @@ class WrongActionError(ValueError):
         self.team, self.column, self.value = team, column, value
 
 
-class Execution(ABC):
+class Execution(OwnArrays, ABC):
     """A way to take steps and to write observations of N teams in a world.
 
     Args:
@@ -51,7 +46,7 @@ class Execution(ABC):
 
     def __init__(self, world: World, rules: Rules) -> None:
         self.world, self.rules = world, rules
-        self._readings = read_world(world)
+        self._readings = Readings.of(world.ego())
         self._every = np.arange(world.num_worlds)
         self._cells = 2 * world.scene.lidar_cells
         self._no_lidar = np.zeros((0, self._cells), np.float32)
@@ -154,7 +149,7 @@ class Execution(ABC):
             finals: observations at the end of episodes, to be written in the rows of those teams
                 whose episode ends; read only if there are ``series``.
             series: of episodes. Teams whose episode ends begin their next one at once; without
-                series they stay as they are. Call :meth:`Series.look_ahead` after it.
+                series they stay as they are. Call :meth:`Series.look_ahead` before.
 
         Raises:
             ValueError: see :meth:`admit`. Nothing has changed then.
@@ -195,13 +190,21 @@ class Execution(ABC):
         team_step.begin(
             which, seeds, traits, team_step.AT_START, *teams, np.zeros(team_step.TOTALS)
         )
-        if hasattr(self.world, "begin"):
-            self.world.begin(which, seeds, traits[:, team_step.INFLATION])
-        else:
-            marks = np.zeros(len(teams.over), np.bool_)
-            marks[which] = True
-            self.world.reset(teams.seeds, teams.traits[:, team_step.INFLATION], marks)
-        self._readings = read_world(self.world)
+        self._begin_world(teams, which, seeds, traits[:, team_step.INFLATION])
+
+    def _begin_world(
+        self,
+        teams: Teams,
+        which: NDArray[np.int64],
+        seeds: NDArray[np.uint64],
+        inflation: NDArray[np.float64],
+    ) -> None:
+        marks = np.zeros(len(teams.over), np.bool_)
+        marks[which] = True
+        # Copies, since a world may keep them.
+        inflations = teams.traits[:, team_step.INFLATION].copy()
+        self.world.reset(teams.seeds.copy(), inflations, marks)
+        self._readings = Readings.of(self.world.ego())
 
     def wrong_action(self, actions: NDArray[Any], team: int, column: int) -> WrongActionError:
         """Error about an action of :meth:`whole`."""
@@ -227,7 +230,7 @@ class Execution(ABC):
         if newly_standing.any():
             self.world.halt(newly_standing)
         self.world.step(applied.copy(), active & ~standing)
-        self._readings = read_world(self.world)
+        self._readings = Readings.of(self.world.ego())
 
     def _shown(self, teams: Teams, groups: tuple[Group, ...]) -> Shown:
         """What observations show, with those lidars that the groups read."""

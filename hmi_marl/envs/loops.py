@@ -202,6 +202,7 @@ class InLoops(Execution):
 
     def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """See :meth:`Execution.whole`."""
+        actions = np.require(actions, None, ("C", "W"))
         columns = np.empty((len(sizes), len(actions)), np.int64)
         check_actions(_NO_PROGRESS, actions, sizes, columns, self._found)
         if self._found[0] >= 0:
@@ -273,14 +274,17 @@ class InOneLoop(InLoops):
         self._lidars = np.zeros(cells, np.float32), np.zeros(cells, np.float32)
         """The lidars as they are shown."""
         self._last_totals = np.zeros((count, TOTALS))
+        merges = world.arrays()
+        for news in (merges.true_news, merges.perceived_news):
+            news[news == TAKEN] = TRACED  # by teams that had this world before
         self._nothing_follows = NextEpisodes(
-            False, np.zeros(0, np.int64), *nothing, AT_START, _NO_TOTALS, self._last_totals
+            False, np.zeros(0, np.int64), *nothing, AT_START, _NO_TOTALS, np.zeros((0, TOTALS))
         )
 
     @property
     def bytes_per_team(self) -> int:
         """See :meth:`Execution.bytes_per_team`."""
-        arrays = (*self._lidars, self._last_totals, self._active, self._alert)
+        arrays = (*self._lidars, self._last_totals, self._active, self._alert, self._every)
         return sum(array.nbytes for array in arrays) // len(self._active)
 
     @property
@@ -288,6 +292,15 @@ class InOneLoop(InLoops):
         """See :meth:`Execution.readings`."""
         merges = self.world.arrays()
         return Readings(merges.numbers, merges.flags)
+
+    def _begin_world(
+        self,
+        teams: Teams,
+        which: NDArray[np.int64],
+        seeds: NDArray[np.uint64],
+        inflation: NDArray[np.float64],
+    ) -> None:
+        self.world.begin(which, seeds, inflation)
 
     def write(
         self,
@@ -320,7 +333,7 @@ class InOneLoop(InLoops):
         following = self._nothing_follows
         if series is not None:
             ahead = series.episodes, series.seeds, series.traits
-            following = NextEpisodes(True, *ahead, *following[4:])
+            following = NextEpisodes(True, *ahead, AT_START, _NO_TOTALS, self._last_totals)
         arguments = (
             merges, self.world.room, teams, *admitted, self.rules, state, after.rewards,
             after.ends, following, self._lidars,
@@ -344,6 +357,8 @@ def _lidars(groups: tuple[Group, ...]) -> tuple[bool, bool]:
 
 def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[NDArray[Any], NDArray[np.int64]], ...]:
     """As many groups as the loops are compiled for."""
+    if len(groups) > _GROUPS:
+        raise ValueError(f"at most {_GROUPS} observations are computed together")
     given = [(group.rows, group.first) for group in groups]
     return (*given, *[_NO_GROUP] * (_GROUPS - len(groups)))
 

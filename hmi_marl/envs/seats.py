@@ -18,7 +18,9 @@ class Policy(Protocol):
     """A policy for one seat of N teams.
 
     In a single-team environment pass ``observation[None]`` and take element 0 of the answer.
-    A policy may remember what it saw of its teams: give each environment its own object.
+    A policy may remember what it saw of its teams: give each environment its own object. It may
+    have an attribute ``reads``, the names of the parts of its observation that it reads; a partner
+    in an environment is then shown 0 in the others.
     """
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
@@ -43,11 +45,30 @@ def moves_sequentially(hmi: Policy) -> bool:
     return bool(getattr(hmi, "sequential", True))
 
 
+def parts_read(policy: Policy) -> tuple[str, ...] | None:
+    """Return the names of the parts of its observation that a policy reads, or None for all.
+
+    They are its attribute ``reads``; one that a class inherits counts only if it inherits ``act``
+    too, since another ``act`` may read more.
+    """
+    if "reads" in getattr(policy, "__dict__", {}):
+        return policy.reads  # type: ignore[attr-defined]
+    for kind in type(policy).__mro__:
+        if "reads" in vars(kind):
+            return policy.reads  # type: ignore[attr-defined]
+        if "act" in vars(kind):
+            return None
+    return None
+
+
+def _unchanged(actions: NDArray[np.int64]) -> NDArray[np.int64]:
+    return actions
+
+
 class Asked:
     """A policy that is asked for actions, and shown only the parts that it reads.
 
-    A policy may have an attribute ``reads``, the names of the parts of its observation that it
-    reads; then the others are 0, and a lidar that is not read is not traced.
+    The others are 0, and a lidar that is not read is not traced; see :func:`parts_read`.
 
     Args:
         policy: is asked.
@@ -57,11 +78,14 @@ class Asked:
     def __init__(
         self,
         policy: Policy,
-        check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda actions: actions,
+        check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = _unchanged,
     ) -> None:
-        self.reads: tuple[str, ...] | None = getattr(policy, "reads", None)
-        """Parts that it reads; None for all."""
         self._policy, self._check = policy, check
+
+    @property
+    def reads(self) -> tuple[str, ...] | None:
+        """Parts that it reads; None for all."""
+        return parts_read(self._policy)
 
     def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the policy's actions, shape (N,)."""
@@ -92,7 +116,7 @@ class PartnerTurns:
         teaming: Teaming,
         seat: str,
         partner: Policy,
-        check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda actions: actions,
+        check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = _unchanged,
     ) -> None:
         self._teaming, self._seat, self._partner = teaming, seat, partner
         self._asked = Asked(partner, check)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.envs.copies import OwnArrays
 from hmi_marl.envs.drivers import TRAIT_NAMES, Population, check_traits
 from hmi_marl.envs.streams import episode_seed
 
 
-class Series:
+class Series(OwnArrays):
     """N series of episodes: the e-th of series k has the seed ``episode_seed(seeds[k], e)``.
 
     Seeds and drivers are computed some episodes ahead, for many at a time.
@@ -33,6 +34,9 @@ class Series:
         count = len(seeds)
         self.episodes = np.zeros(count, np.int64)
         """Number of the present episode of each series, shape (N,)."""
+        self.moved = False
+        """Whether some series have gone on since :meth:`look_ahead`; whoever counts up
+        :attr:`episodes` sets it."""
         self.seeds = np.zeros((count, self.AHEAD), np.uint64)
         """Seeds of episodes, in the column of the episode's number modulo AHEAD."""
         self.traits = np.zeros((count, self.AHEAD, len(TRAIT_NAMES)))
@@ -48,17 +52,24 @@ class Series:
 
     def go_on(self, series: NDArray[np.int64]) -> tuple[NDArray[np.uint64], NDArray[np.float64]]:
         """Go on to the next episode in M series; return the seeds, (M,), and traits, (M, 4)."""
-        self.episodes[series] += 1
-        place = series, self.episodes[series] % self.AHEAD
-        seeds, traits = self.seeds[place], self.traits[place]
         self.look_ahead()
-        return seeds, traits
+        self.episodes[series] += 1
+        self.moved = True
+        place = series, self.episodes[series] % self.AHEAD
+        return self.seeds[place], self.traits[place]
 
     def look_ahead(self) -> None:
-        """Compute more of those series whose last computed episode has begun."""
+        """Compute more of those series whose last computed episode has begun.
+
+        Raises:
+            ValueError, TypeError: a population that draws impossible traits. Nothing has changed.
+        """
+        if not self.moved:
+            return
         at_end = np.flatnonzero(self.episodes >= self._until)
         if len(at_end):
             self._compute(at_end, 1, self.AHEAD)
+        self.moved = False
 
     def _compute(self, series: NDArray[np.int64], first: int, count: int) -> None:
         """Compute ``count`` episodes, from the ``first`` after the present one on."""

@@ -1,6 +1,6 @@
 """One step of a team, without the world's part: the driver's attention, then rewards and the end.
 
-Both rules take k, which is a team's number where they are compiled and a slice of all teams in
+The rules take k, which is a team's number where they are compiled and a slice of all teams in
 NumPy; see :mod:`hmi_marl.envs.elementwise`. What is known about N teams stands in a few arrays with
 a column for each quantity: whole numbers in ``state``, traits in ``traits``, the driven cars in
 :class:`hmi_marl.envs.worlds.base.Readings`.

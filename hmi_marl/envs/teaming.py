@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs import observations as obs
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.copies import writeable
 from hmi_marl.envs.drivers import Traits, check_traits
 from hmi_marl.envs.executions import execution_for
 from hmi_marl.envs.observation_values import first_columns
@@ -85,6 +86,10 @@ class Teaming(ShownTeams):
         own = sum(array.nbytes for array in arrays) // self.num_teams
         return own + self._execution.bytes_per_team + getattr(self.world, "bytes_per_world", 0)
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Load a copy, with arrays of its own."""
+        self.__dict__.update(writeable(state) | {"_columns": {}, "_finals": {}})
+
     def reset(self, seeds: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """Begin new episodes in the teams marked in ``which`` (shape (N,), all by default).
 
@@ -111,6 +116,10 @@ class Teaming(ShownTeams):
         Raises:
             ValueError, TypeError: a population that draws impossible traits. Nothing has changed.
         """
+        teams = self._checked_teams(teams)
+        seeds = np.require(seeds, np.uint64, ("C", "W"))
+        if seeds.shape != teams.shape:
+            raise ValueError(f"seeds of {len(teams)} teams have shape {teams.shape}")
         if not len(teams):
             return
         drawn = check_traits(self._population.draw(seeds), len(teams)).as_array()
@@ -154,19 +163,16 @@ class Teaming(ShownTeams):
 
         Raises:
             ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
-                function raises leaves every team as it was before the turn.
+                function raises, or an alert that is none, leaves every team as it was.
         """
-        if not sequential:
-            alerts = self.ask(VEHICLE_AI, hmi)
-            self.intend(self.ask(DRIVER, driver))
-            return self.step(alerts, views, then)
+        alerts: ArrayLike = () if sequential else self.ask(VEHICLE_AI, hmi)
         self.intend(self.ask(DRIVER, driver))
         try:
-            alerts = self.ask(VEHICLE_AI, hmi)
+            alerts = self.ask(VEHICLE_AI, hmi) if sequential else alerts
+            return self.step(alerts, views, then)
         except Exception:
-            self.withdraw()
+            self.withdraw()  # does nothing if the step has been taken
             raise
-        return self.step(alerts, views, then)
 
     def ask(self, agent: str, actor: Actor) -> ArrayLike:
         """Return an actor's actions; one with an attribute ``reads`` is shown these parts only."""
@@ -211,6 +217,8 @@ class Teaming(ShownTeams):
         """
         groups = {name: self._group(name, self.num_teams) for name in views}
         finals = {name: self._final(name) for name in then.views} if then else {}
+        if then is not None:
+            then.series.look_ahead()  # before anything moves, since a population may fail
         rewards, ends, totals = self._execution.step(
             self._teams,
             self._checked(alerts, VEHICLE_AI),
@@ -224,7 +232,7 @@ class Teaming(ShownTeams):
         ended = None
         if then is not None and len(teams := np.flatnonzero(ends[:, ENDED])):
             assert totals is not None
-            then.series.look_ahead()
+            then.series.moved = True
             seen = {name: group.rows[teams] for name, group in finals.items()}
             ended = EndedTeams(teams, seen, totals[teams])
         shown = {name: group.rows for name, group in groups.items()}
@@ -266,7 +274,7 @@ class Teaming(ShownTeams):
         Returns:
             Arrays of shape (M, size of the layout).
         """
-        which = self._every if teams is None else teams
+        which = self._every if teams is None else self._checked_teams(teams)
         groups = {name: self._group(name, len(which)) for name in names}
         if groups and len(which):
             self._execution.write(self._teams, which, tuple(groups.values()))
@@ -292,6 +300,15 @@ class Teaming(ShownTeams):
             first = first_columns(self._layout(name), name, parts)
             self._columns[name, parts] = Group.of(np.empty((0, 0), np.float32), first)
         return self._columns[name, parts]
+
+    def _checked_teams(self, teams: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return numbers of teams as int64, or raise if one is none or stands there twice."""
+        which = np.require(teams, np.int64, ("C", "W"))
+        if which.ndim != 1 or len(np.unique(which)) != len(which):
+            raise ValueError(f"teams= are different numbers in one row, not {teams!r}")
+        if len(which) and not 0 <= which.min() <= which.max() < self.num_teams:
+            raise ValueError(f"teams= are numbers from 0 to {self.num_teams - 1}, not {teams!r}")
+        return which
 
     def whole_actions(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """Return actions of shape (N, C) as int64 of shape (C, N); see :meth:`Execution.whole`."""
@@ -330,7 +347,7 @@ def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]
             f"which= marks teams by bools of shape ({count},), but got {mask.dtype} of shape "
             f"{mask.shape}"
         )
-    return mask
+    return np.require(mask, np.bool_, ("C", "W"))
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

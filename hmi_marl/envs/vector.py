@@ -188,7 +188,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         check_choice("group=", group, GROUPS)
         views = self.teaming.views(views_of((group,)))
-        return self._as_groups((group,), views, self._shown_traits)[group]
+        return self._as_groups((group,), views, self._traits())[group]
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -238,7 +238,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def get_observations(self) -> TensorDict:
         """Return the present observations, groups of shape (N, their layout's size).
 
-        Later steps do not change them.
+        Later steps do not change them. Until the next step they are the same memory in every call.
         """
         return TensorDict(dict(self._observations), batch_size=[self.num_envs], device=self.device)
 
@@ -276,6 +276,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         # A partner who drives acts before the groups are complete.
         views = () if self.seat == VEHICLE_AI else self._views
         then = Then(self._series, self._views)
+        traits = self._traits()  # of the drivers whose episodes may end
         if self._turns is None:
             result = self.teaming.turn(columns[0], columns[1], views=views, then=then)
         else:
@@ -288,8 +289,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
                 for agent, values in result.rewards.items()
             }
         if result.ended_teams is not None:
-            extras |= self._extras_of(result.ended_teams)
-            self._shown_traits = self._traits()
+            extras |= self._extras_of(result.ended_teams, traits)
             if self.partner is not None:
                 self.partner.reset(self.teaming.seeds, result.ended.copy())
         self._observe(result.views)
@@ -327,7 +327,6 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self.teaming.reset(self._series.present)
         if self.partner is not None:
             self.partner.reset(self.teaming.seeds)
-        self._shown_traits = self._traits()
         self._observe({})
 
     def _traits(self) -> NDArray[np.float32]:
@@ -338,7 +337,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         if self._turns is not None:
             self._turns.prepare()
         self._observations = self._as_groups(
-            self._groups, views or self.teaming.views(self._views), self._shown_traits
+            self._groups, views or self.teaming.views(self._views), self._traits()
         )
 
     @property
@@ -354,9 +353,9 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         driver, vehicle_ai = result.rewards[DRIVER], result.rewards[VEHICLE_AI]
         return driver + vehicle_ai if self.teaming.config.reward == "individual" else driver
 
-    def _extras_of(self, ended: EndedTeams) -> dict[str, Any]:
-        """``extras`` about the episodes that ended."""
-        groups = self._as_groups(self._groups, ended.views, self._shown_traits[ended.teams])
+    def _extras_of(self, ended: EndedTeams, traits: NDArray[np.float32]) -> dict[str, Any]:
+        """``extras`` about the episodes that ended, of drivers with these traits, (N, 4)."""
+        groups = self._as_groups(self._groups, ended.views, traits[ended.teams])
         size = [len(ended.teams)]
         return {
             "final_teams": self._tensor(ended.teams),

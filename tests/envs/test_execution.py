@@ -280,3 +280,125 @@ def test_the_building_blocks_by_hand(values, index, scale):
         wanted = np.clip(table / np.float32(scale), -2.0, 2.0).reshape(1, 2)
     np.testing.assert_array_equal(out, wanted)
     assert within(np.nan, 0.0, 1.0) != within(np.nan, 0.0, 1.0)  # stays NaN
+
+
+def test_a_subclass_of_the_batched_world_is_called_like_any_world():
+    class Foggy(BatchedWorld):
+        def lidar(self, inflated):
+            return np.full_like(super().lidar(inflated), 12.0)
+
+    config = TeamConfig(driver="homer")
+    for count in (2, 20):
+        teams = Teaming(config, count, Foggy(config.scene, count, 1))
+        teams.reset(np.arange(count))
+        lidar = teams.layouts["driver"].get(teams.observe("driver"), "lidar")
+        np.testing.assert_allclose(lidar, 0.2)
+
+
+def test_names_of_the_batched_world_mean_nothing_on_another():
+    class Named(StandingWorld):
+        readings, begin, take_step, arrays = [], 3, "", None
+
+    config = TeamConfig(driver="homer", duration=1.0)
+    for count in (1, 20):
+        teams = Teaming(config, count, Named(config.scene, count))
+        teams.reset(np.arange(count))
+        assert (teams.turn(np.ones(count, int), np.zeros(count, int)).table[:, 1] > 0).all()
+
+
+def test_a_world_may_keep_what_it_was_given():
+    config = TeamConfig(driver=TraitDistributions())
+
+    class Keeping(StandingWorld):
+        def reset(self, seeds, inflation, which):
+            self.kept = seeds, inflation
+            super().reset(seeds, inflation, which)
+
+    for count in (2, 20):
+        world = Keeping(config.scene, count)
+        teams = Teaming(config, count, world)
+        teams.reset(np.arange(count))
+        kept = world.kept
+        copies = [array.copy() for array in kept]
+        teams.reset(np.arange(count) + 50, np.arange(count) < 1)
+        for array, copy in zip(kept, copies, strict=True):
+            np.testing.assert_array_equal(array, copy)
+
+
+@pytest.mark.parametrize("wrong", [[-1], [4], [0, 0], [[0]], [2**40]])
+def test_numbers_of_teams_that_there_are_not(wrong):
+    teams = Teaming(TeamConfig(), 4, "batched")
+    teams.reset([1, 2, 3, 4])
+    with pytest.raises(ValueError, match="teams= are"):
+        teams.views(("vehicle_ai",), np.array(wrong))
+    with pytest.raises(ValueError, match="teams= are"):
+        teams.begin(np.array(wrong), np.zeros(len(wrong), np.uint64))
+    with pytest.raises(ValueError, match="seeds of 1 teams"):
+        teams.begin(np.array([1]), np.zeros(2, np.uint64))
+
+
+def test_a_turn_that_cannot_be_taken_leaves_no_team_in_mid_turn():
+    teams = Teaming(TeamConfig(), 2, "batched")
+    teams.reset([1, 2])
+    before = teams.state()
+    for wrong, error in (
+        (lambda: teams.turn([1, 1], [0, 0], views=("drivers",)), KeyError),
+        (lambda: teams.turn([1, 1], [0, 7]), ValueError),
+        (lambda: teams.turn([1, 1], [0, 7], sequential=False), ValueError),
+    ):
+        with pytest.raises(error):
+            wrong()
+        np.testing.assert_array_equal(teams.state(), before)
+    teams.turn([1, 1], [0, 0])
+
+
+def test_a_second_teaming_on_a_world_sees_its_lidars():
+    config = TeamConfig(driver="homer")
+    world = BatchedWorld(config.scene, 2, 1)
+    first = Teaming(config, 2, world)
+    first.reset([1, 2])
+    seen = first.layouts["vehicle_ai"].get(first.observe("vehicle_ai"), "lidar")
+    second = Teaming(config, 2, world)
+    np.testing.assert_array_equal(
+        second.layouts["vehicle_ai"].get(second.observe("vehicle_ai"), "lidar"), seen
+    )
+
+
+def test_teams_that_were_mapped_into_memory_go_on(tmp_path):
+    joblib = pytest.importorskip("joblib")
+    config = TeamConfig(driver=["lisa", "homer"])
+    teams = Teaming(config, 20, BatchedWorld(config.scene, 20, 1))
+    series = Series(np.arange(20, dtype=np.uint64), config.population)
+    teams.reset(series.present)
+    play(teams, 12, 1, series)
+    joblib.dump((teams, series), tmp_path / "teams")
+    theirs, their_series = joblib.load(tmp_path / "teams", mmap_mode="r")
+    ours = play(teams, 30, 2, series)
+    for one, other in zip(ours, play(theirs, 30, 2, their_series), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_population_that_fails_later_changes_nothing():
+    class Tiring:
+        calls = 0
+
+        def draw(self, seeds):
+            Tiring.calls += 1
+            if Tiring.calls > 3:
+                raise OSError("no more drivers")
+            return TeamConfig(driver=["lisa", "homer"]).population.draw(seeds)
+
+    config = TeamConfig(driver=Tiring(), duration=0.4)
+    teams = Teaming(config, 2, "batched")
+    seeds = np.array([1, 2], np.uint64)
+    teams.reset(seeds)
+    then = Then(Series(seeds, config.population), ("state",))
+    failed = False
+    while not failed:
+        before = teams.state(), teams.steps
+        try:
+            teams.turn([1, 1], [0, 0], then=then)
+        except OSError:
+            failed = True
+    np.testing.assert_array_equal(teams.state(), before[0])
+    np.testing.assert_array_equal(teams.steps, before[1])

@@ -12,7 +12,9 @@ from hmi_marl import Driver, Scene, TraitDistributions, merge_v0
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.rewards import TERMS
+from hmi_marl.envs.seats import parts_read
 from hmi_marl.envs.streams import episode_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
@@ -704,3 +706,35 @@ def test_what_an_episode_logged_stays_and_can_be_read_by_name():
     assert all(torch.equal(log[name], before[name]) for name in before)
     with pytest.raises(KeyError):
         log["Episode/none"]
+
+
+def test_only_a_policys_own_parts_are_left_out():
+    config = TeamConfig(driver="homer")
+
+    class Nosy(type(make_driver_policy("rule", config))):
+        def act(self, observations):
+            self.seen = observations
+            return super().act(observations)
+
+    class Slower(type(make_driver_policy("rule", config))):
+        """With another gap, but the same act."""
+
+    for kind, all_of_it in ((Nosy, True), (Slower, False)):
+        partner = kind(config)
+        env = make_vec(2, "vehicle_ai", partner, driver="homer")
+        env.reset()
+        whole = env.teaming.observe("driver")
+        assert parts_read(partner) == (None if all_of_it else partner.reads)
+        if all_of_it:
+            np.testing.assert_array_equal(partner.seen, whole)
+
+
+def test_traits_follow_a_change_of_drivers():
+    env = make_vec(2, "team", driver="homer")
+    env.reset()
+    env.teaming.hand_over(Traits.from_array(np.tile([0.25, 0.5, 0.75, 2.0], (2, 1))))
+    assert env.read("traits")[0].tolist() == [0.25, 0.5, 0.75, 2.0]
+    observations, *_ = env.step(torch.ones(2, 2, dtype=torch.int64))
+    assert observations["traits"][1].tolist() == [0.25, 0.5, 0.75, 2.0]
+    shown = env.layouts["critic"]["traits"]
+    assert observations["critic"][1, shown][:3].tolist() == [0.25, 0.5, 0.75]

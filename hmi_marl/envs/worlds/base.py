@@ -61,7 +61,6 @@ LANE, CRASHED = range(2)
 _NUMBERS = (
     "x", "y", "heading", "speed", "target_speed", "lateral", "gap", "merging_slowness",
 )  # fmt: skip
-_FLAGS = "lane", "crashed"
 
 
 class Readings(NamedTuple):
@@ -76,7 +75,7 @@ class Readings(NamedTuple):
     def of(cls, ego: Ego) -> Readings:
         """Put the fields together."""
         numbers = np.stack([getattr(ego, name) for name in _NUMBERS], axis=1, dtype=np.float64)
-        flags = [np.asarray(getattr(ego, name), np.int64) for name in _FLAGS]
+        flags = [np.asarray(ego.lane, np.int64), np.asarray(ego.crashed, np.bool_).astype(np.int64)]
         return cls(numbers, np.stack(flags, axis=1))
 
     def ego(self) -> Ego:

@@ -66,8 +66,8 @@ def read_ego(f, i, world, lanes, table, rows, numbers, flags, k):
 
 
 TAKEN, TRACED, CHANGED = range(3)
-"""A lidar has to be traced again before it is read; was traced; was taken up by a loop elsewhere
-that keeps something of it."""
+"""TAKEN: a loop elsewhere has read the lidar and keeps something of it. TRACED: it is as the world
+is. CHANGED: it has to be traced again before it is read."""
 
 
 class Merges(NamedTuple):

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.envs.copies import writeable
 from hmi_marl.envs.scene import Scene, number_of_draws
 from hmi_marl.envs.worlds.base import SPEED, Ego, Readings, Snapshot
 from hmi_marl.envs.worlds.batched import memory as m
@@ -213,20 +214,7 @@ class BatchedWorld:
 
         joblib hands large arrays to its workers as read-only memory maps.
         """
-        self.__dict__.update({name: _writeable(value) for name, value in state.items()})
+        self.__dict__.update(writeable(state))
         self._floats, self._integers, self._worlds = self._merges[:3]
         self.threads = min(self.threads, available())
         self._prepare()
-
-
-def _writeable(value: Any) -> Any:
-    """``value`` with copies in place of arrays that cannot be written to."""
-    if isinstance(value, np.ndarray):
-        return value if value.flags.writeable else value.copy()
-    if isinstance(value, (Merges, Room)):
-        return type(value)(*map(_writeable, value))
-    if type(value) is tuple:
-        return tuple(_writeable(each) for each in value)
-    if type(value) is dict:
-        return {name: _writeable(each) for name, each in value.items()}
-    return value
