@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from standing_world import StandingWorld
+from step_ways import CONFIGS, play, teams_of
 
-from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TraitDistributions
 from hmi_marl.envs.elementwise import put, put_one_hot, put_row, scale_row, within
@@ -14,75 +14,12 @@ from hmi_marl.envs.execution import InNumPy, WrongActionError
 from hmi_marl.envs.loops import InLoops, InOneLoop
 from hmi_marl.envs.observation_values import PARTS, first_columns
 from hmi_marl.envs.observations import driver_layout, state_layout, vehicle_ai_layout
-from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.step_result import Then
-from hmi_marl.envs.team_arrays import Rules
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.batched import BatchedWorld
-
-CONFIGS = {
-    "paper": {"driver": ["lisa", "homer"]},
-    "graded": {
-        "driver": TraitDistributions(),
-        "alert_strengths": (0.25, 0.5, 1.0),
-        "fatigue": Fatigue(),
-        "reward": "individual",
-    },
-    "hidden": {
-        "driver": "bart",
-        "ai_sees_attention": False,
-        "observe_traits": False,
-        "end_at_crash": False,
-        "alert_window": 1,
-        "weights": RewardWeights(speed_reward=-0.3, merging=0.7, collision=-1.5, alert=-2.0),
-    },
-}
-VIEWS = ("driver", "vehicle_ai", "state")
-
-
-class Plain:
-    """A batched world that shows the methods of World alone, as a world of one's own has them."""
-
-    def __init__(self, world):
-        self.scene, self.num_worlds = world.scene, world.num_worlds
-        for name in ("reset", "step", "halt", "perceive", "ego", "lidar", "snapshot"):
-            setattr(self, name, getattr(world, name))
-
-
-def teams_of(kind, config, count):
-    world = BatchedWorld(config.scene, count, 1)
-    teams = Teaming(config, count, world if kind is InOneLoop else Plain(world))
-    teams._execution = kind(teams.world, Rules.of(config))
-    return teams
-
-
-def play(teams, steps, seed, series=None):
-    """Everything that teams show in some steps of random actions, as a list of arrays."""
-    rng = np.random.default_rng(seed)
-    shown = []
-    then = None if series is None else Then(series, VIEWS)
-    for step in range(steps):
-        shown += teams.views(VIEWS).values()
-        some = rng.random(teams.num_teams) < 0.5
-        actions = rng.integers(0, 5, teams.num_teams)
-        for which in (some, ~some):
-            teams.intend(actions, which)
-            shown += teams.views(VIEWS).values()
-        alerts = rng.integers(0, teams.alerts.choices, teams.num_teams)
-        result = teams.step(alerts, VIEWS, then)
-        shown += [result.table, result.ends, *result.views.values()]
-        if result.ended_teams is not None:
-            ended = result.ended_teams
-            shown += [ended.teams, ended.totals, *ended.views.values()]
-        shown += [teams.seeds, teams.over, teams.steps, teams.traits.as_array(), teams.ego.x]
-        if series is None and step % 7 == 3:
-            teams.reset(teams.seeds + np.uint64(50), teams.over)
-        if step == 9:
-            teams.hand_over(teams.traits, teams.steps > 4)
-    return shown
 
 
 @pytest.mark.parametrize("with_series", [False, True])

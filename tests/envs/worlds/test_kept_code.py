@@ -11,7 +11,7 @@ import pytest
 from numba.core import caching
 
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.worlds import make_world
+from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.batched import compiler
 from hmi_marl.envs.worlds.batched.compiler import fcntl
 
@@ -269,7 +269,10 @@ def test_the_real_world_is_compiled_at_most_once_on_a_machine():
         "loops = kernels.begin_worlds, kernels.step_worlds, kernels.look_around\n"
         "print(sum(sum(loop.stats.cache_misses.values()) for loop in loops))"
     )
-    make_world("batched", TeamConfig().scene, 1)
+    teams = Teaming(TeamConfig(duration=0.4), 1, "batched")
+    teams.reset([0])
+    teams.observe("driver")
+    teams.turn([1], [0])
     command = [sys.executable, "-c", code]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "0"
