@@ -14,6 +14,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads slow eac
 
 import argparse
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,21 +24,21 @@ from hmi_marl.files import write_json
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import read_curve
+from hmi_marl.workers import cores
 
 
 def measure(device: str, teams: int, batches: int, threads: int | None) -> list[dict[str, Any]]:
     """Train for a few batches in each stage; return a row for each stage."""
-    steps = teams * 100 * batches
-    settings = TwoStage(
-        driver_steps=steps, hmi_steps=steps, num_teams=teams, device=device, threads=threads
-    )
+    settings = TwoStage(num_teams=teams, device=device, threads=threads)
+    steps = teams * settings.team(settings.drivers).horizon  # of a batch
+    settings = replace(settings, driver_steps=batches * steps, hmi_steps=batches * steps)
     with tempfile.TemporaryDirectory() as folder:
         train(settings, Path(folder), quiet=True)
         curve = read_curve(Path(folder))
     rows = []
     for stage in ("driver", "hmi"):
         counted = [batch for batch in curve if batch["phase"] == stage][1:]
-        seconds = [teams * 100 / batch["steps_per_second"] for batch in counted]
+        seconds = [steps / batch["steps_per_second"] for batch in counted]
         learning = sum(
             spent * batch["share_of_time_learning"]
             for spent, batch in zip(seconds, counted, strict=True)
@@ -47,7 +48,7 @@ def measure(device: str, teams: int, batches: int, threads: int | None) -> list[
                 "device": device,
                 "teams": teams,
                 "stage": stage,
-                "steps_per_s": teams * 100 * len(counted) / sum(seconds),
+                "steps_per_s": steps * len(counted) / sum(seconds),
                 "share_learning": learning / sum(seconds),
             }
         )
@@ -67,8 +68,7 @@ def main() -> None:
     if args.batches < 2:
         parser.error("--batches is at least 2, since the first is left out")
     card = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    print(f"{card}, {cores} cores of the CPU, torch {torch.__version__}", flush=True)
+    print(f"{card}, {cores()} cores of the CPU, torch {torch.__version__}", flush=True)
     rows = []
     for device in args.device:
         for teams in args.num_teams:
@@ -79,7 +79,7 @@ def main() -> None:
                     f"{row['steps_per_s']:>10,.0f} steps/s, learner {row['share_learning']:.0%}",
                     flush=True,
                 )
-    write_json(args.out, {"card": card, "cores": cores, "torch": torch.__version__, "rows": rows})
+    write_json(args.out, {"card": card, "cores": cores(), "torch": torch.__version__, "rows": rows})
     print(f"written: {args.out}")
 
 

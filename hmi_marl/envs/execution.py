@@ -23,7 +23,7 @@ from hmi_marl.envs.observation_values import (
     write,
 )
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.team_arrays import After, Group, Rules, Teams
+from hmi_marl.envs.team_arrays import After, Group, Rules, Teams, lidars_shown
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 
@@ -31,9 +31,9 @@ from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 class WrongActionError(ValueError):
     """An action that is none; ``team``, ``column`` and ``value`` say which."""
 
-    def __init__(self, team: int, column: int, value: Any) -> None:
-        super().__init__(f"action {value} of team {team} in column {column} is none")
-        self.team, self.column, self.value = team, column, value
+    def __init__(self, actions: NDArray[Any], team: int, column: int) -> None:
+        self.team, self.column, self.value = int(team), int(column), actions[team, column]
+        super().__init__(f"action {self.value} of team {team} in column {column} is none")
 
 
 class Execution(OwnArrays, ABC):
@@ -119,15 +119,13 @@ class Execution(OwnArrays, ABC):
         teams: Teams,
         which: NDArray[np.int64],
         groups: tuple[Group, ...],
-        in_place: bool = False,
     ) -> None:
         """Write observations of M teams, tracing the lidars that they show.
 
         Args:
             teams: all teams.
             which: numbers of the M teams.
-            groups: what to write.
-            in_place: write into the rows of these numbers, not into the first M rows.
+            groups: what to write, with M rows each.
         """
 
     def step(
@@ -165,12 +163,21 @@ class Execution(OwnArrays, ABC):
         which = np.flatnonzero(after.ends[:, team_step.ENDED])
         if series is not None and len(which):
             if finals:
-                self.write(now, which, finals, in_place=True)
+                self._write_some(now, which, finals)
             after = after._replace(last_totals=teams.totals.copy())
             self.begin(now, which, *series.go_on(which))
         if groups:
             self.write(now, self._every, groups)
         return after
+
+    def _write_some(
+        self, teams: Teams, which: NDArray[np.int64], groups: tuple[Group, ...]
+    ) -> None:
+        """Write the observations of some teams into their rows among those of all teams."""
+        some = tuple(group.another(group.rows[which]) for group in groups)
+        self.write(teams, which, some)
+        for group, written in zip(groups, some, strict=True):
+            group.rows[which] = written.rows
 
     def begin(
         self,
@@ -206,10 +213,6 @@ class Execution(OwnArrays, ABC):
         self.world.reset(teams.seeds.copy(), inflations, marks)
         self._readings = Readings.of(self.world.ego())
 
-    def wrong_action(self, actions: NDArray[Any], team: int, column: int) -> WrongActionError:
-        """Error about an action of :meth:`whole`."""
-        return WrongActionError(int(team), int(column), actions[team, column])
-
     def check_intent(self, found: NDArray[np.int64], actions: NDArray[np.int64]) -> None:
         """Raise if a driver had acted already, or acted by no action; -1 stands for neither."""
         if found[0] >= 0:
@@ -236,10 +239,7 @@ class Execution(OwnArrays, ABC):
         """What observations show, with those lidars that the groups read."""
         true, perceived = (
             self._scaled_lidar(inflated) if wanted else self._no_lidar
-            for inflated, wanted in (
-                (False, any(group.shows_true_lidar for group in groups)),
-                (True, any(group.shows_perceived_lidar for group in groups)),
-            )
+            for inflated, wanted in zip((False, True), lidars_shown(groups), strict=True)
         )
         return Shown(true, perceived, *self.readings, teams.state, teams.intent_given, teams.traits)
 
@@ -268,7 +268,7 @@ class InNumPy(Execution):
         wrong = (whole != actions) | (whole < 0) | (whole >= sizes)
         if wrong.any():
             column, team = np.argwhere(wrong.T)[0]
-            raise self.wrong_action(actions, team, column)
+            raise WrongActionError(actions, team, column)
         return np.ascontiguousarray(whole.T)
 
     def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
@@ -323,12 +323,11 @@ class InNumPy(Execution):
         teams: Teams,
         which: NDArray[np.int64],
         groups: tuple[Group, ...],
-        in_place: bool = False,
     ) -> None:
         """See :meth:`Execution.write`."""
-        shown, rows = self._shown(teams, groups), which if in_place else EVERY
+        shown = self._shown(teams, groups)
         for group in groups:
-            write(group.rows, rows, group.first, which, shown, self.rules.scales)
+            write(group.rows, EVERY, group.first, which, shown, self.rules.scales)
 
 
 def _first(*marks: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -17,9 +17,9 @@ from hmi_marl.envs import (
 )
 from hmi_marl.envs import observation_values as values
 from hmi_marl.envs.action_loops import admit_alerts, check_actions, intend_teams
-from hmi_marl.envs.execution import Execution
+from hmi_marl.envs.execution import Execution, WrongActionError
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.team_arrays import After, Group, Rules, Teams
+from hmi_marl.envs.team_arrays import After, Group, Rules, Teams, lidars_shown
 from hmi_marl.envs.team_step import AT_START, TOTALS
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
@@ -64,21 +64,22 @@ def reward_teams(progress, teams, active, alert, rules, after, readings, rewards
         first, last = take(progress, last - first, len(active))
 
 
-@kernel
-def write_teams(progress, which, in_place, shown, rules, groups):
-    """Write the observations of the teams in ``which`` into the rows of each group.
+@inlined
+def write_groups(groups, row, k, shown, scales):
+    """Write the observations of team k into a row of each group; those not wanted have no rows."""
+    for rows, first_of in groups:
+        if len(rows):
+            values.write(rows, row, first_of, k, shown, scales)
 
-    Groups that are not wanted have no rows.
-    """
+
+@kernel
+def write_teams(progress, which, shown, rules, groups):
+    """Write the observations of the teams in ``which`` into the rows of each group."""
     _, _, _, scales = rules
     first, last = take(progress, 0, len(which))
     while first < last:
-        for place in range(first, last):
-            k = which[place]
-            row = k if in_place else place
-            for rows, first_of in groups:
-                if len(rows):
-                    values.write(rows, row, first_of, k, shown, scales)
+        for row in range(first, last):
+            write_groups(groups, row, which[row], shown, scales)
         first, last = take(progress, last - first, len(which))
 
 
@@ -95,18 +96,14 @@ def look_and_scale(k, merges, true, perceived, shown, scales):
 
 
 @kernel
-def look_and_write_teams(progress, merges, true, perceived, which, in_place, shown, rules, groups):
+def look_and_write_teams(progress, merges, true, perceived, which, shown, rules, groups):
     """Trace the lidars that are read and have changed, then do as :func:`write_teams`."""
     _, _, _, scales = rules
     first, last = take(progress, 0, len(which))
     while first < last:
-        for place in range(first, last):
-            k = which[place]
-            row = k if in_place else place
-            look_and_scale(k, merges, true, perceived, shown, scales)
-            for rows, first_of in groups:
-                if len(rows):
-                    values.write(rows, row, first_of, k, shown, scales)
+        for row in range(first, last):
+            look_and_scale(which[row], merges, true, perceived, shown, scales)
+            write_groups(groups, row, which[row], shown, scales)
         first, last = take(progress, last - first, len(which))
 
 
@@ -164,9 +161,7 @@ def step_teams(
         for k in range(first, last):
             if following.wanted and ends[k, team_step.ENDED]:
                 look_and_scale(k, merges, final_true, final_perceived, shown, scales)
-                for rows, first_of in final_groups:
-                    if len(rows):
-                        values.write(rows, k, first_of, k, shown, scales)
+                write_groups(final_groups, k, k, shown, scales)
                 for column in range(team_step.TOTALS):
                     following.last_totals[k, column] = totals[k, column]
                 following.episodes[k] += 1
@@ -206,7 +201,7 @@ class InLoops(Execution):
         columns = np.empty((len(sizes), len(actions)), np.int64)
         check_actions(_NO_PROGRESS, actions, sizes, columns, self._found)
         if self._found[0] >= 0:
-            raise self.wrong_action(actions, *self._found)
+            raise WrongActionError(actions, *self._found)
         return columns
 
     def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
@@ -250,11 +245,10 @@ class InLoops(Execution):
         teams: Teams,
         which: NDArray[np.int64],
         groups: tuple[Group, ...],
-        in_place: bool = False,
     ) -> None:
         """See :meth:`Execution.write`."""
         shown = self._shown(teams, groups)
-        arguments = which, in_place, shown, self.rules, _filled_up(groups)
+        arguments = which, shown, self.rules, _filled_up(groups)
         self._run(write_teams, len(which), *arguments)
 
     def _run(self, loop: Any, count: int, *arguments: Any) -> None:
@@ -307,12 +301,11 @@ class InOneLoop(InLoops):
         teams: Teams,
         which: NDArray[np.int64],
         groups: tuple[Group, ...],
-        in_place: bool = False,
     ) -> None:
         """See :meth:`Execution.write`."""
         merges = self.world.arrays()
         arguments = (
-            merges, *_lidars(groups), which, in_place, self._showing(merges, teams), self.rules,
+            merges, *lidars_shown(groups), which, self._showing(merges, teams), self.rules,
             _filled_up(groups),
         )  # fmt: skip
         _prepare(look_and_write_teams, *arguments)
@@ -337,7 +330,8 @@ class InOneLoop(InLoops):
         arguments = (
             merges, self.world.room, teams, *admitted, self.rules, state, after.rewards,
             after.ends, following, self._lidars,
-            (*_lidars(finals), _filled_up(finals)), (*_lidars(groups), _filled_up(groups)),
+            (*lidars_shown(finals), _filled_up(finals)),
+            (*lidars_shown(groups), _filled_up(groups)),
         )  # fmt: skip
         _prepare(step_teams, *arguments)
         self.world.take_step(step_teams, *arguments)
@@ -347,12 +341,6 @@ class InOneLoop(InLoops):
         state, given, traits = teams.state, teams.intent_given, teams.traits
         true, perceived = self._lidars
         return values.Shown(true, perceived, merges.numbers, merges.flags, state, given, traits)
-
-
-def _lidars(groups: tuple[Group, ...]) -> tuple[bool, bool]:
-    """Whether the groups show the true lidar, and the perceived one."""
-    true = any(group.shows_true_lidar for group in groups)
-    return true, any(group.shows_perceived_lidar for group in groups)
 
 
 def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[NDArray[Any], NDArray[np.int64]], ...]:

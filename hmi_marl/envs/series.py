@@ -35,8 +35,8 @@ class Series(OwnArrays):
         self.episodes = np.zeros(count, np.int64)
         """Number of the present episode of each series, shape (N,)."""
         self.moved = False
-        """Whether some series have gone on since :meth:`look_ahead`; whoever counts up
-        :attr:`episodes` sets it."""
+        """Whether some series have gone on since :meth:`look_ahead`; to be set by code that counts
+        up :attr:`episodes` itself."""
         self.seeds = np.zeros((count, self.AHEAD), np.uint64)
         """Seeds of episodes, in the column of the episode's number modulo AHEAD."""
         self.traits = np.zeros((count, self.AHEAD, len(TRAIT_NAMES)))

@@ -28,7 +28,7 @@ class ShownTeams:
     _teams: Teams
     _execution: Execution
 
-    # The arrays of the teams are written into, so whoever asks for one gets a copy.
+    # The arrays of the teams are written into, so these are copies.
 
     @property
     def seeds(self) -> NDArray[np.uint64]:

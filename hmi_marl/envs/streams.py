@@ -11,6 +11,7 @@ Checks of the numbers that users give, such as seeds, stand here too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Annotated, Any
 
@@ -67,16 +68,18 @@ def mix(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.uint
     Returns:
         uint64 array of the broadcast shape.
     """
+    return _on_arrays(mix_bits, seed, stream, counter)
+
+
+def _on_arrays(draw: Callable[..., Any], seed: Any, stream: int, counter: Any) -> NDArray[Any]:
+    words = np.asarray(seed, np.uint64), np.uint64(stream), np.asarray(counter, np.uint64)
     with np.errstate(over="ignore"):  # arithmetic modulo 2^64 is the point
-        return np.asarray(
-            mix_bits(np.asarray(seed, np.uint64), np.uint64(stream), np.asarray(counter, np.uint64))
-        )
+        return np.asarray(draw(*words))
 
 
 def uniform(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.float64]:
     """Uniform draws in [0, 1) with 53 random bits; see :func:`mix` for the arguments."""
-    bits = mix(seed, stream, counter)
-    return (bits >> np.uint64(11)).astype(np.float64) * TO_UNIT
+    return _on_arrays(unit_draw, seed, stream, counter)
 
 
 def episode_seed(seed: ArrayLike, episode: ArrayLike) -> NDArray[np.uint64]:

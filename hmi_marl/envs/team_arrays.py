@@ -78,6 +78,12 @@ class Group:
         return Group(rows, self.first, self.shows_true_lidar, self.shows_perceived_lidar)
 
 
+def lidars_shown(groups: tuple[Group, ...]) -> tuple[bool, bool]:
+    """Whether any of the groups shows the true lidar, and the perceived one."""
+    true = any(group.shows_true_lidar for group in groups)
+    return true, any(group.shows_perceived_lidar for group in groups)
+
+
 class After(NamedTuple):
     """What a step gave N teams. The arrays are new in every step."""
 

@@ -188,7 +188,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         check_choice("group=", group, GROUPS)
         views = self.teaming.views(views_of((group,)))
-        return self._as_groups((group,), views, self._traits())[group]
+        return self._as_groups((group,), views)[group]
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -203,7 +203,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         Raises:
             ValueError: on assigning another shape, or values outside 0 to horizon - 1.
         """
-        return torch.from_numpy(self.teaming.steps.copy()).to(self.device)
+        return torch.from_numpy(self.teaming.steps).to(self.device)
 
     @episode_length_buf.setter
     def episode_length_buf(self, steps: torch.Tensor) -> None:
@@ -276,7 +276,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         # A partner who drives acts before the groups are complete.
         views = () if self.seat == VEHICLE_AI else self._views
         then = Then(self._series, self._views)
-        traits = self._traits()  # of the drivers whose episodes may end
+        traits = self._traits() if TRAITS in self._groups else None  # before episodes end
         if self._turns is None:
             result = self.teaming.turn(columns[0], columns[1], views=views, then=then)
         else:
@@ -336,9 +336,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """Let a partner who drives act, and take the views, or compute those that are not given."""
         if self._turns is not None:
             self._turns.prepare()
-        self._observations = self._as_groups(
-            self._groups, views or self.teaming.views(self._views), self._traits()
-        )
+        views = views or self.teaming.views(self._views)
+        self._observations = self._as_groups(self._groups, views)
 
     @property
     def _return(self) -> int:
@@ -353,21 +352,22 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         driver, vehicle_ai = result.rewards[DRIVER], result.rewards[VEHICLE_AI]
         return driver + vehicle_ai if self.teaming.config.reward == "individual" else driver
 
-    def _extras_of(self, ended: EndedTeams, traits: NDArray[np.float32]) -> dict[str, Any]:
+    def _extras_of(self, ended: EndedTeams, traits: NDArray[np.float32] | None) -> dict[str, Any]:
         """``extras`` about the episodes that ended, of drivers with these traits, (N, 4)."""
-        groups = self._as_groups(self._groups, ended.views, traits[ended.teams])
-        size = [len(ended.teams)]
-        return {
-            "final_teams": self._tensor(ended.teams),
-            "final_observation": TensorDict(groups, batch_size=size, device=self.device),
-            "log": EpisodeLog(ended.totals, self._logged),
-        }
+        of_ended = None if traits is None else traits[ended.teams]
+        groups = self._as_groups(self._groups, ended.views, of_ended)
+        last = TensorDict(groups, batch_size=[len(ended.teams)], device=self.device)
+        log = EpisodeLog(ended.totals, self._logged)
+        return {"final_teams": self._tensor(ended.teams), "final_observation": last, "log": log}
 
     def _as_groups(
-        self, groups: Sequence[str], views: Views, traits: NDArray[np.float32]
+        self, groups: Sequence[str], views: Views, traits: NDArray[np.float32] | None = None
     ) -> dict[str, torch.Tensor]:
-        arrays = {group: traits if group == TRAITS else views[VIEW[group]] for group in groups}
-        return {group: self._tensor(array) for group, array in arrays.items()}
+        """Groups by name, with the present drivers' traits by default."""
+        arrays = {group: views[VIEW[group]] for group in groups if group != TRAITS}
+        if TRAITS in groups:
+            arrays[TRAITS] = self._traits() if traits is None else traits
+        return {group: self._tensor(arrays[group]) for group in groups}
 
     def _tensor(self, array: NDArray[Any]) -> torch.Tensor:
         """On the device; on the CPU it shares the array's memory."""

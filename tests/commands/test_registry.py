@@ -77,7 +77,7 @@ def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-class Told(NamedTuple):
+class Outcome(NamedTuple):
     """What a call of main said, and which slow modules had been loaded when it ended."""
 
     status: int
@@ -86,13 +86,13 @@ class Told(NamedTuple):
     loaded: list[str]
 
 
-def one_by_one(cases: list[tuple[list[str], list[str]]], folder: Path) -> list[Told]:
+def one_by_one(cases: list[tuple[list[str], list[str]]], folder: Path) -> list[Outcome]:
     """What calls of main say, each a pair of the modules to hide and the arguments."""
     code = HIDING.format(hidden=set()) + ONE_BY_ONE.format(slow=SLOW, cases=cases)
     done = run(code, folder)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    return [Told(*each) for each in json.loads(done.stdout)]
+    return [Outcome(*each) for each in json.loads(done.stdout)]
 
 
 def test_help_imports_nothing_slow_and_nothing_of_an_extra(tmp_path: Path) -> None:

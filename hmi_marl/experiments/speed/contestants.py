@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.scene import Scene, draw_start
 from hmi_marl.envs.teaming import Teaming
@@ -174,7 +175,8 @@ def vector_environment(
     import torch
 
     rng = np.random.default_rng(0)
-    env = _make_env(config, count, threads, seat, groups)
+    env = make_vec(count, seat, threads=threads, **vars(config))
+    env.groups = groups
     choices = {DRIVER: MIX, VEHICLE_AI: range(config.alerts.choices)}
     actions = [
         torch.from_numpy(np.stack([rng.choice(choices[a], count) for a in env.agents], axis=1))
@@ -192,18 +194,6 @@ def vector_environment(
         return count
 
     return partial(repeat, step), driven
-
-
-def _make_env(
-    config: TeamConfig, count: int, threads: int, seat: Seat, groups: tuple[str, ...]
-) -> TeamVecEnv:
-    from hmi_marl.agents.catalogue import make_hmi
-    from hmi_marl.envs.vector import TeamVecEnv
-    from hmi_marl.envs.worlds.batched import BatchedWorld
-
-    partner = make_hmi("never", config) if seat == DRIVER else None
-    teams = Teaming(config, count, BatchedWorld(config.scene, count, threads))
-    return TeamVecEnv(teams, seat, partner, groups=groups)
 
 
 def _record(env: TeamVecEnv, actions: list[Any]) -> Drive:

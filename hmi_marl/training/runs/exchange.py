@@ -35,7 +35,7 @@ class SharedMemory:
     """Memory that ``count`` processes share; each gets it when it is started, and joins it.
 
     A process copies its numbers into its own slot, meets the others, and reads all slots. There are
-    two sets of slots, used by turns: whoever writes to a set again has met the others in between,
+    two sets of slots, used by turns: a process that writes to a set again has met the others since,
     so they have read it.
     """
 

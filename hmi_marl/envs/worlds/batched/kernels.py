@@ -120,6 +120,13 @@ class Room(NamedTuple):
 
 
 @inlined
+def lidars_changed(k, merges):
+    """Note that both lidars of world k have to be traced again before they are read."""
+    merges.true_news[k] = CHANGED
+    merges.perceived_news[k] = CHANGED
+
+
+@inlined
 def move_world(k, merges, action):
     """Take one policy step in world k, and read its driven car."""
     f, i, world = merges.floats[k], merges.integers[k], merges.worlds[k]
@@ -129,8 +136,7 @@ def move_world(k, merges, action):
     )  # fmt: skip
     read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
     merges.steps[k] += 1
-    merges.true_news[k] = CHANGED
-    merges.perceived_news[k] = CHANGED
+    lidars_changed(k, merges)
 
 
 @inlined
@@ -138,8 +144,7 @@ def halt_world(k, merges):
     """Stop the driven car of world k."""
     merges.floats[k, m.SPEED, 0] = 0.0
     merges.numbers[k, base.SPEED] = 0.0
-    merges.true_news[k] = CHANGED
-    merges.perceived_news[k] = CHANGED
+    lidars_changed(k, merges)
 
 
 @inlined
@@ -168,8 +173,7 @@ def begin_world(k, merges, room, seed, inflation):
     read_ego(f, i, world, lanes, table, rows, merges.numbers, merges.flags, k)
     merges.inflation[k] = inflation
     merges.steps[k] = 0
-    merges.true_news[k] = CHANGED
-    merges.perceived_news[k] = CHANGED
+    lidars_changed(k, merges)
 
 
 @kernel
