@@ -197,7 +197,8 @@ class InLoops(Execution):
 
     def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """See :meth:`Execution.whole`."""
-        actions = np.require(actions, None, ("C", "W"))
+        if not actions.flags.carray:
+            actions = np.require(actions, None, ("C", "W"))
         columns = np.empty((len(sizes), len(actions)), np.int64)
         check_actions(_NO_PROGRESS, actions, sizes, columns, self._found)
         if self._found[0] >= 0:
@@ -347,8 +348,7 @@ def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[NDArray[Any], NDArray[n
     """As many groups as the loops are compiled for."""
     if len(groups) > _GROUPS:
         raise ValueError(f"at most {_GROUPS} observations are computed together")
-    given = [(group.rows, group.first) for group in groups]
-    return (*given, *[_NO_GROUP] * (_GROUPS - len(groups)))
+    return (*[group[:2] for group in groups], *[_NO_GROUP] * (_GROUPS - len(groups)))
 
 
 _NO_TOTALS = np.zeros(TOTALS)

@@ -24,7 +24,7 @@ class Series(OwnArrays):
     """
 
     AHEAD = 16
-    """Most episodes of a series that are computed at a time."""
+    """Most episodes of a series that are known at a time."""
 
     AT_FIRST = 4
     """Episodes that are computed at first, since many trainers soon begin other series."""
@@ -35,15 +35,17 @@ class Series(OwnArrays):
         self.episodes = np.zeros(count, np.int64)
         """Number of the present episode of each series, shape (N,)."""
         self.moved = False
-        """Whether some series have gone on since :meth:`look_ahead`; to be set by code that counts
-        up :attr:`episodes` itself."""
+        """Whether some series have gone on since :meth:`look_ahead`, each by one episode; to be set
+        by code that counts up :attr:`episodes` itself."""
         self.seeds = np.zeros((count, self.AHEAD), np.uint64)
         """Seeds of episodes, in the column of the episode's number modulo AHEAD."""
         self.traits = np.zeros((count, self.AHEAD, len(TRAIT_NAMES)))
         """Traits of their drivers."""
-        self._until = np.zeros(count, np.int64)
+        self._until = np.full(count, -1)
         """Last episode of each series that is computed."""
-        self._compute(np.arange(count), 0, self.AT_FIRST)
+        self._compute(np.arange(count), self.AT_FIRST)
+        self._sure = self.AT_FIRST - 1
+        """Episodes that are known after the present one in every series, or fewer."""
 
     @property
     def present(self) -> NDArray[np.uint64]:
@@ -59,21 +61,25 @@ class Series(OwnArrays):
         return self.seeds[place], self.traits[place]
 
     def look_ahead(self) -> None:
-        """Compute more of those series whose last computed episode has begun.
+        """Compute more episodes, if the last known one of a series has begun.
 
         Raises:
             ValueError, TypeError: a population that draws impossible traits. Nothing has changed.
         """
         if not self.moved:
             return
-        at_end = np.flatnonzero(self.episodes >= self._until)
-        if len(at_end):
-            self._compute(at_end, 1, self.AHEAD)
-        self.moved = False
+        sure = self._sure - 1  # a bound, so that not all are counted in every step
+        if sure < 1:
+            left = self._until - self.episodes
+            if left.min() < 1:  # some others together with them, since each call takes long
+                self._compute(np.flatnonzero(left < self.AHEAD // 2), self.AHEAD // 2)
+                left = self._until - self.episodes
+            sure = int(left.min())
+        self._sure, self.moved = sure, False
 
-    def _compute(self, series: NDArray[np.int64], first: int, count: int) -> None:
-        """Compute ``count`` episodes, from the ``first`` after the present one on."""
-        numbers = self.episodes[series, None] + first + np.arange(count)
+    def _compute(self, series: NDArray[np.int64], count: int) -> None:
+        """Compute the next ``count`` episodes after those that are known."""
+        numbers = self._until[series, None] + 1 + np.arange(count)
         seeds = episode_seed(self._first[series, None], numbers.astype(np.uint64))
         drawn = check_traits(self._population.draw(seeds.ravel()), seeds.size)
         places = series[:, None], numbers % self.AHEAD

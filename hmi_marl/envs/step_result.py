@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,7 @@ from hmi_marl.envs.series import Series
 from hmi_marl.envs.team_step import ENDED, OF_DRIVER, OF_VEHICLE_AI, TERMINATED, TRUNCATED
 
 
-@dataclass(frozen=True)
-class Then:
+class Then(NamedTuple):
     """Begin the next episode of its series in each team whose episode ends."""
 
     series: Series
@@ -23,8 +23,7 @@ class Then:
     """Observations at the end of the episode to compute."""
 
 
-@dataclass(frozen=True)
-class EndedTeams:
+class EndedTeams(NamedTuple):
     """M teams whose episode ended in a step."""
 
     teams: NDArray[np.int64]
@@ -35,8 +34,7 @@ class EndedTeams:
     """Sums over the episode, (M, 14); for the columns see :mod:`team_step`."""
 
 
-@dataclass(frozen=True)
-class StepResult:
+class StepResult(NamedTuple):
     """Rewards and ends of one step of N teams."""
 
     table: NDArray[np.float64]
@@ -44,17 +42,17 @@ class StepResult:
     :mod:`team_step`."""
     ends: NDArray[np.bool_]
     """How the step ended episodes, shape (N, 4); for the columns see :mod:`team_step`."""
-    views: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    views: Mapping[str, NDArray[np.float32]] = MappingProxyType({})
     """Observations after the step that were asked for, by name; see :meth:`Teaming.views`."""
     ended_teams: EndedTeams | None = None
     """What is known about the episodes that ended, if the next ones have begun already."""
 
-    @cached_property
+    @property
     def rewards(self) -> dict[str, NDArray[np.float64]]:
         """Reward of each agent, shape (N,)."""
         return {DRIVER: self.table[:, OF_DRIVER], VEHICLE_AI: self.table[:, OF_VEHICLE_AI]}
 
-    @cached_property
+    @property
     def terms(self) -> dict[str, NDArray[np.float64]]:
         """Value of each reward term, shape (N,)."""
         return dict(zip(TERMS, self.table.T, strict=False))

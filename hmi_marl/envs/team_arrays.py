@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -57,8 +56,7 @@ class Teams(NamedTuple):
         )
 
 
-@dataclass(frozen=True)
-class Group:
+class Group(NamedTuple):
     """Observations to be written."""
 
     rows: NDArray[np.float32]
@@ -75,13 +73,19 @@ class Group:
 
     def another(self, rows: NDArray[np.float32]) -> Group:
         """Other rows with the same columns."""
-        return Group(rows, self.first, self.shows_true_lidar, self.shows_perceived_lidar)
+        return Group(rows, *self[1:])
+
+    def empty(self, count: int) -> Group:
+        """Other rows with the same columns, for so many teams, to be filled in."""
+        return self.another(np.empty((count, self.rows.shape[1]), np.float32))
 
 
 def lidars_shown(groups: tuple[Group, ...]) -> tuple[bool, bool]:
     """Whether any of the groups shows the true lidar, and the perceived one."""
-    true = any(group.shows_true_lidar for group in groups)
-    return true, any(group.shows_perceived_lidar for group in groups)
+    true = perceived = False
+    for _, _, shows_true, shows_perceived in groups:
+        true, perceived = true or shows_true, perceived or shows_perceived
+    return true, perceived
 
 
 class After(NamedTuple):
@@ -95,6 +99,6 @@ class After(NamedTuple):
 
     @classmethod
     def new(cls, count: int, last_totals: NDArray[np.float64] | None = None) -> After:
-        """Arrays to be filled in."""
-        rewards = np.empty((count, team_step.SUMS))
-        return cls(rewards, np.empty((count, team_step.OVER + 1), np.bool_), last_totals)
+        """Arrays to be filled in, whose columns are each in one piece."""
+        rewards = np.empty((team_step.SUMS, count)).T
+        return cls(rewards, np.empty((team_step.OVER + 1, count), np.bool_).T, last_totals)

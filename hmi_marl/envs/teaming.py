@@ -37,6 +37,7 @@ from hmi_marl.envs.worlds import World, make_world
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
+_ZERO = np.zeros((), np.float32)
 STATE = "state"
 """Name of the whole team's state among what :meth:`Teaming.views` gives."""
 
@@ -215,27 +216,27 @@ class Teaming(ShownTeams):
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        groups = {name: self._group(name, self.num_teams) for name in views}
-        finals = {name: self._final(name) for name in then.views} if then else {}
+        groups = [self._group(name, self.num_teams) for name in views]
+        finals = [self._final(name) for name in then.views] if then else []
         if then is not None:
             then.series.look_ahead()  # before anything moves, since a population may fail
         rewards, ends, totals = self._execution.step(
             self._teams,
             self._checked(alerts, VEHICLE_AI),
             self._spare,
-            tuple(groups.values()),
-            tuple(finals.values()),
+            tuple(groups),
+            tuple(finals),
             then.series if then else None,
         )
         before = self._teams.state
         self._teams, self._spare = self._teams._replace(state=self._spare), before
         ended = None
-        if then is not None and len(teams := np.flatnonzero(ends[:, ENDED])):
+        if then is not None and len(teams := ends[:, ENDED].nonzero()[0]):
             assert totals is not None
             then.series.moved = True
-            seen = {name: group.rows[teams] for name, group in finals.items()}
+            seen = {name: group.rows[teams] for name, group in zip(then.views, finals, strict=True)}
             ended = EndedTeams(teams, seen, totals[teams])
-        shown = {name: group.rows for name, group in groups.items()}
+        shown = {name: group.rows for name, group in zip(views, groups, strict=True)}
         return StepResult(rewards, ends, shown, ended)
 
     def observe(self, agent: str, parts: Iterable[str] | None = None) -> NDArray[np.float32]:
@@ -243,17 +244,18 @@ class Teaming(ShownTeams):
 
         Args:
             agent: whose observations.
-            parts: names of the parts to compute, all by default. The others are 0.
+            parts: names of the parts to compute, all by default. The others are 0; of none the
+                result is read-only.
 
         Raises:
             KeyError: the layout has no such part.
         """
         if parts is None:
             return self.views((agent,))[agent]
-        rows = np.zeros((self.num_teams, self.layouts[agent].size), np.float32)
-        parts = tuple(parts)
+        parts, shape = tuple(parts), (self.num_teams, self.layouts[agent].size)
         if not parts:
-            return rows
+            return np.broadcast_to(_ZERO, shape)
+        rows = np.zeros(shape, np.float32)
         group = self._columns_of(agent, parts).another(rows)
         self._execution.write(self._teams, self._every, (group,))
         return rows
@@ -282,8 +284,7 @@ class Teaming(ShownTeams):
 
     def _group(self, name: str, count: int) -> Group:
         """Room for one observation of so many teams."""
-        rows = np.empty((count, self._layout(name).size), np.float32)
-        return self._columns_of(name).another(rows)
+        return self._columns_of(name).empty(count)
 
     def _final(self, name: str) -> Group:
         """Room for one observation at the end of episodes, always the same."""
@@ -297,8 +298,9 @@ class Teaming(ShownTeams):
     def _columns_of(self, name: str, parts: tuple[str, ...] | None = None) -> Group:
         """An observation's columns, without rows."""
         if (name, parts) not in self._columns:
-            first = first_columns(self._layout(name), name, parts)
-            self._columns[name, parts] = Group.of(np.empty((0, 0), np.float32), first)
+            layout = self._layout(name)
+            no_rows = np.empty((0, layout.size), np.float32)
+            self._columns[name, parts] = Group.of(no_rows, first_columns(layout, name, parts))
         return self._columns[name, parts]
 
     def _checked_teams(self, teams: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -65,7 +65,9 @@ from hmi_marl.files import json_value
 if TYPE_CHECKING:
     from hmi_marl.envs.render import Viewer
 
-Views = dict[str, NDArray[np.float32]]
+_READ_AS_THEY_ARE = {torch.float32, torch.float64, torch.int64}
+"""Types of actions that need no conversion."""
+Views = Mapping[str, NDArray[np.float32]]
 _LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "alerts", "crash_rate"))
 
 
@@ -281,8 +283,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             result = self.teaming.turn(columns[0], columns[1], views=views, then=then)
         else:
             result = self._turns.step(columns[0], views, then)
-        rewards = self._rewards(result)
-        extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated.copy())}
+        extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
         if self.seat == TEAM:
             extras["rewards"] = {
                 agent: self._tensor(values.astype(np.float32))
@@ -295,7 +296,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._observe(result.views)
         return (
             self.get_observations(),
-            self._tensor(rewards.astype(np.float32)),
+            self._tensor(self._rewards(result).astype(np.float32)),
             self._tensor(result.ended.astype(np.int64)),
             extras,
         )
@@ -379,18 +380,17 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         if not isinstance(actions, torch.Tensor):
             raise TypeError(f"actions are a torch tensor, not {type(actions).__name__}")
         wanted = (self.num_envs, self.num_actions)
-        if tuple(actions.shape) != wanted:
+        if actions.shape != wanted:
             raise ValueError(
                 f"actions of seat {self.seat!r} have shape {wanted}, a column each for "
                 f"{' and '.join(self.agents)}, but got {tuple(actions.shape)}"
             )
-        if actions.dtype == torch.bool or actions.is_complex():
-            raise ValueError(f"actions are whole numbers, but got {actions.dtype}")
-        values = actions.detach().cpu()
-        if values.dtype not in (torch.float32, torch.float64, torch.int64):
-            values = values.to(torch.float64 if values.is_floating_point() else torch.int64)
+        if actions.dtype not in _READ_AS_THEY_ARE:
+            if actions.dtype == torch.bool or actions.is_complex():
+                raise ValueError(f"actions are whole numbers, but got {actions.dtype}")
+            actions = actions.to(torch.float64 if actions.is_floating_point() else torch.int64)
         try:
-            return self.teaming.whole_actions(values.numpy(), self.action_sizes)
+            return self.teaming.whole_actions(actions.numpy(force=True), self.action_sizes)
         except WrongActionError as wrong:
             raise ValueError(
                 f"action {wrong.value} of {self.agents[wrong.column]} in team {wrong.team} is not "

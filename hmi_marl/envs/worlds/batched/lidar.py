@@ -131,11 +131,14 @@ def trace(f, world, inflation, directions, maximum_range, grid):
         if distance <= grid[cell, 0]:
             grid[cell, 0] = distance
             grid[cell, 1] = vx * directions[cell, 0] + vy * directions[cell, 1]
-        if least < -math.pi / 2 and math.pi / 2 < most:
+        behind = least < -math.pi / 2 and math.pi / 2 < most
+        if behind:
             least, most = most, least + 2 * math.pi
         start = math.floor(least / sector) % cells
         end = math.floor(most / sector) % cells
         number = end - start + 1 if start < end else cells - start + end + 1
+        if start == end and not behind:
+            number = 1  # all corners are in this cell: highway-env tries every ray, and hits none
         cell = start
         for _ in range(number):
             ray_x, ray_y = directions[cell, 0], directions[cell, 1]
