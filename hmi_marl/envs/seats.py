@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.step_result import StepResult, Then
-from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.teaming import Teaming, Views
 
 
 @runtime_checkable
@@ -129,7 +129,7 @@ class PartnerTurns:
     def step(
         self,
         actions: NDArray[np.int64] | list[int],
-        views: Sequence[str] = (),
+        views: Views = (),
         then: Then | None = None,
     ) -> StepResult:
         """Take one step of every team from this seat's actions, shape (N,).

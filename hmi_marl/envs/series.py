@@ -26,8 +26,11 @@ class Series(OwnArrays):
     AHEAD = 16
     """Most episodes of a series that are known at a time."""
 
-    AT_FIRST = 4
+    AT_FIRST = 6
     """Episodes that are computed at first, since many trainers soon begin other series."""
+
+    FEW = 3
+    """Fewer episodes ahead than these are not enough for many steps."""
 
     def __init__(self, seeds: NDArray[np.uint64], population: Population) -> None:
         self._first, self._population = seeds, population
@@ -61,7 +64,7 @@ class Series(OwnArrays):
         return self.seeds[place], self.traits[place]
 
     def look_ahead(self) -> None:
-        """Compute more episodes, if the last known one of a series has begun.
+        """Compute more episodes, if few of those of a series are left.
 
         Raises:
             ValueError, TypeError: a population that draws impossible traits. Nothing has changed.
@@ -71,8 +74,9 @@ class Series(OwnArrays):
         sure = self._sure - 1  # a bound, so that not all are counted in every step
         if sure < 1:
             left = self._until - self.episodes
-            if left.min() < 1:  # some others together with them, since each call takes long
-                self._compute(np.flatnonzero(left < self.AHEAD // 2), self.AHEAD // 2)
+            if left.min() < self.FEW:  # others go along, since many take hardly longer than one
+                half = self.AHEAD // 2
+                self._compute(np.flatnonzero(left < half), half)
                 left = self._until - self.episodes
             sure = int(left.min())
         self._sure, self.moved = sure, False

@@ -10,7 +10,7 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,10 +34,11 @@ from hmi_marl.envs.team_step import (
 )
 from hmi_marl.envs.worlds import World, make_world
 
+Views = Sequence[str] | Mapping[str, NDArray[np.float32]]
+"""Names of observations, or arrays by name to write them into, shape (N, size of the layout)."""
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
-_ZERO = np.zeros((), np.float32)
 STATE = "state"
 """Name of the whole team's state among what :meth:`Teaming.views` gives."""
 
@@ -69,6 +70,8 @@ class Teaming(ShownTeams):
             VEHICLE_AI: obs.vehicle_ai_layout(config),
         }
         self.state_layout = obs.state_layout(config)
+        self._unseen = {agent: _nothing(num_teams, each) for agent, each in self.layouts.items()}
+        """Observations for policies that read no part of them."""
         self._columns: dict[tuple[str, tuple[str, ...] | None], Group] = {}
         self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
@@ -150,7 +153,7 @@ class Teaming(ShownTeams):
         driver: Actor,
         hmi: Actor,
         sequential: bool = True,
-        views: Sequence[str] = (),
+        views: Views = (),
         then: Then | None = None,
     ) -> StepResult:
         """Take one step of every team, each seat in its turn.
@@ -200,9 +203,7 @@ class Teaming(ShownTeams):
         state[given, INTENDED] = state[given, PREVIOUS]
         given[:] = False
 
-    def step(
-        self, alerts: ArrayLike, views: Sequence[str] = (), then: Then | None = None
-    ) -> StepResult:
+    def step(self, alerts: ArrayLike, views: Views = (), then: Then | None = None) -> StepResult:
         """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
 
         Ended teams stay as they are and get zeros.
@@ -216,7 +217,7 @@ class Teaming(ShownTeams):
         Raises:
             ValueError: an action out of range, or no :meth:`intend` before.
         """
-        groups = [self._group(name, self.num_teams) for name in views]
+        groups = self._groups(views, self.num_teams)
         finals = [self._final(name) for name in then.views] if then else []
         if then is not None:
             then.series.look_ahead()  # before anything moves, since a population may fail
@@ -224,19 +225,19 @@ class Teaming(ShownTeams):
             self._teams,
             self._checked(alerts, VEHICLE_AI),
             self._spare,
-            tuple(groups),
+            tuple(groups.values()),
             tuple(finals),
             then.series if then else None,
         )
         before = self._teams.state
-        self._teams, self._spare = self._teams._replace(state=self._spare), before
+        self._teams, self._spare = Teams(self._spare, *self._teams[1:]), before
         ended = None
         if then is not None and len(teams := ends[:, ENDED].nonzero()[0]):
             assert totals is not None
             then.series.moved = True
             seen = {name: group.rows[teams] for name, group in zip(then.views, finals, strict=True)}
             ended = EndedTeams(teams, seen, totals[teams])
-        shown = {name: group.rows for name, group in zip(views, groups, strict=True)}
+        shown = {name: group.rows for name, group in groups.items()}
         return StepResult(rewards, ends, shown, ended)
 
     def observe(self, agent: str, parts: Iterable[str] | None = None) -> NDArray[np.float32]:
@@ -254,7 +255,7 @@ class Teaming(ShownTeams):
             return self.views((agent,))[agent]
         parts, shape = tuple(parts), (self.num_teams, self.layouts[agent].size)
         if not parts:
-            return np.broadcast_to(_ZERO, shape)
+            return self._unseen[agent]
         rows = np.zeros(shape, np.float32)
         group = self._columns_of(agent, parts).another(rows)
         self._execution.write(self._teams, self._every, (group,))
@@ -265,31 +266,34 @@ class Teaming(ShownTeams):
         return self.views((STATE,))[STATE]
 
     def views(
-        self, names: Sequence[str], teams: NDArray[np.int64] | None = None
+        self, names: Views, teams: NDArray[np.int64] | None = None
     ) -> dict[str, NDArray[np.float32]]:
         """Return several observations by name, computed together; no lidar is traced in vain.
 
         Args:
-            names: agents, or "state" for the whole team's state; up to three.
+            names: agents, or "state" for the whole team's state; up to three. Or arrays by these
+                names, to be filled.
             teams: numbers of M teams, shape (M,); every team by default.
 
         Returns:
             Arrays of shape (M, size of the layout).
         """
         which = self._every if teams is None else self._checked_teams(teams)
-        groups = {name: self._group(name, len(which)) for name in names}
+        groups = self._groups(names, len(which))
         if groups and len(which):
             self._execution.write(self._teams, which, tuple(groups.values()))
         return {name: group.rows for name, group in groups.items()}
 
-    def _group(self, name: str, count: int) -> Group:
-        """Room for one observation of so many teams."""
-        return self._columns_of(name).empty(count)
+    def _groups(self, views: Views, count: int) -> dict[str, Group]:
+        """Room for observations of so many teams, by name."""
+        if isinstance(views, Mapping):
+            return {name: self._columns_of(name).another(rows) for name, rows in views.items()}
+        return {name: self._columns_of(name).empty(count) for name in views}
 
     def _final(self, name: str) -> Group:
         """Room for one observation at the end of episodes, always the same."""
         if name not in self._finals:
-            self._finals[name] = self._group(name, self.num_teams)
+            self._finals[name] = self._columns_of(name).empty(self.num_teams)
         return self._finals[name]
 
     def _layout(self, name: str) -> obs.Layout:
@@ -350,6 +354,11 @@ def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]
             f"{mask.shape}"
         )
     return np.require(mask, np.bool_, ("C", "W"))
+
+
+def _nothing(count: int, layout: obs.Layout) -> NDArray[np.float32]:
+    """Zeros of shape (count, size of the layout), read-only."""
+    return np.broadcast_to(np.zeros((), np.float32), (count, layout.size))
 
 
 def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:

@@ -27,7 +27,7 @@ Needs torch, tensordict and rsl_rl (the ``train`` extra).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,10 +55,11 @@ from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import PartnerTurns, Policy
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
+from hmi_marl.envs.step_result import EndedTeams, Then
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
 from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.vector_outcome import EpisodeLog, Outcome, on_device
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
@@ -69,27 +70,6 @@ _READ_AS_THEY_ARE = {torch.float32, torch.float64, torch.int64}
 """Types of actions that need no conversion."""
 Views = Mapping[str, NDArray[np.float32]]
 _LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "alerts", "crash_rate"))
-
-
-class EpisodeLog(Mapping[str, torch.Tensor]):
-    """Values of M episodes that ended, by name: float32 of shape (M,) on the CPU.
-
-    Args:
-        totals: sums over the episodes, shape (M, 14).
-        columns: column of each name.
-    """
-
-    def __init__(self, totals: NDArray[np.float64], columns: Mapping[str, int]) -> None:
-        self._totals, self._columns = totals, columns
-
-    def __getitem__(self, name: str) -> torch.Tensor:
-        return torch.from_numpy(self._totals[:, self._columns[name]].astype(np.float32))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
 
 
 class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
@@ -151,10 +131,19 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         }
         """Description of the environment, fit for JSON; rsl_rl keeps it with the run."""
         self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
-        self._groups = checked_groups(groups)
-        self._views = views_of(self._groups)
-        self._observations: dict[str, torch.Tensor] = {}
-        columns = (self._return, *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
+        self._sizes = {group: layout.size for group, layout in self.layouts.items()}
+        self.groups = groups  # checks them
+        individual = teaming.config.reward == "individual"
+        columns_of = {
+            DRIVER: (OF_DRIVER,),
+            VEHICLE_AI: (OF_VEHICLE_AI,),
+            TEAM: (OF_DRIVER, OF_VEHICLE_AI) if individual else (OF_DRIVER,),
+        }
+        self._rewarded = {each: columns_of[each] for each in {*self.agents, seat}}
+        """Columns of the step's table that each reward is the sum of, by agent and for the seat."""
+        summed = self._rewarded[seat]
+        total = OF_BOTH if len(summed) > 1 else summed[0]
+        columns = (total, *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
         self._logged = dict(zip(_LOGGED, columns, strict=True))
         """Columns of totals that are logged, by name."""
         self._viewer: Viewer | None = None
@@ -172,13 +161,12 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
         May be assigned at any time. Raises ValueError for none, or a name that is no group's.
         """
-        return self._groups
+        return tuple(self._groups)
 
     @groups.setter
     def groups(self, groups: Collection[str]) -> None:
-        self._groups = checked_groups(groups)
-        self._views = views_of(self._groups)
-        self._observe({})
+        self._groups = {group: self._sizes[group] for group in checked_groups(groups)}
+        self._views = views_of(tuple(self._groups))
 
     def read(self, group: str) -> torch.Tensor:
         """Return one group of the present observations, also one that is not in :attr:`groups`.
@@ -189,8 +177,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             ValueError: there is no such group.
         """
         check_choice("group=", group, GROUPS)
-        views = self.teaming.views(views_of((group,)))
-        return self._as_groups((group,), views)[group]
+        return self._observed({group: self._sizes[group]})[group]
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -216,7 +203,6 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             raise ValueError(f"episode lengths lie in 0 to {self.max_episode_length - 1}")
         self._untouched = False
         self.teaming.steps = values.astype(np.int64)
-        self._observe({})
 
     def reset(self, seed: int | None = None) -> tuple[TensorDict, dict[str, Any]]:
         """Begin an episode in every team at once.
@@ -238,11 +224,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         return self.get_observations(), {}
 
     def get_observations(self) -> TensorDict:
-        """Return the present observations, groups of shape (N, their layout's size).
-
-        Later steps do not change them. Until the next step they are the same memory in every call.
-        """
-        return TensorDict(dict(self._observations), batch_size=[self.num_envs], device=self.device)
+        """Return the present observations, groups of shape (N, their layout's size): a copy."""
+        return self._observed(self._groups)
 
     def step(
         self, actions: torch.Tensor
@@ -275,31 +258,31 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         columns = self._checked(actions)
         self._untouched = False
-        # A partner who drives acts before the groups are complete.
-        views = () if self.seat == VEHICLE_AI else self._views
+        outcome = Outcome(self.num_envs, self._groups, self._rewarded)
+        views = self._views_in(outcome.rows)
         then = Then(self._series, self._views)
         traits = self._traits() if TRAITS in self._groups else None  # before episodes end
         if self._turns is None:
             result = self.teaming.turn(columns[0], columns[1], views=views, then=then)
-        else:
+        elif self.seat == DRIVER:
             result = self._turns.step(columns[0], views, then)
-        extras: dict[str, Any] = {"time_outs": self._tensor(result.truncated)}
+        else:  # the partner drives before anything is observed
+            result = self._turns.step(columns[0], (), then)
+        outcome.fill(result)
+        extras: dict[str, Any] = {"time_outs": outcome.time_outs}
         if self.seat == TEAM:
-            extras["rewards"] = {
-                agent: self._tensor(values.astype(np.float32))
-                for agent, values in result.rewards.items()
-            }
+            extras["rewards"] = {agent: outcome.rewards[agent] for agent in self.agents}
         if result.ended_teams is not None:
             extras |= self._extras_of(result.ended_teams, traits)
             if self.partner is not None:
                 self.partner.reset(self.teaming.seeds, result.ended.copy())
-        self._observe(result.views)
-        return (
-            self.get_observations(),
-            self._tensor(self._rewards(result).astype(np.float32)),
-            self._tensor(result.ended.astype(np.int64)),
-            extras,
-        )
+        if self.seat == VEHICLE_AI:
+            self._prepare()
+            self.teaming.views(views)
+        if TRAITS in self._groups:
+            outcome.rows[TRAITS][:] = self.teaming.trait_table
+        returned = outcome.observations, outcome.rewards[self.seat], outcome.dones, extras
+        return returned if self._on_cpu else on_device(returned, self.device)
 
     def picture(self, team: int = 0) -> NDArray[np.uint8]:
         """Picture of one of the teams, shape (height, width, 3)."""
@@ -328,52 +311,40 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self.teaming.reset(self._series.present)
         if self.partner is not None:
             self.partner.reset(self.teaming.seeds)
-        self._observe({})
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Let a partner who drives act."""
+        if self._turns is not None:
+            self._turns.prepare()
 
     def _traits(self) -> NDArray[np.float32]:
         return self.teaming.trait_table.astype(np.float32)
 
-    def _observe(self, views: Views) -> None:
-        """Let a partner who drives act, and take the views, or compute those that are not given."""
-        if self._turns is not None:
-            self._turns.prepare()
-        views = views or self.teaming.views(self._views)
-        self._observations = self._as_groups(self._groups, views)
+    def _observed(self, groups: Mapping[str, int]) -> TensorDict:
+        """The present observations, of groups with so many columns."""
+        self._prepare()
+        outcome = Outcome(self.num_envs, groups, {})
+        self.teaming.views(self._views_in(outcome.rows))
+        if TRAITS in groups:
+            outcome.rows[TRAITS][:] = self.teaming.trait_table
+        return on_device(outcome.observations, self.device)
 
-    @property
-    def _return(self) -> int:
-        """Column of totals that holds the seat's return."""
-        if self.seat == TEAM:
-            return OF_BOTH if self.teaming.config.reward == "individual" else OF_DRIVER
-        return OF_DRIVER if self.seat == DRIVER else OF_VEHICLE_AI
-
-    def _rewards(self, result: StepResult) -> NDArray[np.float64]:
-        if self.seat != TEAM:
-            return result.rewards[self.seat]
-        driver, vehicle_ai = result.rewards[DRIVER], result.rewards[VEHICLE_AI]
-        return driver + vehicle_ai if self.teaming.config.reward == "individual" else driver
+    def _views_in(self, rows: Mapping[str, NDArray[np.float32]]) -> Views:
+        """Rows of groups by the names of the Teaming's views, without the traits."""
+        return {VIEW[group]: rows[group] for group in rows if group != TRAITS}
 
     def _extras_of(self, ended: EndedTeams, traits: NDArray[np.float32] | None) -> dict[str, Any]:
         """``extras`` about the episodes that ended, of drivers with these traits, (N, 4)."""
-        of_ended = None if traits is None else traits[ended.teams]
-        groups = self._as_groups(self._groups, ended.views, of_ended)
-        last = TensorDict(groups, batch_size=[len(ended.teams)], device=self.device)
-        log = EpisodeLog(ended.totals, self._logged)
-        return {"final_teams": self._tensor(ended.teams), "final_observation": last, "log": log}
-
-    def _as_groups(
-        self, groups: Sequence[str], views: Views, traits: NDArray[np.float32] | None = None
-    ) -> dict[str, torch.Tensor]:
-        """Groups by name, with the present drivers' traits by default."""
-        arrays = {group: views[VIEW[group]] for group in groups if group != TRAITS}
-        if TRAITS in groups:
-            arrays[TRAITS] = self._traits() if traits is None else traits
-        return {group: self._tensor(arrays[group]) for group in groups}
-
-    def _tensor(self, array: NDArray[Any]) -> torch.Tensor:
-        """On the device; on the CPU it shares the array's memory."""
-        tensor = torch.from_numpy(array)
-        return tensor if self._on_cpu else tensor.to(self.device)
+        rows = {group: ended.views[VIEW[group]] for group in self._groups if group != TRAITS}
+        if traits is not None:
+            rows[TRAITS] = traits[ended.teams]
+        last = {group: torch.from_numpy(rows[group]) for group in self._groups}
+        return {
+            "final_teams": torch.from_numpy(ended.teams),
+            "final_observation": TensorDict(last, batch_size=[len(ended.teams)], device="cpu"),
+            "log": EpisodeLog(ended.totals, self._logged),
+        }
 
     def _checked(self, actions: torch.Tensor) -> NDArray[np.int64]:
         """The columns of actions as int64, or an error that says what is wrong."""
