@@ -101,7 +101,8 @@ def make_vec(
         seat: the acting seat: "driver", "vehicle_ai" or "team" (both, in columns a^H and a^A).
         partner: policy of the other seat, by its name in :mod:`hmi_marl.agents.catalogue` or as a
             Policy; by default "never" for the driver, "rule" for the vehicle AI, none for the team.
-        seed: team k plays the series of episodes of ``seed + k``.
+        seed: team k plays the series of episodes of ``team_seed(seed, k)``
+            (:mod:`hmi_marl.envs.streams`).
         device: device of the returned tensors.
         threads: threads of the batched world; all cores by default. On a busy machine one thread
             can be faster than two.

@@ -39,6 +39,10 @@ class Stream(IntEnum):
     """Series of training episodes, one for each iteration."""
     LEARNING = 8
     """Draws of a learner: initial weights, explored actions, mini-batches."""
+    TEAM = 9
+    """Series of episodes of the teams of a batch."""
+    PART = 10
+    """Parts of an experiment that are to be independent, such as repeated runs."""
 
 
 def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:
@@ -83,9 +87,27 @@ def uniform(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.
 
 
 def episode_seed(seed: ArrayLike, episode: ArrayLike) -> NDArray[np.uint64]:
-    """The seed of a team's ``episode``-th episode: the team's own seed for the first (0)."""
-    seed, episode = np.asarray(seed, np.uint64), np.asarray(episode, np.uint64)
-    return np.where(episode == 0, seed, mix(seed, Stream.EPISODE, episode))
+    """Seed of the ``episode``-th episode of a series: the series' own seed for the first (0)."""
+    return _numbered(seed, Stream.EPISODE, episode)
+
+
+def team_seed(seed: ArrayLike, team: ArrayLike) -> NDArray[np.uint64]:
+    """Seed of the series of team number ``team`` in a batch of teams with one seed.
+
+    The team's e-th episode has the seed ``episode_seed(team_seed(seed, team), e)``. Batches of
+    different seeds have no episode in common.
+    """
+    return mix(seed, Stream.TEAM, team)
+
+
+def part_seed(seed: ArrayLike, part: ArrayLike) -> NDArray[np.uint64]:
+    """Seed of the ``part``-th part of an experiment, such as a run: its own seed for the first."""
+    return _numbered(seed, Stream.PART, part)
+
+
+def _numbered(seed: ArrayLike, stream: Stream, number: ArrayLike) -> NDArray[np.uint64]:
+    seed, number = np.asarray(seed, np.uint64), np.asarray(number, np.uint64)
+    return np.where(number == 0, seed, mix(seed, stream, number))
 
 
 def check_whole(name: str, value: int, unit: str = "") -> int:

@@ -19,8 +19,9 @@ not computed; :meth:`TeamVecEnv.read` computes one of them when it is needed aft
 A team begins its next episode inside the ``step`` that ends one. ``extras`` of such a step hold
 ``final_observation``, ``final_teams`` and ``log`` (see :meth:`TeamVecEnv.step`).
 
-Team k plays the series of seed ``seed + k``: its e-th episode has seed
-``episode_seed(seed + k, e)``, so nothing of it depends on the number of teams.
+Team k plays the series of seed ``team_seed(seed, k)`` (:mod:`hmi_marl.envs.streams`): its e-th
+episode has seed ``episode_seed(team_seed(seed, k), e)``, so nothing of it depends on the number of
+teams, and environments of different seeds share no episode.
 
 Needs torch, tensordict and rsl_rl (the ``train`` extra).
 """
@@ -56,7 +57,7 @@ from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import PartnerTurns, Policy
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
-from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.streams import check_seed, team_seed
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
@@ -97,7 +98,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         teaming: the N teams, in any world. Belongs to this environment from now on.
         seat: "driver", "vehicle_ai" or "team" (both).
         partner: the policy in the other seat; None exactly for seat "team".
-        seed: team k plays the series of episodes of ``seed + k``.
+        seed: team k plays the series of episodes of ``team_seed(seed, k)``.
         device: of the returned tensors. The teams themselves run on the CPU.
         groups: observations to compute in each step; see :attr:`groups`.
 
@@ -216,19 +217,23 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self.teaming.steps = values.astype(np.int64)
         self._observe({})
 
-    def reset(self, seed: int | None = None) -> tuple[TensorDict, dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, first_team: int = 0
+    ) -> tuple[TensorDict, dict[str, Any]]:
         """Begin an episode in every team at once.
 
         Args:
-            seed: starts every team's series anew, team k's from ``seed + k``. Without it each team
-                goes on to its next episode; the first call after making the environment stays at
-                the first.
+            seed: starts every team's series anew, team k's from ``team_seed(seed, k)``. Without it
+                each team goes on to its next episode; the first call after making the environment
+                stays at the first.
+            first_team: number of the first team in the batch of that seed, of which these teams are
+                a part.
 
         Returns:
             The observations, and ``extras``, which are empty.
         """
         if seed is not None:
-            self._start_series(seed)
+            self._start_series(seed, first_team)
         elif not self._untouched:
             self._series.go_on(np.arange(self.num_envs))
             self._begin()
@@ -316,9 +321,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             self._viewer.close()
             self._viewer = None
 
-    def _start_series(self, seed: int) -> None:
-        first = np.uint64(check_seed(seed))
-        series = first + np.arange(self.num_envs, dtype=np.uint64)  # modulo 2^64
+    def _start_series(self, seed: int, first_team: int = 0) -> None:
+        series = team_seed(check_seed(seed), first_team + np.arange(self.num_envs))
         self._series = Series(series, self.teaming.config.population)
         self._begin()
 

@@ -21,7 +21,7 @@ from hmi_marl.checks import Count
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.step_result import StepResult
-from hmi_marl.envs.streams import Seed
+from hmi_marl.envs.streams import Seed, part_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
@@ -149,9 +149,8 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
 
     def _play(self, model: str, place: Place) -> HiddenRow:
         team = TeamConfig(driver=model, ai_sees_attention=False)
-        share = revealing_share(
-            team, place.driver_run, evaluation_seeds(min(500, self.episodes)) + np.uint64(10**6)
-        )
+        own = part_seed(evaluation_seeds(min(500, self.episodes)), 1)  # others than are judged by
+        share = revealing_share(team, place.driver_run, own)
         hmis = {
             LEARNED_OWN: str(place.folder / HIDDEN_RUN.format(model)),
             LEARNED_AVERAGE: str(place.folder / HIDDEN_RUN.format("average")),

@@ -20,7 +20,7 @@ from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions, Traits, get_driver
-from hmi_marl.envs.streams import Seed, Stream, mix
+from hmi_marl.envs.streams import Seed, Stream, mix, part_seed
 from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
@@ -147,12 +147,13 @@ class Group:
 
 def groups(settings: AdaptSettings) -> tuple[Group, ...]:
     """Return the four types, the continuous population, and changes to each of the four."""
+    driving, considered = (int(part_seed(settings.seed, k)) for k in (_DRIVING, _CANDIDATES))
     known = [Group(driver.name, (driver,), settings.drivers, TYPES) for driver in TYPES]
     population = Group(
         POPULATION,
-        _random_drivers(settings.population, settings.seed + _DRIVING),
+        _random_drivers(settings.population, driving),
         settings.population * settings.repeats,
-        _with_any_inflation(_random_drivers(settings.candidates, settings.seed + _CANDIDATES)),
+        _with_any_inflation(_random_drivers(settings.candidates, considered)),
     )
     changing = [
         Group(
