@@ -5,12 +5,11 @@ share a batch, in which order or on which thread they run, or which world carrie
 mixing function is SplitMix64's finaliser (Steele, Lea & Flood 2014), chained over the three
 words. It needs only 64-bit integer arithmetic, works element by element on NumPy arrays of any
 shape, and can be compiled.
-
-Checks of the numbers that users give, such as seeds, stand here too.
 """
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable
 from enum import IntEnum
 from typing import Annotated, Any
@@ -18,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import Check
+from hmi_marl.checks import Check, shown
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -110,36 +109,14 @@ def _numbered(seed: ArrayLike, stream: Stream, number: ArrayLike) -> NDArray[np.
     return np.where(number == 0, seed, mix(seed, stream, number))
 
 
-def check_whole(name: str, value: int, unit: str = "") -> int:
-    """Return an integer of Python or NumPy as an int.
-
-    Raises:
-        TypeError: it is a bool or anything else.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} is a whole number{unit}, not {value!r}")
-    return int(value)
-
-
-def check_number(name: str, value: float, unit: str = "") -> float:
-    """Return a number of Python or NumPy as a float.
-
-    Raises:
-        TypeError: it is a bool or anything else.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise TypeError(f"{name} is a number{unit}, not {value!r}")
-    return float(value)
-
-
 def check_seed(seed: Any) -> int:
     """Return ``seed`` as an int in [0, 2^64), or raise ``ValueError``/``TypeError`` saying why."""
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"a seed is an integer, not {seed!r}")
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral):
+        raise TypeError(f"a seed is an integer, not {shown(seed)}")
     if not 0 <= int(seed) < 2**64:
-        raise ValueError(f"a seed lies in [0, 2^64), but got {seed}")
+        raise ValueError(f"a seed lies in [0, 2^64), but got {shown(seed)}")
     return int(seed)
 
 
-Seed = Annotated[int, Check(lambda name, seed: check_seed(seed))]
+Seed = Annotated[int, Check(lambda name, seed: check_seed(seed), "0 to 2^64 - 1")]
 """Seed as a checked setting; see :class:`hmi_marl.checks.Checked`."""

@@ -522,7 +522,7 @@ def test_make_vec_takes_partners_by_name():
         make_vec(1, "team", "never", **small)
     with pytest.raises(ValueError, match="seat= is one of"):
         make_vec(1, "passenger", **small)
-    with pytest.raises(ValueError, match="at least one team"):
+    with pytest.raises(ValueError, match="num_teams lies in"):
         make_vec(0, **small)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
@@ -130,9 +130,9 @@ class LatentTraits(TraitReport):
         ValueError: a size below its least, or a setting that the experiment sets itself.
     """
 
-    driver_steps: Count = 4_000_000
+    driver_steps: Steps = 4_000_000
     """Environment steps in which the driver learns, unless one is given."""
-    demonstrated: Count = 300_000
+    demonstrated: Steps = 300_000
     """Steps demonstrated by each driver."""
     population: Count = 200
     """Unseen drivers, over whom traits are regressed."""

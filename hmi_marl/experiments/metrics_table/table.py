@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import AttentionRule, OptimalAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.streams import check_seed, episode_seed
+from hmi_marl.envs.streams import Seed, episode_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.episodes import (
@@ -50,16 +51,16 @@ class TableSettings(TeamSettings):
     optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or trained:NAME."""
     driver_policy: str = "rule"
     """Driver policy: rule, random, the folder of a trained run, or trained:NAME."""
-    episodes: int = 16
+    episodes: Count = 16
     """Episodes in each cell."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of the series of episodes: that of the first, from which the others' are mixed."""
     world: str = "highway"
     """World to drive in."""
 
 
 @dataclass(frozen=True)
-class TableConfig(TableSettings):
+class TableConfig(Checked, TableSettings):
     """Settings of a table, checked.
 
     Raises:
@@ -69,13 +70,9 @@ class TableConfig(TableSettings):
     """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _check_names("drivers", self.drivers)
         _check_names("hmis", self.hmis)
-        if isinstance(self.episodes, bool) or not isinstance(self.episodes, int):
-            raise TypeError(f"episodes is a whole number, not {self.episodes!r}")
-        if self.episodes < 1:
-            raise ValueError(f"a cell needs at least one episode, but got {self.episodes}")
-        object.__setattr__(self, "seed", check_seed(self.seed))
         check_world(self.world)
         for driver in self.drivers:
             config = self.team(driver)

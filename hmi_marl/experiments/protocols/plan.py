@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import permutations, product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.checks import Check, Checked, Count, check_share
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.checks import Checked, Count, OpenShare, Steps
+from hmi_marl.envs.config import Duration, TeamConfig, VehicleRange
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
@@ -77,9 +77,9 @@ class ComparisonSettings(Checked):
 
     protocols: tuple[Protocol, ...] = field(default_factory=lambda: tuple(compared()))
     """Protocols to compare; two-stage is the reference."""
-    steps: Count = 3_000_000
+    steps: Steps = 3_000_000
     """Environment steps of each run in all, rounded to batches, the same for every protocol."""
-    driver_share: Annotated[float, Check(partial(check_share, zero=False, one=False))] = 0.8
+    driver_share: OpenShare = 0.8
     """Share of the steps of two-stage and alternating in which the driver learns."""
     rounds: Count = 4
     """Rounds of alternating."""
@@ -101,9 +101,9 @@ class ComparisonSettings(Checked):
     crashing early pays."""
     num_teams: Count = 512
     """Teams that train side by side."""
-    duration: float = 20.0
+    duration: Duration = 20.0
     """Length of an episode [s]."""
-    vehicles: tuple[int, int] = (1, 20)
+    vehicles: VehicleRange = (1, 20)
     """Least and most other vehicles."""
 
     def __post_init__(self) -> None:

@@ -68,7 +68,7 @@ def cells(config: TableConfig, progress_seen: list[int]) -> list[Cell]:
         ({"drivers": ("homer", "moe")}, "unknown driver 'moe'; known: lisa, marge"),
         ({"hmis": ("own", "siren")}, "unknown HMI 'siren'; hmi-marl --help lists all"),
         ({"driver_policy": "autopilot"}, r"unknown driver policy 'autopilot'; known: rule"),
-        ({"episodes": 0}, "at least one episode, but got 0"),
+        ({"episodes": 0}, "episodes lies in 1 to .*, but got 0"),
         ({"seed": -1}, r"a seed lies in \[0, 2\^64\), but got -1"),
         ({"world": "moon"}, "unknown world 'moon'; known: highway"),
         ({"drivers": ("Homer", "lisa", "homer")}, "drivers names 'homer' twice"),
@@ -79,7 +79,7 @@ def cells(config: TableConfig, progress_seen: list[int]) -> list[Cell]:
         ({"hmis": ("random:often",)}, "takes a number"),
         ({"hmis": ("optimal:moe",)}, "unknown driver 'moe'"),
         ({"hmis": ("when-distracted",), "ai_sees_attention": False}, "use 'belief'"),
-        ({"alert_window": 0}, "alert_window is at least 1 step"),
+        ({"alert_window": 0}, "alert_window lies in 1 to"),
         ({"duration": 0.3}, "not a whole number of steps"),
         ({"vehicles": (5, 1)}, "runs backwards"),
     ],
@@ -114,7 +114,7 @@ def test_the_last_seed_of_all_can_be_played() -> None:
 
 @pytest.mark.parametrize("workers", [0, -3])
 def test_no_workers_are_refused(workers: int) -> None:
-    with pytest.raises(ValueError, match=f"at least one worker, but got {workers}"):
+    with pytest.raises(ValueError, match=f"workers lies in 1 to .*, but got {workers}"):
         make_table(tiny(), workers=workers, progress=lambda _: pytest.fail("it has begun"))
 
 
