@@ -111,6 +111,6 @@ def test_ends_are_part_of_a_range_unless_they_are_left_out():
 
 def test_values_are_shown_in_one_short_line():
     assert shown("a\nb") == r"'a\nb'"
-    assert shown(np.zeros((5, 5))) == "array([[0., 0., 0., 0., 0.], [0., 0., 0., 0., 0.], [0., ..."
+    assert shown(np.zeros((5, 5))) == "array([[0., 0., 0., 0., 0.], [0., 0., 0., 0., 0.], [0., 0..."
     assert shown(-(10**5000)) == "about -10^5000"  # more digits than Python writes
     assert shown([10**5000]) == "a list"

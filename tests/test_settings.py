@@ -100,7 +100,7 @@ def numeric(kind: type) -> dict[str, Any]:
 
 
 ALL = dataclasses_of_the_package()
-SETTINGS = [kind for kind in ALL if issubclass(kind, Checked)]
+SETTINGS = [kind for kind in ALL if issubclass(kind, Checked) and numeric(kind)]
 FIELDS = [(kind, name) for kind in SETTINGS for name in numeric(kind)]
 
 
@@ -154,7 +154,7 @@ def test_odd_values_are_refused_in_one_line_or_work(kind):
                 assert len(text) < 300
             else:
                 outcomes.add("kept")
-                assert not isinstance(value, (str, complex, np.ndarray, bool)), (field, value)
+                assert not isinstance(value, (str, complex, bool)), (field, value)
                 for number in numbers_in(kept):
                     assert type(number) in (int, float), (field, value)
                     assert abs(number) < 2**64
