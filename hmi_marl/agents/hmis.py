@@ -172,7 +172,7 @@ class BeliefAlert:
     @property
     def belief(self) -> NDArray[np.float64]:
         """p(d = 1) after the last step that was seen, shape (N,)."""
-        return self._attention.filter.distracted[:, 0]
+        return self._attention.filter.distracted[:, 0].copy()
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Policy.reset`."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.memory import Memoryless
+from hmi_marl.checks import COUNT
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.single import MergeDriver, MergeHMI, as_scalar
@@ -119,7 +120,7 @@ def make_vec(
     with needing("make_vec"):
         from hmi_marl.envs.vector import TeamVecEnv
 
-    config = TeamConfig(**settings)
+    config, num_teams = TeamConfig(**settings), COUNT("num_teams", num_teams)
     name = None
     if seat in _PARTNERS:
         by_name, default = _PARTNERS[seat]

@@ -175,7 +175,12 @@ class Alerts(Checked):
 
     @cached_property
     def effects(self) -> Effects:
-        """The effects of each a^A as numbers."""
+        """The effects of each a^A as numbers, in arrays that cannot be written to."""
+        effects = self._effects()
+        effects.strengths.flags.writeable = effects.changes.flags.writeable = False
+        return effects
+
+    def _effects(self) -> Effects:
         strengths = np.array((0.0, *self.strengths))
         if self.fatigue is None:
             return Effects(strengths, np.zeros(self.choices, np.int64), 0, 0.0, 1)

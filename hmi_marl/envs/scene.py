@@ -71,6 +71,7 @@ _LEAST_VEHICLES, _MOST_VEHICLES = Whole(0, 50), Whole(1, 50)  # a range may begi
 _SPEED = Real(1.0, 40.0, "m/s")
 MOST_SPEEDS = 40
 Length = Annotated[float, Real(1.0, 10_000.0, "m")]
+Speeds = Annotated[tuple[float, ...], Check(_check_speeds, "2 to 40 numbers in [1, 40] m/s")]
 Frequency = Annotated[int, Whole(1, 1000, "Hz")]
 
 
@@ -104,9 +105,7 @@ class Scene(Checked):
     """Number of lidar rays, evenly around the car, 4 to 360."""
     lidar_range: Length = 60.0
     """Range of the lidar, 1 to 10,000."""
-    target_speeds: Annotated[
-        tuple[float, ...], Check(_check_speeds, "2 to 40 numbers in [1, 40] m/s")
-    ] = (20.0, 25.0, 30.0)
+    target_speeds: Speeds = (20.0, 25.0, 30.0)
     """Speeds [m/s] that speed_up and slow_down choose from: 2 to 40 of them, evenly spaced,
     increasing, 1 to 40 m/s."""
 

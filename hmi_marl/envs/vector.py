@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from rsl_rl.env import VecEnv  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
-from hmi_marl.checks import check_choice
+from hmi_marl.checks import Whole, check_choice, shown
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.execution import WrongActionError
 from hmi_marl.envs.groups import (
@@ -51,6 +51,7 @@ from hmi_marl.envs.groups import (
     check_seat,
     checked_groups,
     views_of,
+    whole_steps,
 )
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import TERMS
@@ -152,7 +153,6 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
         self._groups = checked_groups(groups)
         self._views = views_of(self._groups)
-        self._observations: dict[str, torch.Tensor] = {}
         columns = (self._return, *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
         self._logged = dict(zip(_LOGGED, columns, strict=True))
         """Columns of totals that are logged, by name."""
@@ -177,7 +177,6 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def groups(self, groups: Collection[str]) -> None:
         self._groups = checked_groups(groups)
         self._views = views_of(self._groups)
-        self._observe({})
 
     def read(self, group: str) -> torch.Tensor:
         """Return one group of the present observations, also one that is not in :attr:`groups`.
@@ -202,20 +201,18 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         its seed gives otherwise. Statistics count the steps really taken.
 
         Raises:
-            ValueError: on assigning another shape, or values outside 0 to horizon - 1.
+            ValueError, TypeError: on assigning anything but a tensor of this shape that holds
+                whole numbers from 0 to horizon - 1.
         """
         return torch.from_numpy(self.teaming.steps).to(self.device)
 
     @episode_length_buf.setter
     def episode_length_buf(self, steps: torch.Tensor) -> None:
+        if not isinstance(steps, torch.Tensor):
+            raise TypeError(f"episode lengths are a torch tensor, not {shown(steps)}")
         values = steps.detach().cpu().numpy()
-        if values.shape != (self.num_envs,):
-            raise ValueError(f"episode lengths have shape ({self.num_envs},), not {values.shape}")
-        if not ((values >= 0) & (values < self.max_episode_length)).all():
-            raise ValueError(f"episode lengths lie in 0 to {self.max_episode_length - 1}")
+        self.teaming.steps = whole_steps(values, self.num_envs, self.max_episode_length - 1)
         self._untouched = False
-        self.teaming.steps = values.astype(np.int64)
-        self._observe({})
 
     def reset(
         self, seed: int | None = None, first_team: int = 0
@@ -241,11 +238,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         return self.get_observations(), {}
 
     def get_observations(self) -> TensorDict:
-        """Return the present observations, groups of shape (N, their layout's size).
-
-        Later steps do not change them. Until the next step they are the same memory in every call.
-        """
-        return TensorDict(dict(self._observations), batch_size=[self.num_envs], device=self.device)
+        """Compute the present observations, groups of shape (N, their layout's size)."""
+        return self._tensors(self.teaming.views(self._views))
 
     def step(
         self, actions: torch.Tensor
@@ -295,11 +289,12 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             }
         if result.ended_teams is not None:
             extras |= self._extras_of(result.ended_teams, traits)
-            if self.partner is not None:
-                self.partner.reset(self.teaming.seeds, result.ended.copy())
-        self._observe(result.views)
+            if self._turns is not None:
+                self._turns.begin(self.teaming.seeds, result.ended.copy())
+        if self._turns is not None:
+            self._turns.prepare()
         return (
-            self.get_observations(),
+            self._tensors(result.views or self.teaming.views(self._views)),
             self._tensor(rewards.astype(np.float32)),
             self._tensor(result.ended.astype(np.int64)),
             extras,
@@ -307,13 +302,16 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     def picture(self, team: int = 0) -> NDArray[np.uint8]:
         """Picture of one of the teams, shape (height, width, 3)."""
-        if not 0 <= team < self.num_envs:
-            raise ValueError(f"team lies in 0 to {self.num_envs - 1}, but got {team}")
+        team = Whole(0, self.num_envs - 1)("team", team)
         from hmi_marl.envs.render import Viewer, team_status  # pulls in pygame
 
         if self._viewer is None:
             self._viewer = Viewer(self.teaming.config)
         return self._viewer.draw(self.teaming.world.snapshot(team), team_status(self.teaming, team))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the viewer, whose pictures cannot be copied."""
+        return self.__dict__ | {"_viewer": None}
 
     def close(self) -> None:
         """Close the viewer that pictures were drawn with."""
@@ -322,26 +320,24 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             self._viewer = None
 
     def _start_series(self, seed: int, first_team: int = 0) -> None:
-        series = team_seed(check_seed(seed), first_team + np.arange(self.num_envs))
+        series = team_seed(check_seed(seed), check_seed(first_team) + np.arange(self.num_envs))
         self._series = Series(series, self.teaming.config.population)
         self._begin()
 
     def _begin(self) -> None:
         """Begin the present episodes of the series."""
         self.teaming.reset(self._series.present)
-        if self.partner is not None:
-            self.partner.reset(self.teaming.seeds)
-        self._observe({})
+        if self._turns is not None:
+            self._turns.begin(self.teaming.seeds)
+            self._turns.prepare()
 
     def _traits(self) -> NDArray[np.float32]:
         return self.teaming.trait_table.astype(np.float32)
 
-    def _observe(self, views: Views) -> None:
-        """Let a partner who drives act, and take the views, or compute those that are not given."""
-        if self._turns is not None:
-            self._turns.prepare()
-        views = views or self.teaming.views(self._views)
-        self._observations = self._as_groups(self._groups, views)
+    def _tensors(self, views: Views) -> TensorDict:
+        """Groups of every team from what is seen of it."""
+        groups = self._as_groups(self._groups, views)
+        return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
     @property
     def _return(self) -> int:

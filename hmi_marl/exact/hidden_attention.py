@@ -137,6 +137,7 @@ def solve_belief(
         advantage[t, 0] = silent[1] - silent[0]
         advantage[t, 1] = revealed[1] - revealed[0]
         value = (1 - share) * np.maximum(*silent) + share * np.maximum(*revealed)
+    advantage.flags.writeable = False  # later calls return the same
     return BeliefSolution(driver, window, horizon, revealing, float(value[0, 0, 0]), advantage)
 
 

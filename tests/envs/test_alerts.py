@@ -169,7 +169,7 @@ def test_strengths_become_a_tuple_of_floats(strengths):
     ids=str,
 )
 def test_strengths_that_do_not_rise_within_0_and_1_are_refused(strengths):
-    with pytest.raises(ValueError, match=r"alert_strengths rise within \(0, 1\]"):
+    with pytest.raises(ValueError, match=r"alert_strengths (rise within|lies in) \(0, 1\]"):
         Alerts(strengths)
 
 
@@ -185,7 +185,7 @@ def test_too_many_strengths_are_refused():
         (lambda: Alerts("1.0"), "a tuple of numbers, not '1.0'"),
         (lambda: Alerts((True,)), "each of alert_strengths is a number, not True"),
         (lambda: Alerts(("1",)), "each of alert_strengths is a number, not '1'"),
-        (lambda: Alerts(fatigue=(10, 2, 0.5)), r"takes a Fatigue or None, not \(10, 2, 0.5\)"),
+        (lambda: Alerts(fatigue=(10, 2, 0.5)), r"fatigue is a Fatigue, not \(10, 2, 0.5\)"),
         (lambda: Fatigue(levels=2.5), "fatigue: levels is a whole number, not 2.5"),
         (lambda: Fatigue(per_alert=True), "fatigue: per_alert is a whole number, not True"),
         (lambda: Fatigue(effect="half"), "fatigue: effect is a number, not 'half'"),

@@ -14,8 +14,8 @@ from hmi_marl.envs.scene import Scene
     ("settings", "message"),
     [
         ({"driver": "ned"}, "unknown driver 'ned'; known: lisa"),
-        ({"reward": "selfish"}, "reward= is one of"),
-        ({"alert_window": 0}, "at least 1 step"),
+        ({"reward": "selfish"}, "reward is one of"),
+        ({"alert_window": 0}, "alert_window lies in 1 to 10000 steps"),
         ({"duration": 0.0}, "duration lies in"),
         ({"duration": math.nan}, "duration lies in"),
         ({"duration": 0.5}, "whole number of steps"),
@@ -30,9 +30,9 @@ def test_a_bad_setting_is_refused(settings, message):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"scene": {"lanes": 3}}, "scene= takes a Scene"),
-        ({"weights": {"collision": -5.0}}, "weights= takes RewardWeights"),
-        ({"weights": None}, "weights= takes RewardWeights"),
+        ({"scene": {"lanes": 3}}, "scene is a Scene, not"),
+        ({"weights": {"collision": -5.0}}, "weights is a RewardWeights, not"),
+        ({"weights": None}, "weights is a RewardWeights, not"),
         ({"observe_traits": 1}, "observe_traits is True or False, not 1"),
         ({"ai_sees_attention": "no"}, "ai_sees_attention is True or False, not 'no'"),
         ({"end_at_crash": None}, "end_at_crash is True or False, not None"),

@@ -35,7 +35,7 @@ from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, look_up, solve_be
 from hmi_marl.exact.identify import TraitBelief
 from hmi_marl.registry import unknown
 
-DOUBT = Real(0.0, 1e6)
+DOUBT = Real(0.0, 1e9)
 """Range of κ."""
 CAUTION = 0.5
 """κ of :class:`ExpectedValueHMI`: at maximum entropy it follows AvgHMI unless the expected gain

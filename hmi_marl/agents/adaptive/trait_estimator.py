@@ -58,7 +58,7 @@ class TraitEstimator:
     @property
     def belief(self) -> TraitBelief:
         """Current belief."""
-        return TraitBelief(self.evidence.drivers, self._probabilities)
+        return TraitBelief(self.evidence.drivers, self._probabilities.copy())
 
     def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
         """Begin a trip of unknown drivers.

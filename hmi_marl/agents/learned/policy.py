@@ -208,11 +208,11 @@ class LearnedPolicy:
         Raises:
             ValueError: another shape, or numbers that are not finite.
         """
-        return self._context
+        return None if self._context is None else self._context.copy()
 
     @context.setter
     def context(self, z: ArrayLike) -> None:
-        values = np.asarray(z, np.float32)
+        values = np.array(z, np.float32)
         if values.ndim not in (1, 2) or values.shape[-1] != self.card.context:
             raise ValueError(
                 f"this policy takes a vector z of size {self.card.context}, but got an array of "

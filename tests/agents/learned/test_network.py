@@ -181,7 +181,7 @@ def test_the_shapes_of_the_weights():
     ids=str,
 )
 def test_impossible_networks_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((ValueError, TypeError), match=message):
         NetworkConfig(**settings)
 
 
