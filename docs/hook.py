@@ -7,18 +7,22 @@ A page names such a part by a comment in a line of its own, ``<!-- made: environ
 from __future__ import annotations
 
 import contextlib
+import importlib
 import inspect
 import io
 import os
+import pkgutil
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 from unittest import mock
 
 from pygments.formatters import HtmlFormatter
 
 from hmi_marl import merge_v0
+from hmi_marl.checks import Checked, allowed
 from hmi_marl.cli import parse
 from hmi_marl.commands.registry import extras_table
 from hmi_marl.envs.config import TeamConfig
@@ -53,6 +57,7 @@ def _make(name: str) -> str:
     makers: dict[str, Callable[[], str]] = {
         "environment": environment,
         "layouts": layouts,
+        "settings": settings,
         "commands": commands,
         "extras": extras_table,
         "example": lambda: example(argument),
@@ -79,6 +84,37 @@ def layouts() -> str:
     return "\n\n".join(
         f"### `{name}`, {layout.size} numbers\n\n{_table(layout)}" for name, layout in made.items()
     )
+
+
+def settings() -> str:
+    """Every settings dataclass with its numbers, their ranges and defaults."""
+    packages = "agents", "demonstrations", "envs", "experiments", "training"
+    for package in packages:
+        for module in pkgutil.walk_packages(
+            [str(ROOT / "hmi_marl" / package)], f"hmi_marl.{package}."
+        ):
+            importlib.import_module(module.name)
+    parts, kinds = [], Checked.__subclasses__()
+    while kinds:
+        kind = kinds.pop(0)
+        kinds += kind.__subclasses__()
+        ours = is_dataclass(kind) and kind.__module__.startswith("hmi_marl.")
+        rows = list(_ranges(kind)) if ours else []
+        if rows and f"{kind.__module__}.{kind.__qualname__}" not in {name for name, _ in parts}:
+            head = "| field | range | default |\n| --- | --- | --- |"
+            parts.append((f"{kind.__module__}.{kind.__qualname__}", "\n".join([head, *rows])))
+    return "\n\n".join(
+        f"### `{name.removeprefix('hmi_marl.')}`\n\n{rows}" for name, rows in sorted(parts)
+    )
+
+
+def _ranges(kind: type) -> Iterator[str]:
+    """Rows of a dataclass's fields that have a range, without those of its base classes."""
+    hints, own = get_type_hints(kind, include_extras=True), vars(kind).get("__annotations__", {})
+    for field in fields(kind):
+        if field.name in own and (words := allowed(hints[field.name])):
+            default = "" if field.default is MISSING else f"`{field.default!r}`"
+            yield f"| `{field.name}` | {words} | {default} |"
 
 
 def _table(layout: Layout) -> str:

@@ -10,10 +10,12 @@ import argparse
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from hmi_marl import TeamConfig, make_driver_policy, make_hmi, oracle
 from hmi_marl.checks import Count
 from hmi_marl.cli import main
-from hmi_marl.envs.streams import Seed
+from hmi_marl.envs.streams import Seed, episode_seed
 from hmi_marl.experiments.episodes import play_episodes
 from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.registry import EXPERIMENTS, Where
@@ -54,7 +56,7 @@ class WindowLength(Experiment):
             team = TeamConfig(driver=name, alert_window=window, end_at_crash=False)
             best = oracle.solve_alerts(name, window=window, horizon=team.horizon)
             seats = make_driver_policy("rule", team), make_hmi("optimal", team)
-            seeds = range(self.seed, self.seed + self.episodes)
+            seeds = episode_seed(self.seed, np.arange(self.episodes))
             played = play_episodes(team, *seats, seeds, world="batched").attention_return()
             results.append((name, window, best, statistics.mean(played)))
         return results

@@ -42,7 +42,8 @@ best = oracle.solve_alerts(args.driver, horizon=horizon).total_return
 
 recent: list[float] = []
 for episode in range(args.episodes):
-    observation, _ = env.reset(seed=args.seed + episode)
+    # The first reset begins the series of this seed, the others go on with it.
+    observation, _ = env.reset(seed=None if episode else args.seed)
     log_probabilities, rewards, over = [], [], False
     while not over:
         names = ("distracted", "accepted", "counter")

@@ -88,8 +88,8 @@ cars = supersuit.pettingzoo_env_to_vec_env_v1(learning)  # one car, a row for ea
 cars = supersuit.concat_vec_envs_v1(cars, args.cars, base_class="stable_baselines3")
 
 # This vector environment has no seed(), so neither PPO(seed=...) nor cars.seed() work. Seed
-# torch and NumPy by hand and the cars below the wrapper: car k plays the series of seed + k, and
-# each reset that follows goes on with it.
+# torch and NumPy by hand and the cars below the wrapper: SuperSuit gives car k the series of
+# seed + k, and each reset that follows goes on with it.
 set_random_seed(args.seed)
 cars.venv.reset(seed=args.seed)
 cars = VecMonitor(cars)  # keeps what the progress bar shows

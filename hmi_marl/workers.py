@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeVar
 
+from hmi_marl.checks import WORKERS
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -36,9 +38,7 @@ def check_workers(workers: int | None) -> int:
     """Return the number of workers, by default that of the cores, or raise if there are none."""
     if workers is None:
         return cores()
-    if workers < 1:
-        raise ValueError(f"there is at least one worker, but got {workers}")
-    return workers
+    return WORKERS("workers", workers)
 
 
 @contextmanager

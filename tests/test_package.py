@@ -253,13 +253,33 @@ def test_the_version_is_written_once_and_the_citation_agrees():
     assert f"## {hmi_marl.__version__} " in (ROOT / "CHANGELOG.md").read_text()
 
 
+def pins():
+    """Version of each pinned package, by its name in lower case."""
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = [line.split("==") for line in lines if "==" in line and not line.startswith("#")]
+    return {name.lower(): version for name, version in pinned}
+
+
+def test_the_build_backend_is_pinned_to_the_same_versions():
+    built_by = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    assert len(built_by) == 2
+    for requirement in built_by:
+        name, version = requirement.split("==")
+        assert pins()[name] == version
+    for needed in ("editables", "packaging", "pathspec", "pluggy", "tomlkit", "trove-classifiers"):
+        assert needed in pins()
+    assert (
+        "PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt"
+        in (ROOT / "Makefile").read_text()
+    )
+
+
 def test_every_dependency_is_pinned():
     pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = list(pyproject["dependencies"])
     for extra in pyproject["optional-dependencies"].values():
         wanted += extra
-    constraints = (ROOT / "constraints.txt").read_text().splitlines()
-    pinned = {line.split("==")[0].lower() for line in constraints if "==" in line}
+    pinned = set(pins())
     for requirement in wanted:
         name = re.match(r"[\w-]+", requirement).group().lower()
         assert name in pinned or name.replace("-", "_") in pinned, name

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.memory import AttentionWatch, Draws, Memoryless, step_of
+from hmi_marl.checks import SHARE
 from hmi_marl.envs.alerts import PLAIN, Alerts, need_plain
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
@@ -57,9 +58,7 @@ class RandomAlert:
     """Parts of the observation that it reads."""
 
     def __init__(self, rate: float, alerts: Alerts = PLAIN) -> None:
-        if not 0.0 <= rate <= 1.0:
-            raise ValueError(f"an alert rate lies in [0, 1], but got {rate}")
-        self.rate = float(rate)
+        self.rate = SHARE("an alert rate", rate)
         self._alerts = alerts
         self._draws = Draws(Stream.HMI_POLICY)
 
@@ -173,7 +172,7 @@ class BeliefAlert:
     @property
     def belief(self) -> NDArray[np.float64]:
         """p(d = 1) after the last step that was seen, shape (N,)."""
-        return self._attention.filter.distracted[:, 0]
+        return self._attention.filter.distracted[:, 0].copy()
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Policy.reset`."""

@@ -19,6 +19,9 @@ from hmi_marl.exact.evidence import ChainEvidence
 class Memoryless:
     """Base class of policies without memory."""
 
+    memoryless = True
+    """Whether several environments may share the object."""
+
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """Do nothing."""
 

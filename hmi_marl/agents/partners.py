@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.memory import Memoryless
+from hmi_marl.checks import COUNT
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, takes_team_settings
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.single import MergeDriver, MergeHMI, as_scalar
@@ -101,7 +102,8 @@ def make_vec(
         seat: the acting seat: "driver", "vehicle_ai" or "team" (both, in columns a^H and a^A).
         partner: policy of the other seat, by its name in :mod:`hmi_marl.agents.catalogue` or as a
             Policy; by default "never" for the driver, "rule" for the vehicle AI, none for the team.
-        seed: team k plays the series of episodes of ``seed + k``.
+        seed: team k plays the series of episodes of ``team_seed(seed, k)``
+            (:mod:`hmi_marl.envs.streams`).
         device: device of the returned tensors.
         threads: threads of the batched world; all cores by default. On a busy machine one thread
             can be faster than two.
@@ -118,7 +120,7 @@ def make_vec(
     with needing("make_vec"):
         from hmi_marl.envs.vector import TeamVecEnv
 
-    config = TeamConfig(**settings)
+    config, num_teams = TeamConfig(**settings), COUNT("num_teams", num_teams)
     name = None
     if seat in _PARTNERS:
         by_name, default = _PARTNERS[seat]

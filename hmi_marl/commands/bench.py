@@ -28,7 +28,6 @@ class Bench:
         """Measure, write and print."""
         from tqdm import tqdm
 
-        self.bench.check()
         make_folder(self.out)
         with tqdm(total=measurements(self.bench), unit=" turns", desc="bench") as bar:
             rows = bench(self.bench, bar.update)

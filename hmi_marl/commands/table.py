@@ -71,7 +71,7 @@ def _record(config: TableConfig, folder: Path) -> Clip:
     def progress(pictures: Pictures, count: int) -> Pictures:
         return iter(tqdm(pictures, total=count, unit=" frames", desc=path.name))
 
-    seeds = range(config.seed, config.seed + config.episodes)
+    seeds = config.seeds(range(config.episodes)).tolist()
     team, hmi, policy = config.team(config.drivers[-1]), config.hmis[-1], config.driver_policy
     caption = highlight.record(path, team, hmi, policy, seeds, CLIP_FRAMES_PER_STEP, progress)
     return Clip(CLIP, caption, path.read_bytes())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
-from hmi_marl.checks import check_count
+from hmi_marl.checks import Checked, Count, CountOrZero, Share, Steps
 from hmi_marl.demonstrations.dataset import (
     MISSING,
     Demonstrations,
@@ -30,7 +30,7 @@ from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, TraitDistributions, Traits, get_driver
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
-from hmi_marl.envs.streams import Stream, check_seed, episode_seed, mix
+from hmi_marl.envs.streams import Seed, Stream, episode_seed, mix
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.files import json_value, sha256, sha256_of
 
@@ -38,7 +38,7 @@ POPULATION = "population"
 
 
 @dataclass(frozen=True)
-class CollectSettings(TeamSettings):
+class CollectSettings(Checked, TeamSettings):
     """Settings of a recording, checked.
 
     Raises:
@@ -47,32 +47,30 @@ class CollectSettings(TeamSettings):
 
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Drivers: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
-    steps: int = 300_000
+    steps: Steps = 300_000
     """Steps of each driver, rounded up to whole windows. Each driver has separate windows."""
-    population: int = 0
+    population: CountOrZero = 0
     """Number of further drivers with traits drawn evenly from the whole range: population-0,
     population-1, ..., to evaluate on drivers that were never seen in training."""
-    windows: int = 16
+    windows: Count = 16
     """Windows of each driver of the population."""
-    alert_rate: float = 0.2
+    alert_rate: Share = 0.2
     """Probability of an alert in each step."""
     driver_policy: str = "rule"
     """Driver policy: the folder of a training run, trained:driver, rule or random."""
     greedy: bool = False
     """Whether a trained driver takes the likeliest action; by default it draws, as people vary."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of all draws: the same seed gives the same data."""
     end_at_crash: bool = False
     """Whether a crash ends the window. If not, the crashed car stands, so that all windows have the
     same length and the length reveals nothing."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams simulated in parallel. Needs memory, but does not change results."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", check_seed(self.seed))
+        super().__post_init__()
         _check_names(self.drivers)
-        for name, least in (("steps", 1), ("population", 0), ("windows", 1), ("num_teams", 1)):
-            check_count(name, getattr(self, name), least)
         if not self.drivers and not self.population:
             raise ValueError("there is no driver: name drivers, or set population")
         team = self.team(PAPER_DRIVERS)

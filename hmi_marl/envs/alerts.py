@@ -29,44 +29,61 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs.streams import check_number, check_whole
+from hmi_marl.checks import Check, Checked, Real, Share, Whole, shown
 
 FULL = (1.0,)
 """The strengths of the paper's one bit."""
 MOST_STRENGTHS = 100
+_STRENGTH = Real(0.0, 1.0, above=True)
+FatigueLevels = Annotated[int, Whole(1, 1000)]
+
+
+def check_strengths(strengths: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:
+    """Return the strengths of alerts, or raise if they do not rise within (0, 1]."""
+    if not isinstance(strengths, (list, tuple, np.ndarray)) or np.ndim(strengths) != 1:
+        raise TypeError(f"alert_strengths is a tuple of numbers, not {shown(strengths)}")
+    if len(strengths) > MOST_STRENGTHS:
+        raise ValueError(
+            f"there are at most {MOST_STRENGTHS} alert_strengths, not {len(strengths)}"
+        )
+    checked = tuple(_STRENGTH("each of alert_strengths", strength) for strength in strengths)
+    if not checked or any(low >= high for low, high in pairwise(checked)):
+        raise ValueError(
+            f"alert_strengths rise within (0, 1], such as (0.5, 1.0), not {shown(checked)}"
+        )
+    return checked
+
+
+Strengths = Annotated[
+    tuple[float, ...],
+    Check(lambda name, strengths: check_strengths(strengths), "up to 100 that rise within (0, 1]"),
+]
 
 
 @dataclass(frozen=True)
-class Fatigue:
+class Fatigue(Checked):
     """Loss of effect of alerts that pile up.
 
     Raises:
         ValueError, TypeError: a number out of its range, by name.
     """
 
-    levels: int = 10
-    """F: the highest level of fatigue."""
-    per_alert: int = 2
+    levels: FatigueLevels = 10
+    """F: the highest level of fatigue, 1 to 1000."""
+    per_alert: FatigueLevels = 2
     """r: levels by which an alert of strength 1 raises fatigue. Weaker ones do so in proportion,
     rounded up to a whole level; every step without an alert lowers it by one."""
-    effect: float = 0.5
-    """ε: share of η that is lost at the highest level."""
+    effect: Share = 0.5
+    """ε: share of η that is lost at the highest level, 0 to 1."""
 
-    def __post_init__(self) -> None:
-        for name in ("levels", "per_alert"):
-            value = check_whole(f"fatigue: {name}", getattr(self, name))
-            if value < 1:
-                raise ValueError(f"fatigue: {name} is at least 1, but got {value}")
-            object.__setattr__(self, name, value)
-        effect = check_number("fatigue: effect", self.effect)
-        if not 0.0 <= effect <= 1.0:  # also refuses NaN
-            raise ValueError(f"fatigue: effect lies in [0, 1], but got {effect}")
-        object.__setattr__(self, "effect", effect)
+    def _named(self, field: str) -> str:
+        return f"fatigue: {field}"
 
     def __str__(self) -> str:
         return f"{self.per_alert} of {self.levels} levels per alert, which take {self.effect:g} η"
@@ -98,22 +115,17 @@ def next_level(effects: Effects, fatigue: Any, alert: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Alerts:
+class Alerts(Checked):
     """The alerts that an HMI can give.
 
     Raises:
         ValueError, TypeError: strengths that do not rise within (0, 1], or no Fatigue.
     """
 
-    strengths: tuple[float, ...] = FULL
+    strengths: Strengths = FULL
     """s_1 < s_2 < ... < s_k, each in (0, 1]."""
     fatigue: Fatigue | None = None
     """Fatigue from alerts, if there is any."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "strengths", check_strengths(self.strengths))
-        if self.fatigue is not None and not isinstance(self.fatigue, Fatigue):
-            raise TypeError(f"fatigue= takes a Fatigue or None, not {self.fatigue!r}")
 
     @property
     def choices(self) -> int:
@@ -163,7 +175,12 @@ class Alerts:
 
     @cached_property
     def effects(self) -> Effects:
-        """The effects of each a^A as numbers."""
+        """The effects of each a^A as numbers, in arrays that cannot be written to."""
+        effects = self._effects()
+        effects.strengths.flags.writeable = effects.changes.flags.writeable = False
+        return effects
+
+    def _effects(self) -> Effects:
         strengths = np.array((0.0, *self.strengths))
         if self.fatigue is None:
             return Effects(strengths, np.zeros(self.choices, np.int64), 0, 0.0, 1)
@@ -171,19 +188,6 @@ class Alerts:
         rises = [math.ceil(round(self.fatigue.per_alert * s, 9)) for s in self.strengths]
         changes = np.array([-1, *(max(1, rise) for rise in rises)])
         return Effects(strengths, changes, self.levels, self.fatigue.effect, self.levels)
-
-
-def check_strengths(strengths: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:
-    """Return the strengths of alerts, or raise if they do not rise within (0, 1]."""
-    if not isinstance(strengths, (list, tuple, np.ndarray)) or np.ndim(strengths) != 1:
-        raise TypeError(f"alert_strengths is a tuple of numbers, not {strengths!r}")
-    checked = tuple(check_number("an alert's strength", strength) for strength in strengths)
-    rising = all(low < high for low, high in zip((0.0, *checked), checked, strict=False))
-    if not checked or not rising or checked[-1] > 1.0:
-        raise ValueError(f"alert_strengths rise within (0, 1], such as (0.5, 1.0), not {checked}")
-    if len(checked) > MOST_STRENGTHS:
-        raise ValueError(f"there are at most {MOST_STRENGTHS} alert_strengths, not {len(checked)}")
-    return checked
 
 
 def need_plain(alerts: Alerts, method: str) -> None:

@@ -23,10 +23,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.checks import Whole
 from hmi_marl.envs.alerts import PLAIN, Alerts, Effects, help_share, next_level
 from hmi_marl.envs.drivers import Driver, Traits
 from hmi_marl.envs.elementwise import choose, elementwise
-from hmi_marl.envs.streams import check_whole
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,13 @@ class Attention:
         return cls(*(np.zeros(num_teams, np.int64) for _ in range(4)))
 
 
-def check_steps(name: str, steps: int) -> int:
-    """Return a number of steps as an int, or raise if it is not a positive integer."""
-    if check_whole(name, steps, " of steps") < 1:
-        raise ValueError(f"{name} is at least 1 step, but got {steps}")
-    return int(steps)
+WINDOW = Whole(1, 10_000, "steps")
+"""Range of N, the intervention window."""
 
 
 def check_window(window: int) -> int:
-    """Return N, the intervention window in steps, or raise if it is not a positive integer."""
-    return check_steps("alert_window", window)
+    """Return N, the intervention window in steps, or raise if it is out of range."""
+    return WINDOW("alert_window", window)
 
 
 @elementwise

@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import ParamSpec, TypeVar
+from typing import Annotated, ParamSpec, TypeVar
 
-import numpy as np
-
-from hmi_marl.checks import check_choice
-from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
-from hmi_marl.envs.attention import check_window
+from hmi_marl.checks import Check, Checked, Real, Share
+from hmi_marl.envs.alerts import FULL, Alerts, Fatigue, FatigueLevels, Strengths
+from hmi_marl.envs.attention import WINDOW
 from hmi_marl.envs.drivers import Driver, DriverList, Population, as_population
-from hmi_marl.envs.rewards import SHARES, RewardWeights, Sharing
-from hmi_marl.envs.scene import Scene
-from hmi_marl.envs.streams import check_number
+from hmi_marl.envs.rewards import RewardWeights, Sharing
+from hmi_marl.envs.scene import VEHICLES, Scene, check_vehicles
 from hmi_marl.registry import suggest
 
 AGENTS = ("driver", "vehicle_ai")
 DRIVER, VEHICLE_AI = AGENTS
 
 
+Window = Annotated[int, WINDOW]
+Duration = Annotated[float, Real(0.0, 3600.0, "s", above=True)]
+VehicleRange = Annotated[tuple[int, int], Check(check_vehicles, VEHICLES)]
+
+
 @dataclass(frozen=True)
-class TeamConfig:
+class TeamConfig(Checked):
     """Settings of one team of driver and vehicle AI.
 
     Raises:
@@ -41,15 +42,15 @@ class TeamConfig:
     reward: Sharing = "team"
     """Reward of each agent: "team", "individual", "driving" or "attention" (see
     :data:`rewards.SHARES`)."""
-    alert_window: int = 7
-    """N, the intervention window in steps."""
-    alert_strengths: tuple[float, ...] = FULL
-    """Strengths of the vehicle AI's alerts, rising within (0, 1]; (1.0,) is the paper's bit, alert
-    or not. See :mod:`hmi_marl.envs.alerts`."""
+    alert_window: Window = 7
+    """N, the intervention window in steps, 1 to 10,000."""
+    alert_strengths: Strengths = FULL
+    """Strengths of the vehicle AI's alerts, up to 100 that rise within (0, 1]; (1.0,) is the
+    paper's bit, alert or not. See :mod:`hmi_marl.envs.alerts`."""
     fatigue: Fatigue | None = None
     """Loss of effect of alerts that pile up; none by default."""
-    duration: float = 20.0
-    """Length of an episode [s]."""
+    duration: Duration = 20.0
+    """Length of an episode, up to 3600 s."""
     end_at_crash: bool = True
     """Whether a crash ends the episode. If not, the crashed car stands, and the world with it,
     until the time is over, while attention and rewards go on."""
@@ -60,22 +61,7 @@ class TeamConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "driver", as_population(self.driver))
-        check_choice("reward=", self.reward, SHARES)
-        object.__setattr__(self, "alert_window", check_window(self.alert_window))
-        object.__setattr__(self, "alert_strengths", self.alerts.strengths)
-        for name in ("observe_traits", "ai_sees_attention", "end_at_crash"):
-            value = getattr(self, name)
-            if not isinstance(value, (bool, np.bool_)):
-                raise TypeError(f"{name} is True or False, not {value!r}")
-            object.__setattr__(self, name, bool(value))
-        if not isinstance(self.scene, Scene):
-            raise TypeError(f"scene= takes a Scene, not {self.scene!r}")
-        if not isinstance(self.weights, RewardWeights):
-            raise TypeError(f"weights= takes RewardWeights, not {self.weights!r}")
-        duration = check_number("duration", self.duration, " of seconds")
-        object.__setattr__(self, "duration", duration)
-        if not (math.isfinite(self.duration) and self.duration > 0):
-            raise ValueError(f"duration is a positive number of seconds, but got {self.duration}")
+        super().__post_init__()
         steps = self.duration * self.scene.policy_frequency
         if abs(steps - round(steps)) > 1e-9 or round(steps) < 1:
             raise ValueError(
@@ -113,21 +99,21 @@ class TeamConfig:
 class TeamSettings:
     """A command's options about teams, as typed: nothing is checked yet."""
 
-    alert_window: int = 7
+    alert_window: Window = 7
     """N, the intervention window in steps."""
-    alert_strengths: tuple[float, ...] = FULL
+    alert_strengths: Strengths = FULL
     """Strengths of alert that the HMI can choose from, rising within (0, 1]."""
-    fatigue: tuple[int, int, float] | None = None
+    fatigue: tuple[FatigueLevels, FatigueLevels, Share] | None = None
     """LEVELS PER_ALERT EFFECT, loss of effect of alerts that pile up: an alert of strength 1 raises
     fatigue by PER_ALERT of LEVELS, a step without one lowers it by 1, and at the highest level the
     share EFFECT of η is lost. For example 10 2 0.5; none by default."""
-    duration: float = 20.0
+    duration: Duration = 20.0
     """Length of an episode [s]."""
     end_at_crash: bool = True
     """Whether a crash ends the episode."""
     ai_sees_attention: bool = True
     """Whether the HMI sees d, i and c; if not, exact HMIs use the Bayes belief."""
-    vehicles: tuple[int, int] = (1, 20)
+    vehicles: VehicleRange = (1, 20)
     """Least and most other vehicles."""
 
     def team(

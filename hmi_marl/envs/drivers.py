@@ -7,34 +7,33 @@ how many times too large they perceive other vehicles (``inflation``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs.streams import Stream, check_number, uniform
+from hmi_marl.checks import SHARE, Checked, Real, Share, Whole, shown
+from hmi_marl.envs.streams import Stream, uniform
 
 TRAIT_NAMES = ("beta", "alpha", "eta", "inflation")
 MAX_INFLATION = 20.0
-TRAIT_RANGES = MappingProxyType(
-    {"beta": (0.0, 1.0), "alpha": (0.0, 1.0), "eta": (0.0, 1.0), "inflation": (1.0, MAX_INFLATION)}
+INFLATION = Real(1.0, MAX_INFLATION)
+TRAIT_RANGES: Mapping[str, Real] = MappingProxyType(
+    {"beta": SHARE, "alpha": SHARE, "eta": SHARE, "inflation": INFLATION}
 )
-
-
-def _check_trait(trait: str, value: float, owner: str) -> float:
-    low, high = TRAIT_RANGES[trait]
-    if not low <= check_number(f"{owner}: {trait}", value) <= high:  # also refuses NaN
-        raise ValueError(f"{owner}: {trait} lies in [{low:g}, {high:g}], but got {value}")
-    return float(value)
+_DRAWN = Real(0.0, MAX_INFLATION)
+DrawnNumber = Annotated[float, _DRAWN]
+"""A number that a trait may have."""
+_VALUES = Whole(1, 10_000)
+MOST_DRIVERS = 100_000
 
 
 @dataclass(frozen=True)
-class Driver:
+class Driver(Checked):
     """One driver's traits.
 
     Raises:
@@ -43,21 +42,22 @@ class Driver:
     """
 
     name: str
-    beta: float
+    beta: Share
     """Probability per step of becoming distracted, p(d_t = 1 | d_{t-1} = 0), without help."""
-    alpha: float
+    alpha: Share
     """Probability per step of becoming attentive again, p(d_t = 0 | d_{t-1} = 1), without help."""
-    eta: float
-    """Intervention effectiveness: how much an accepted alert moves both probabilities."""
-    inflation: float
-    """Factor on the length and width of every other object in the driver's perception."""
+    eta: Share
+    """Intervention effectiveness, 0 to 1: how much an accepted alert moves both probabilities."""
+    inflation: Annotated[float, INFLATION]
+    """Factor on the length and width of every other object in the driver's perception, 1 to 20."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
-            raise TypeError(f"a driver's name is a non-empty string, not {self.name!r}")
-        for trait in TRAIT_NAMES:
-            checked = _check_trait(trait, getattr(self, trait), f"driver {self.name!r}")
-            object.__setattr__(self, trait, checked)
+            raise TypeError(f"a driver's name is a non-empty string, not {shown(self.name)}")
+        super().__post_init__()
+
+    def _named(self, field: str) -> str:
+        return f"driver {self.name!r}: {field}"
 
     def __str__(self) -> str:
         return f"β {self.beta:g}, α {self.alpha:g}, η {self.eta:g}, inflation {self.inflation:g}"
@@ -163,17 +163,17 @@ def check_traits(traits: Traits, count: int) -> Traits:
     """
     if not isinstance(traits, Traits):
         raise TypeError(f"a Population draws Traits, not {traits!r}")
-    for trait, (low, high) in TRAIT_RANGES.items():
+    for trait, allowed in TRAIT_RANGES.items():
         values = np.asarray(getattr(traits, trait))
         if values.shape != (count,) or values.dtype.kind not in "fiu":
             raise ValueError(
                 f"drawn traits: {trait} is an array of numbers of shape ({count},), but got "
                 f"{values.dtype} of shape {values.shape}"
             )
-        right = (values >= low) & (values <= high)  # False for NaN too
+        right = (values >= allowed.low) & (values <= allowed.high)  # False for NaN too
         if not right.all():
             raise ValueError(
-                f"drawn traits: {trait} lies in [{low:g}, {high:g}], but got {values[~right][0]}"
+                f"drawn traits: {trait} lies in {allowed}, but got {values[~right][0]}"
             )
     return traits
 
@@ -198,6 +198,8 @@ class DriverList:
             raise TypeError(f"DriverList takes a list or tuple of drivers, not {self.drivers!r}")
         if not self.drivers:
             raise ValueError("a population needs at least one driver")
+        if len(self.drivers) > MOST_DRIVERS:
+            raise ValueError(f"drivers are at most {MOST_DRIVERS}, but got {len(self.drivers)}")
         object.__setattr__(self, "drivers", tuple(get_driver(driver) for driver in self.drivers))
 
     def draw(self, seeds: NDArray[np.uint64]) -> Traits:
@@ -212,19 +214,19 @@ class DriverList:
 
 
 @dataclass(frozen=True)
-class Uniform:
-    """Evenly between ``low`` and ``high``; a constant when they are equal."""
+class Uniform(Checked):
+    """Evenly between ``low`` and ``high``, both in [0, 20]; a constant when they are equal."""
 
-    low: float
-    high: float
+    low: DrawnNumber
+    high: DrawnNumber
 
     def __post_init__(self) -> None:
-        for end in ("low", "high"):
-            object.__setattr__(self, end, check_number(f"Uniform: {end}", getattr(self, end)))
-        if not -math.inf < self.low <= self.high < math.inf:  # also refuses NaN
-            raise ValueError(
-                f"Uniform needs finite low <= high, but got low={self.low}, high={self.high}"
-            )
+        super().__post_init__()
+        if self.low > self.high:
+            raise ValueError(f"Uniform needs low <= high, but got low={self.low}, high={self.high}")
+
+    def _named(self, field: str) -> str:
+        return f"Uniform: {field}"
 
     @property
     def support(self) -> tuple[float, float]:
@@ -237,20 +239,17 @@ class Uniform:
 
 
 @dataclass(frozen=True)
-class Choice:
-    """One of ``values``, evenly."""
+class Choice(Checked):
+    """One of ``values``, evenly: up to 10,000 numbers in [0, 20]."""
 
-    values: tuple[float, ...]
+    values: tuple[DrawnNumber, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.values, (list, tuple)):
-            raise TypeError(f"Choice takes a tuple of numbers, not {self.values!r}")
-        if not self.values:
-            raise ValueError("Choice needs at least one value")
-        values = tuple(check_number("Choice: each value", value) for value in self.values)
-        if not all(math.isfinite(value) for value in values):
-            raise ValueError(f"Choice needs finite values, but got {self.values}")
-        object.__setattr__(self, "values", values)
+        super().__post_init__()
+        _VALUES("Choice: the number of values", len(self.values))
+
+    def _named(self, field: str) -> str:
+        return f"Choice: {field}"
 
     @property
     def support(self) -> tuple[float, float]:
@@ -263,7 +262,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class TraitDistributions:
+class TraitDistributions(Checked):
     """A continuous population: independent distributions over the four traits."""
 
     beta: Uniform | Choice = Uniform(0.0, 1.0)
@@ -280,7 +279,7 @@ class TraitDistributions:
                     "a constant is a Choice of one value, such as Choice((0.5,))"
                 )
             for end in distribution.support:
-                _check_trait(trait, end, "TraitDistributions")
+                TRAIT_RANGES[trait](f"TraitDistributions: {trait}", end)
 
     def draw(self, seeds: NDArray[np.uint64]) -> Traits:
         """See :meth:`Population.draw`."""

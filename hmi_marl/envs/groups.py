@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hmi_marl.checks import check_choice
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
@@ -53,3 +54,17 @@ def checked_groups(groups: Collection[str]) -> tuple[str, ...]:
     for group in groups:
         check_choice("groups=", group, GROUPS)
     return tuple(group for group in GROUPS if group in groups)
+
+
+def whole_steps(steps: NDArray[Any], count: int, last: int) -> NDArray[np.int64]:
+    """Return steps of episodes as int64, shape (count,).
+
+    Raises:
+        ValueError: another shape, or numbers that are not whole and from 0 to ``last``.
+    """
+    if steps.shape != (count,):
+        raise ValueError(f"episode lengths have shape ({count},), not {steps.shape}")
+    whole = steps.dtype.kind in "iu" or (steps.dtype.kind == "f" and (steps % 1 == 0).all())
+    if not (whole and ((steps >= 0) & (steps <= last)).all()):
+        raise ValueError(f"episode lengths are whole numbers from 0 to {last}")
+    return steps.astype(np.int64)

@@ -123,7 +123,7 @@ def scales_of(config: TeamConfig) -> Scales:
         config.horizon,
         config.alert_window,
         effects.scale,
-        effects.strengths,
+        effects.strengths.copy(),
         *_bounds(config),
     )
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.checks import Checked, Real
 from hmi_marl.envs.elementwise import choose
-from hmi_marl.envs.streams import check_number
 
 DRIVING_TERMS = ("collision", "speed_reward", "right_lane", "merging", "lane_change")
 DRIVER_TERMS = (*DRIVING_TERMS, "distraction")
@@ -36,42 +35,40 @@ class Weights(NamedTuple):
     max_speed: float
 
 
+Coefficient = Annotated[float, Real(-1e6, 1e6)]
+
+
 @dataclass(frozen=True)
-class RewardWeights:
+class RewardWeights(Checked):
     """The coefficients of the reward table. The defaults are the paper's.
 
+    Each lies in [-1,000,000, 1,000,000].
+
     Raises:
-        ValueError, TypeError: a coefficient that is not a finite number, by name.
+        ValueError, TypeError: a coefficient out of its range, by name.
     """
 
-    collision: float = -5.0
+    collision: Coefficient = -5.0
     """Each step in which the car is crashed."""
-    speed_reward: float = 5.0
+    speed_reward: Coefficient = 5.0
     """Times current speed over ``max_speed``."""
-    right_lane: float = 0.1
+    right_lane: Coefficient = 0.1
     """Each step in the rightmost main lane."""
-    merging: float = -0.1
+    merging: Coefficient = -0.1
     """Times the lack of speed, (target - current) / target, summed over the merging lane."""
-    lane_change: float = -0.1
+    lane_change: Coefficient = -0.1
     """Each a^H that is a lane change."""
-    distraction: float = -10.0
+    distraction: Coefficient = -10.0
     """Each step with d_t = 1."""
-    alert: float = 10.0
+    alert: Coefficient = 10.0
     """No alert while d_{t-1} = 0; an alert of strength s leaves 1 - s of it."""
-    accept_alert: float = 30.0
+    accept_alert: Coefficient = 30.0
     """An alert that turns d_{t-1} = 1 into d_t = 0."""
-    max_speed: float = 30.0
-    """Speed that earns the whole speed reward [m/s]."""
+    max_speed: Annotated[float, Real(0.1, 1000.0, "m/s")] = 30.0
+    """Speed that earns the whole speed reward [m/s], 0.1 to 1000."""
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            name = f"reward weight {field.name}"
-            value = check_number(name, getattr(self, field.name))
-            if not math.isfinite(value):
-                raise ValueError(f"{name} is a finite number, not {value}")
-            object.__setattr__(self, field.name, value)
-        if self.max_speed <= 0:
-            raise ValueError(f"max_speed is positive, but got {self.max_speed}")
+    def _named(self, field: str) -> str:
+        return f"reward weight {field}"
 
     @property
     def numbers(self) -> Weights:

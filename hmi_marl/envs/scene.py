@@ -17,11 +17,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.envs.streams import Stream, check_number, check_whole, uniform
+from hmi_marl.checks import Check, Checked, Real, Whole, shown
+from hmi_marl.envs.streams import Stream, uniform
 
 LANE_WIDTH = 4.0
 EGO_START = 30.0
@@ -37,73 +39,93 @@ MIN_AFTER = 90.0
 """Shortest road after the merge that highway-env accepts [m]."""
 
 
+def check_vehicles(name: str, vehicles: int | tuple[int, int]) -> int | tuple[int, int]:
+    """Return a number of vehicles, or the least and the most of a range."""
+    if not isinstance(vehicles, (tuple, list)):
+        return _MOST_VEHICLES(name, vehicles)
+    if len(vehicles) != 2:
+        raise ValueError(f"{name} is a number or a (least, most) pair, not {shown(vehicles)}")
+    low, high = _LEAST_VEHICLES(name, vehicles[0]), _MOST_VEHICLES(name, vehicles[1])
+    if low > high:
+        raise ValueError(f"{name}: the range {vehicles} runs backwards")
+    return low, high
+
+
+def _check_speeds(name: str, speeds: tuple[float, ...]) -> tuple[float, ...]:
+    """Return target speeds, at least two, evenly spaced and increasing."""
+    if not isinstance(speeds, (tuple, list, np.ndarray)):
+        raise TypeError(f"{name} are a tuple of speeds, not {shown(speeds)}")
+    if len(speeds) > MOST_SPEEDS:
+        raise ValueError(f"{name} are at most {MOST_SPEEDS} speeds, but got {len(speeds)}")
+    checked = tuple(_SPEED(f"each of {name}", speed) for speed in speeds)
+    steps = np.diff(checked)
+    if len(checked) < 2 or np.any(steps <= 0) or not np.allclose(steps, steps[0]):
+        raise ValueError(
+            f"{name} are at least two evenly spaced, increasing speeds, but got {shown(speeds)}"
+        )
+    return checked
+
+
+VEHICLES = "1 to 50, or a pair of 0 to 50 and 1 to 50"
+_LEAST_VEHICLES, _MOST_VEHICLES = Whole(0, 50), Whole(1, 50)  # a range may begin at none
+_SPEED = Real(1.0, 40.0, "m/s")
+MOST_SPEEDS = 40
+Length = Annotated[float, Real(1.0, 10_000.0, "m")]
+Speeds = Annotated[tuple[float, ...], Check(_check_speeds, "2 to 40 numbers in [1, 40] m/s")]
+Frequency = Annotated[int, Whole(1, 1000, "Hz")]
+
+
 @dataclass(frozen=True)
-class Scene:
+class Scene(Checked):
     """Road, traffic and sensing of an episode. Lengths in m, frequencies in Hz.
 
     Raises:
-        ValueError: a value out of its range, with what to use instead.
+        ValueError, TypeError: a value out of its range, with what to use instead.
     """
 
-    lanes: int = 3
+    lanes: Annotated[int, Whole(1, 5)] = 3
     """Main lanes, 1 to 5, without the ramp."""
-    vehicles: int | tuple[int, int] = (1, 20)
+    vehicles: Annotated[int | tuple[int, int], Check(check_vehicles, VEHICLES)] = (1, 20)
     """Other vehicles on the main lanes, 1 to 50: a fixed number, or a range, from 0 on, that each
     episode draws from evenly. One more is on the ramp. As in highway-env, a vehicle that
     finds no free place in ten tries is left out."""
-    before: float = 150.0
-    """Road before the ramp starts to converge, at least 60."""
-    converge: float = 80.0
-    """Length over which the ramp approaches the highway."""
-    parallel: float = 80.0
-    """Length over which the ramp runs along the highway and vehicles can merge."""
-    after: float | None = None
-    """Road after the merge, at least 90. None: as long as the episode needs."""
-    policy_frequency: int = 5
-    """Decisions per second."""
-    simulation_frequency: int = 15
-    """Simulator steps per second, a multiple of ``policy_frequency``."""
-    lidar_cells: int = 16
-    """Number of lidar rays, evenly around the car."""
-    lidar_range: float = 60.0
-    """Range of the lidar."""
-    target_speeds: tuple[float, ...] = (20.0, 25.0, 30.0)
-    """Speeds [m/s] that speed_up and slow_down choose from: evenly spaced, increasing, at most
-    40."""
+    before: Annotated[float, Real(MERGING_START, 10_000.0, "m")] = 150.0
+    """Road before the ramp starts to converge, 60 to 10,000."""
+    converge: Length = 80.0
+    """Length over which the ramp approaches the highway, 1 to 10,000."""
+    parallel: Length = 80.0
+    """Length over which the ramp runs along the highway and vehicles can merge, 1 to 10,000."""
+    after: Annotated[float, Real(MIN_AFTER, 1e6, "m")] | None = None
+    """Road after the merge, 90 to 1,000,000. None: as long as the episode needs."""
+    policy_frequency: Frequency = 5
+    """Decisions per second, 1 to 1000."""
+    simulation_frequency: Frequency = 15
+    """Simulator steps per second, a multiple of ``policy_frequency`` up to 1000."""
+    lidar_cells: Annotated[int, Whole(4, 360)] = 16
+    """Number of lidar rays, evenly around the car, 4 to 360."""
+    lidar_range: Length = 60.0
+    """Range of the lidar, 1 to 10,000."""
+    target_speeds: Speeds = (20.0, 25.0, 30.0)
+    """Speeds [m/s] that speed_up and slow_down choose from: 2 to 40 of them, evenly spaced,
+    increasing, 1 to 40 m/s."""
 
     def __post_init__(self) -> None:
-        _check_whole("lanes", self.lanes, 1, 5)
-        low, high = self.vehicle_range
-        _check_whole("vehicles", high, 1, 50)  # a range may begin at none, but is not just none
-        _check_whole("vehicles", low, 0, 50)
-        if low > high:
-            raise ValueError(f"scene.vehicles: the range {self.vehicles} runs backwards")
-        _check_length("before", self.before, MERGING_START)
-        _check_length("converge", self.converge, 1.0)
-        _check_length("parallel", self.parallel, 1.0)
-        if self.after is not None:
-            _check_length("after", self.after, MIN_AFTER)
-        _check_whole("policy_frequency", self.policy_frequency, 1, 1000)
-        _check_whole("simulation_frequency", self.simulation_frequency, 1, 1000)
+        super().__post_init__()
         if self.simulation_frequency % self.policy_frequency:
             raise ValueError(
                 f"scene.policy_frequency = {self.policy_frequency} does not divide "
                 f"simulation_frequency = {self.simulation_frequency}; try 5 and 15"
             )
-        _check_whole("lidar_cells", self.lidar_cells, 4, 360)
-        _check_length("lidar_range", self.lidar_range, 1.0)
-        object.__setattr__(self, "target_speeds", _check_speeds(self.target_speeds))
+
+    def _named(self, field: str) -> str:
+        return f"scene.{field}"
 
     @property
     def vehicle_range(self) -> tuple[int, int]:
         """Least and most other vehicles."""
-        if not isinstance(self.vehicles, (tuple, list)):
-            return self.vehicles, self.vehicles
-        if len(self.vehicles) != 2:
-            raise ValueError(
-                f"scene.vehicles is a number or a (least, most) pair, not {self.vehicles}"
-            )
-        return self.vehicles[0], self.vehicles[1]
+        if isinstance(self.vehicles, tuple):
+            return self.vehicles
+        return self.vehicles, self.vehicles
 
     @property
     def merge_end(self) -> float:
@@ -134,36 +156,6 @@ class Scene:
                 f"{fastest:g} m/s: use at least {math.ceil(needed)}, or None to have it fitted"
             )
         return self
-
-
-def _check_whole(name: str, value: int, low: int, high: int) -> None:
-    if not low <= check_whole(f"scene.{name}", value) <= high:
-        raise ValueError(f"scene.{name} lies in {low} to {high}, but got {value}")
-
-
-def _check_length(name: str, value: float, low: float) -> None:
-    if not low <= check_number(f"scene.{name}", value, " of metres") < math.inf:
-        raise ValueError(f"scene.{name} is at least {low:g} m, but got {value}")
-
-
-def _check_speeds(speeds: tuple[float, ...]) -> tuple[float, ...]:
-    if not isinstance(speeds, (tuple, list, np.ndarray)):
-        raise TypeError(f"scene.target_speeds are a tuple of speeds, not {speeds!r}")
-    checked = tuple(check_number("each of scene.target_speeds", speed) for speed in speeds)
-    steps = np.diff(checked)
-    if (
-        len(checked) < 2
-        or not np.all(np.isfinite(checked))
-        or np.any(steps <= 0)
-        or not np.allclose(steps, steps[0])
-        or checked[0] <= 0
-        or checked[-1] > 40
-    ):
-        raise ValueError(
-            "scene.target_speeds are at least two evenly spaced, increasing speeds in (0, 40] m/s, "
-            f"but got {speeds}"
-        )
-    return checked
 
 
 @dataclass(frozen=True)

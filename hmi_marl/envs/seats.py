@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,8 @@ class Policy(Protocol):
     """A policy for one seat of N teams.
 
     In a single-team environment pass ``observation[None]`` and take element 0 of the answer.
-    A policy may remember what it saw of its teams: give each environment its own object. It may
+    A policy may remember what it saw of its teams: give each environment its own object, unless it
+    has an attribute ``memoryless`` that is true. It may
     have an attribute ``reads``, the names of the parts of its observation that it reads; a partner
     in an environment is then shown 0 in the others.
     """
@@ -65,6 +67,41 @@ def _unchanged(actions: NDArray[np.int64]) -> NDArray[np.int64]:
     return actions
 
 
+class _Places:
+    """Which environment each policy with memory plays in, to find one that is in several.
+
+    Its memory of one would be mixed up with that of the other.
+    """
+
+    def __init__(self) -> None:
+        self._of: dict[int, tuple[weakref.ref[Any], weakref.ref[Any]]] = {}
+
+    def take(self, policy: Policy, place: object) -> None:
+        """Note that the policy begins episodes in this place."""
+        key, places = id(policy), self._of
+        try:
+            seen = weakref.ref(policy, lambda _: places.pop(key, None))
+        except TypeError:  # an object of a class that allows none
+            return
+        places[key] = seen, weakref.ref(place)
+
+    def check(self, policy: Policy, place: object) -> None:
+        """Raise RuntimeError if the policy has begun episodes somewhere else since."""
+        if getattr(policy, "memoryless", False):
+            return
+        found = self._of.get(id(policy))
+        if found is None or found[0]() is not policy or found[1]() is None:
+            self.take(policy, place)  # a copy, or its other environment is gone
+        elif found[1]() is not place:
+            raise RuntimeError(
+                f"this {type(policy).__name__} remembers what it saw, and another environment has "
+                "begun episodes with the same object; give each environment its own"
+            )
+
+
+_PLACES = _Places()
+
+
 class Asked:
     """A policy that is asked for actions, and shown only the parts that it reads.
 
@@ -73,6 +110,9 @@ class Asked:
     Args:
         policy: is asked.
         check: returns the actions, or raises if they are not valid.
+
+    Raises:
+        RuntimeError: when a policy with memory is asked that another environment uses too.
     """
 
     def __init__(
@@ -82,6 +122,14 @@ class Asked:
     ) -> None:
         self._policy, self._check = policy, check
 
+    def begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
+        """Begin episodes; see :meth:`Policy.reset`."""
+        if which is None:
+            _PLACES.take(self._policy, self)
+        else:
+            _PLACES.check(self._policy, self)
+        self._policy.reset(seeds, which)
+
     @property
     def reads(self) -> tuple[str, ...] | None:
         """Parts that it reads; None for all."""
@@ -89,6 +137,7 @@ class Asked:
 
     def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the policy's actions, shape (N,)."""
+        _PLACES.check(self._policy, self)
         return self._check(self._policy.act(observations))
 
 
@@ -120,6 +169,10 @@ class PartnerTurns:
     ) -> None:
         self._teaming, self._seat, self._partner = teaming, seat, partner
         self._asked = Asked(partner, check)
+
+    def begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
+        """Begin the partner's episodes; see :meth:`Policy.reset`."""
+        self._asked.begin(seeds, which)
 
     def prepare(self) -> None:
         """Let a partner who drives act, if it has not acted in this turn."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.attention import Attention
-from hmi_marl.envs.drivers import Traits
+from hmi_marl.envs.drivers import Traits, check_traits
 from hmi_marl.envs.execution import Execution
 from hmi_marl.envs.team_arrays import Teams
 from hmi_marl.envs.team_step import (
@@ -52,7 +52,12 @@ class ShownTeams:
 
     @steps.setter
     def steps(self, steps: NDArray[np.int64]) -> None:
-        self._teams.state[:, STEPS] = steps
+        given = np.asarray(steps)
+        if given.dtype.kind not in "iu":
+            raise TypeError(f"steps are whole numbers, but got {given.dtype}")
+        if given.shape != self._teams.over.shape or (given < 0).any():
+            raise ValueError(f"steps are {len(self._teams.over)} numbers of at least 0")
+        self._teams.state[:, STEPS] = given
 
     @property
     def intended(self) -> NDArray[np.int64]:
@@ -86,7 +91,7 @@ class ShownTeams:
 
     @traits.setter
     def traits(self, traits: Traits) -> None:
-        self._teams.traits[:] = traits.as_array()
+        self._teams.traits[:] = check_traits(traits, len(self._teams.over)).as_array()
 
     @property
     def trait_table(self) -> NDArray[np.float64]:

@@ -240,7 +240,7 @@ class _OneSeat(Pictured, gymnasium.Env[NDArray[np.float32], np.int64]):
         """Begin the episode of this seed, or the next one; ``options`` are not used."""
         super().reset(seed=seed)
         self._begin(seed)
-        self.partner.reset(self.team.teaming.seeds)
+        self._turns.begin(self.team.teaming.seeds)
         self._turns.prepare()
         return self._observation(), self._info()
 

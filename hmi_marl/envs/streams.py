@@ -5,12 +5,11 @@ share a batch, in which order or on which thread they run, or which world carrie
 mixing function is SplitMix64's finaliser (Steele, Lea & Flood 2014), chained over the three
 words. It needs only 64-bit integer arithmetic, works element by element on NumPy arrays of any
 shape, and can be compiled.
-
-Checks of the numbers that users give, such as seeds, stand here too.
 """
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable
 from enum import IntEnum
 from typing import Annotated, Any
@@ -18,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import Check
+from hmi_marl.checks import Check, shown
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -39,6 +38,10 @@ class Stream(IntEnum):
     """Series of training episodes, one for each iteration."""
     LEARNING = 8
     """Draws of a learner: initial weights, explored actions, mini-batches."""
+    TEAM = 9
+    """Series of episodes of the teams of a batch."""
+    PART = 10
+    """Parts of an experiment that are to be independent, such as repeated runs."""
 
 
 def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:
@@ -83,41 +86,37 @@ def uniform(seed: ArrayLike, stream: int, counter: ArrayLike = 0) -> NDArray[np.
 
 
 def episode_seed(seed: ArrayLike, episode: ArrayLike) -> NDArray[np.uint64]:
-    """The seed of a team's ``episode``-th episode: the team's own seed for the first (0)."""
-    seed, episode = np.asarray(seed, np.uint64), np.asarray(episode, np.uint64)
-    return np.where(episode == 0, seed, mix(seed, Stream.EPISODE, episode))
+    """Seed of the ``episode``-th episode of a series: the series' own seed for the first (0)."""
+    return _numbered(seed, Stream.EPISODE, episode)
 
 
-def check_whole(name: str, value: int, unit: str = "") -> int:
-    """Return an integer of Python or NumPy as an int.
+def team_seed(seed: ArrayLike, team: ArrayLike) -> NDArray[np.uint64]:
+    """Seed of the series of team number ``team`` in a batch of teams with one seed.
 
-    Raises:
-        TypeError: it is a bool or anything else.
+    The team's e-th episode has the seed ``episode_seed(team_seed(seed, team), e)``. Batches of
+    different seeds have no episode in common.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} is a whole number{unit}, not {value!r}")
-    return int(value)
+    return mix(seed, Stream.TEAM, team)
 
 
-def check_number(name: str, value: float, unit: str = "") -> float:
-    """Return a number of Python or NumPy as a float.
+def part_seed(seed: ArrayLike, part: ArrayLike) -> NDArray[np.uint64]:
+    """Seed of the ``part``-th part of an experiment, such as a run: its own seed for the first."""
+    return _numbered(seed, Stream.PART, part)
 
-    Raises:
-        TypeError: it is a bool or anything else.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise TypeError(f"{name} is a number{unit}, not {value!r}")
-    return float(value)
+
+def _numbered(seed: ArrayLike, stream: Stream, number: ArrayLike) -> NDArray[np.uint64]:
+    seed, number = np.asarray(seed, np.uint64), np.asarray(number, np.uint64)
+    return np.where(number == 0, seed, mix(seed, stream, number))
 
 
 def check_seed(seed: Any) -> int:
     """Return ``seed`` as an int in [0, 2^64), or raise ``ValueError``/``TypeError`` saying why."""
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"a seed is an integer, not {seed!r}")
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral):
+        raise TypeError(f"a seed is an integer, not {shown(seed)}")
     if not 0 <= int(seed) < 2**64:
-        raise ValueError(f"a seed lies in [0, 2^64), but got {seed}")
+        raise ValueError(f"a seed lies in [0, 2^64), but got {shown(seed)}")
     return int(seed)
 
 
-Seed = Annotated[int, Check(lambda name, seed: check_seed(seed))]
+Seed = Annotated[int, Check(lambda name, seed: check_seed(seed), "0 to 2^64 - 1")]
 """Seed as a checked setting; see :class:`hmi_marl.checks.Checked`."""

@@ -28,7 +28,10 @@ class Rules(NamedTuple):
     def of(cls, config: TeamConfig) -> Rules:
         """Constants of these settings."""
         effects = config.alerts.effects
-        return cls(config.alert_window, effects, settings_of(config), scales_of(config))
+        own = effects._replace(  # compiled loops take arrays that can be written to
+            strengths=effects.strengths.copy(), changes=effects.changes.copy()
+        )
+        return cls(config.alert_window, own, settings_of(config), scales_of(config))
 
 
 class Teams(NamedTuple):

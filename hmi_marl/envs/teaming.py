@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.checks import COUNT
 from hmi_marl.envs import observations as obs
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.copies import writeable
@@ -58,8 +59,7 @@ class Teaming(ShownTeams):
     """
 
     def __init__(self, config: TeamConfig, num_teams: int = 1, world: str | World = "highway"):
-        if num_teams < 1:
-            raise ValueError(f"there is at least one team, but got num_teams = {num_teams}")
+        num_teams = COUNT("num_teams", num_teams)
         self.config = config
         self.alerts = config.alerts
         """Meaning of a^A."""

@@ -19,8 +19,9 @@ not computed; :meth:`TeamVecEnv.read` computes one of them when it is needed aft
 A team begins its next episode inside the ``step`` that ends one. ``extras`` of such a step hold
 ``final_observation``, ``final_teams`` and ``log`` (see :meth:`TeamVecEnv.step`).
 
-Team k plays the series of seed ``seed + k``: its e-th episode has seed
-``episode_seed(seed + k, e)``, so nothing of it depends on the number of teams.
+Team k plays the series of seed ``team_seed(seed, k)`` (:mod:`hmi_marl.envs.streams`): its e-th
+episode has seed ``episode_seed(team_seed(seed, k), e)``, so nothing of it depends on the number of
+teams, and environments of different seeds share no episode.
 
 Needs torch, tensordict and rsl_rl (the ``train`` extra).
 """
@@ -36,7 +37,7 @@ from numpy.typing import NDArray
 from rsl_rl.env import VecEnv  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
-from hmi_marl.checks import check_choice
+from hmi_marl.checks import Whole, check_choice, shown
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.execution import WrongActionError
 from hmi_marl.envs.groups import (
@@ -50,13 +51,14 @@ from hmi_marl.envs.groups import (
     check_seat,
     checked_groups,
     views_of,
+    whole_steps,
 )
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import PartnerTurns, Policy
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.step_result import EndedTeams, Then
-from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.streams import check_seed, team_seed
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector_outcome import EpisodeLog, Outcome, on_device
@@ -79,7 +81,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         teaming: the N teams, in any world. Belongs to this environment from now on.
         seat: "driver", "vehicle_ai" or "team" (both).
         partner: the policy in the other seat; None exactly for seat "team".
-        seed: team k plays the series of episodes of ``seed + k``.
+        seed: team k plays the series of episodes of ``team_seed(seed, k)``.
         device: of the returned tensors. The teams themselves run on the CPU.
         groups: observations to compute in each step; see :attr:`groups`.
 
@@ -190,33 +192,36 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         its seed gives otherwise. Statistics count the steps really taken.
 
         Raises:
-            ValueError: on assigning another shape, or values outside 0 to horizon - 1.
+            ValueError, TypeError: on assigning anything but a tensor of this shape that holds
+                whole numbers from 0 to horizon - 1.
         """
         return torch.from_numpy(self.teaming.steps).to(self.device)
 
     @episode_length_buf.setter
     def episode_length_buf(self, steps: torch.Tensor) -> None:
+        if not isinstance(steps, torch.Tensor):
+            raise TypeError(f"episode lengths are a torch tensor, not {shown(steps)}")
         values = steps.detach().cpu().numpy()
-        if values.shape != (self.num_envs,):
-            raise ValueError(f"episode lengths have shape ({self.num_envs},), not {values.shape}")
-        if not ((values >= 0) & (values < self.max_episode_length)).all():
-            raise ValueError(f"episode lengths lie in 0 to {self.max_episode_length - 1}")
+        self.teaming.steps = whole_steps(values, self.num_envs, self.max_episode_length - 1)
         self._untouched = False
-        self.teaming.steps = values.astype(np.int64)
 
-    def reset(self, seed: int | None = None) -> tuple[TensorDict, dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, first_team: int = 0
+    ) -> tuple[TensorDict, dict[str, Any]]:
         """Begin an episode in every team at once.
 
         Args:
-            seed: starts every team's series anew, team k's from ``seed + k``. Without it each team
-                goes on to its next episode; the first call after making the environment stays at
-                the first.
+            seed: starts every team's series anew, team k's from ``team_seed(seed, k)``. Without it
+                each team goes on to its next episode; the first call after making the environment
+                stays at the first.
+            first_team: number of the first team in the batch of that seed, of which these teams are
+                a part.
 
         Returns:
             The observations, and ``extras``, which are empty.
         """
         if seed is not None:
-            self._start_series(seed)
+            self._start_series(seed, first_team)
         elif not self._untouched:
             self._series.go_on(np.arange(self.num_envs))
             self._begin()
@@ -274,8 +279,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             extras["rewards"] = {agent: outcome.rewards[agent] for agent in self.agents}
         if result.ended_teams is not None:
             extras |= self._extras_of(result.ended_teams, traits)
-            if self.partner is not None:
-                self.partner.reset(self.teaming.seeds, result.ended.copy())
+            if self._turns is not None:
+                self._turns.begin(self.teaming.seeds, result.ended.copy())
         if self.seat == VEHICLE_AI:
             self._prepare()
             self.teaming.views(views)
@@ -286,13 +291,16 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     def picture(self, team: int = 0) -> NDArray[np.uint8]:
         """Picture of one of the teams, shape (height, width, 3)."""
-        if not 0 <= team < self.num_envs:
-            raise ValueError(f"team lies in 0 to {self.num_envs - 1}, but got {team}")
+        team = Whole(0, self.num_envs - 1)("team", team)
         from hmi_marl.envs.render import Viewer, team_status  # pulls in pygame
 
         if self._viewer is None:
             self._viewer = Viewer(self.teaming.config)
         return self._viewer.draw(self.teaming.world.snapshot(team), team_status(self.teaming, team))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the viewer, whose pictures cannot be copied."""
+        return self.__dict__ | {"_viewer": None}
 
     def close(self) -> None:
         """Close the viewer that pictures were drawn with."""
@@ -300,17 +308,16 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             self._viewer.close()
             self._viewer = None
 
-    def _start_series(self, seed: int) -> None:
-        first = np.uint64(check_seed(seed))
-        series = first + np.arange(self.num_envs, dtype=np.uint64)  # modulo 2^64
+    def _start_series(self, seed: int, first_team: int = 0) -> None:
+        series = team_seed(check_seed(seed), check_seed(first_team) + np.arange(self.num_envs))
         self._series = Series(series, self.teaming.config.population)
         self._begin()
 
     def _begin(self) -> None:
         """Begin the present episodes of the series."""
         self.teaming.reset(self._series.present)
-        if self.partner is not None:
-            self.partner.reset(self.teaming.seeds)
+        if self._turns is not None:
+            self._turns.begin(self.teaming.seeds)
         self._prepare()
 
     def _prepare(self) -> None:

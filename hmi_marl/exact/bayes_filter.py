@@ -28,6 +28,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.checks import COUNT
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, Traits, get_driver
 from hmi_marl.envs.team_step import NO_ACTION
@@ -50,8 +51,7 @@ class BayesFilter:
     """
 
     def __init__(self, drivers: Sequence[str | Driver], window: int, count: int) -> None:
-        if count < 1:
-            raise ValueError(f"there is at least one team, but got count = {count}")
+        count = COUNT("count", count)
         self.drivers = check_candidates(drivers)
         self.window = check_window(window)
         self.log_evidence = np.zeros((count, len(self.drivers)))

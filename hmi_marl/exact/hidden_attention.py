@@ -21,10 +21,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.checks import SHARE
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import RewardWeights
-from hmi_marl.exact.oracle import check_horizon
+from hmi_marl.exact.oracle import check_horizon, check_size
 
 DEFAULT_REVEALING = 0.3
 GRID = 201
@@ -113,8 +114,8 @@ def solve_belief(
         ValueError: ``revealing`` outside [0, 1], or what :func:`oracle.solve_alerts` refuses.
     """
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-    if not 0.0 <= revealing <= 1.0:
-        raise ValueError(f"revealing is a share in [0, 1], but got {revealing}")
+    revealing = SHARE("revealing", revealing)
+    check_size(horizon, 2, GRID, 2, window)
     belief, accepted, counter = np.meshgrid(
         np.linspace(0.0, 1.0, GRID), np.arange(2), np.arange(window), indexing="ij"
     )
@@ -136,6 +137,7 @@ def solve_belief(
         advantage[t, 0] = silent[1] - silent[0]
         advantage[t, 1] = revealed[1] - revealed[0]
         value = (1 - share) * np.maximum(*silent) + share * np.maximum(*revealed)
+    advantage.flags.writeable = False  # later calls return the same
     return BeliefSolution(driver, window, horizon, revealing, float(value[0, 0, 0]), advantage)
 
 

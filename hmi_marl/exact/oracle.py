@@ -27,8 +27,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.envs.alerts import FULL, Alerts, Fatigue
-from hmi_marl.envs.attention import check_steps, check_window, successors
+from hmi_marl.checks import Whole, shown
+from hmi_marl.envs.alerts import FULL, Alerts, Fatigue, check_strengths
+from hmi_marl.envs.attention import check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
 from hmi_marl.exact.identify import identify as identify  # part of the oracle's interface
@@ -114,9 +115,24 @@ class Reachable(NamedTuple):
     most: float
 
 
+HORIZON = Whole(1, 3_600_000, "steps")
+"""Range of the steps of an episode."""
+MOST_ENTRIES = 250_000_000
+"""Most entries of the largest table of a problem: 2 GB."""
+
+
 def check_horizon(horizon: int) -> int:
-    """Return the number of steps, or raise if it is not a positive integer."""
-    return check_steps("horizon", horizon)
+    """Return the number of steps of an episode, or raise if it is out of range."""
+    return HORIZON("horizon", horizon)
+
+
+def check_size(*shape: int) -> None:
+    """Raise ValueError if a problem's largest table, of this shape, would not fit into memory."""
+    if math.prod(shape) > MOST_ENTRIES:
+        raise ValueError(
+            f"the exact solution takes a table of {shown(math.prod(shape))} numbers, more than "
+            f"{MOST_ENTRIES}; use a shorter horizon or window, or fewer strengths or levels"
+        )
 
 
 @dataclass(frozen=True)
@@ -148,7 +164,8 @@ class _Chain:
     ) -> _Chain:
         """Check the arguments of :func:`solve_alerts` and make its problem."""
         driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
-        alerts = Alerts(tuple(strengths), fatigue)
+        alerts = Alerts(check_strengths(strengths), fatigue)
+        check_size(horizon + 1, alerts.choices, *alerts.shape(window))
         after = successors(driver, window, alerts)
         known = (after.accepted, after.counter, after.fatigue)
         sizes = (alerts.choices, window, alerts.levels + 1)
@@ -231,7 +248,8 @@ def solve_alerts(
         fatigue: from alerts; none by default.
 
     Raises:
-        ValueError: unknown driver, window < 1, horizon < 1, or strengths that do not rise.
+        ValueError, TypeError: unknown driver, a window or horizon out of range, strengths that do
+            not rise, or a problem too large for memory.
     """
     chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
     policy = np.zeros((chain.horizon, *chain.states), np.int8)
@@ -289,36 +307,45 @@ def evaluate(
     """Exact expected returns of a given HMI policy that sees the driver's attention.
 
     Args:
-        alert_probability: of the policy in [t, d, i, c], each in [0, 1]; any shape that
-            broadcasts to (horizon, 2, 2, window), so that a single number is a random HMI. With
-            k strengths, of each of them: any shape that broadcasts to (k, horizon, *S); the rest
-            to 1 is the probability of no alert.
+        alert_probability: of the policy in [t, d, i, c], each in [0, 1], shape
+            (horizon, 2, 2, window), where an axis of size 1 stands for all of it; or one number, a
+            random HMI. With k strengths, of each of them, shape (k, horizon, *S); the rest to 1 is
+            the probability of no alert.
         driver, window, horizon, weights, strengths, fatigue: as in :func:`solve_alerts`.
 
     Raises:
-        ValueError: a probability outside [0, 1] or NaN, several with a sum above 1, or a shape
-            that does not fit.
+        ValueError, TypeError: a probability outside [0, 1], NaN or no number, several with a sum
+            above 1, or a shape that does not fit.
     """
     chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
     shape = chain.horizon, *chain.states
     return chain.returns(_checked_probability(alert_probability, chain.alerts, shape))
 
 
+def _fits(size: int, wanted: int) -> bool:
+    return size in (1, wanted)
+
+
 def _checked_probability(
     alert_probability: ArrayLike, alerts: Alerts, shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
     """The probability of each alert in every step and state, (k, horizon, *S), or an error."""
-    given, wanted = np.asarray(alert_probability, np.float64), (alerts.choices - 1, *shape)
-    try:
-        probability = np.broadcast_to(given, wanted)
-    except ValueError:
+    given, wanted = np.asarray(alert_probability), (alerts.choices - 1, *shape)
+    if given.dtype.kind not in "fiu":
+        raise TypeError(f"alert_probability holds numbers, not {shown(alert_probability)}")
+    if not np.all((given >= 0) & (given <= 1)):
+        raise ValueError("every alert probability lies in [0, 1]")
+    # Axes are never guessed: a table of fewer would be read as one of others of the same size.
+    full = given[None] if given.ndim == len(shape) and alerts.choices == 2 else given
+    fits = full.ndim == len(wanted) and all(map(_fits, full.shape, wanted))
+    if not (fits or given.ndim == 0):
         axes = "(alerts, horizon, 2, alerts + 1, window"
         axes += ", levels + 1)" if alerts.fatigue else ")"
         raise ValueError(
-            f"alert_probability of shape {given.shape} does not broadcast to {axes} = {wanted}"
-        ) from None
-    if not np.all((given >= 0) & (given <= 1)):
-        raise ValueError("every alert probability lies in [0, 1]")
+            f"alert_probability is one number or has the axes {axes} = {wanted}, each of that size "
+            f"or 1 (the first may be left out where it is 1), but its shape is {given.shape}"
+        )
+    probability = np.broadcast_to(full.astype(np.float64), wanted)
     if len(probability) > 1 and probability.sum(axis=0).max() > 1.0 + _TIE:
         raise ValueError(
             f"the probabilities of the {len(probability)} alerts add up to more than 1 somewhere; "

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.streams import Seed
@@ -55,13 +55,13 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
         ValueError: no steps, snapshots or episodes.
     """
 
-    steps: Count = 18_000_000
+    steps: Steps = 18_000_000
     """Environment steps to learn from."""
     snapshots: Count = 6
     """Number of points on the way at which the policy is evaluated."""
     episodes: Count = 2000
     """Episodes of each driver at each point."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
     """Seed of the training."""

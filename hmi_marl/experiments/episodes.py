@@ -22,11 +22,12 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
+from hmi_marl.envs.streams import episode_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.exact import oracle
 
 EVALUATION_SEED = 10**9
-"""Seed of the first evaluation episode; no training comes near it."""
+"""Seed of the series of evaluation episodes."""
 _NOTHING = 1e-6
 """Difference in attention return below which two exact values are equal but for rounding."""
 
@@ -238,7 +239,7 @@ def play_named(team: TeamConfig, driver_policy: str, hmi: str, count: int) -> Ep
 
 def evaluation_seeds(count: int) -> NDArray[np.uint64]:
     """Seeds of the first evaluation episodes, shape (count,)."""
-    return np.arange(EVALUATION_SEED, EVALUATION_SEED + count, dtype=np.uint64)
+    return episode_seed(EVALUATION_SEED, np.arange(count))
 
 
 def _medians(headways: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.streams import Seed
 from hmi_marl.exact import oracle
@@ -136,7 +136,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
         ValueError: no steps, episodes or teams.
     """
 
-    hmi_steps: Count = 800_000
+    hmi_steps: Steps = 800_000
     """Environment steps in which each HMI learns."""
     episodes: Count = 2000
     """Episodes that each of them plays."""

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import Observer, begin, play
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps, Units
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.step_result import StepResult
-from hmi_marl.envs.streams import Seed
+from hmi_marl.envs.streams import Seed, part_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
@@ -89,15 +89,15 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
         ValueError: no steps or no episodes.
     """
 
-    driver_steps: Count = 12_000_000
+    driver_steps: Steps = 12_000_000
     """Environment steps in which the driver learns, unless one is given."""
-    hmi_steps: Count = 4_000_000
+    hmi_steps: Steps = 4_000_000
     """Environment steps in which each HMI learns."""
-    rnn_hidden_dim: Count = 32
+    rnn_hidden_dim: Units = 32
     """Units of the HMIs' recurrent layer."""
     episodes: Count = 2000
     """Episodes of each driver with each HMI."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
     """Seed of all training."""
@@ -149,9 +149,8 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
 
     def _play(self, model: str, place: Place) -> HiddenRow:
         team = TeamConfig(driver=model, ai_sees_attention=False)
-        share = revealing_share(
-            team, place.driver_run, evaluation_seeds(min(500, self.episodes)) + np.uint64(10**6)
-        )
+        own = part_seed(evaluation_seeds(min(500, self.episodes)), 1)  # others than are judged by
+        share = revealing_share(team, place.driver_run, own)
         hmis = {
             LEARNED_OWN: str(place.folder / HIDDEN_RUN.format(model)),
             LEARNED_AVERAGE: str(place.folder / HIDDEN_RUN.format("average")),

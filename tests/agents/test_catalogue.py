@@ -105,8 +105,8 @@ def test_every_listed_name_can_be_made():
         ("random:1.5", "rate lies in"),
         ("never:3", "takes no argument"),
         ("belief:lisa:often", r"belief:DRIVER:SHARE takes a number in \[0, 1\], not 'often'"),
-        ("belief:lisa:1.5", r"share in \[0, 1\]"),
-        ("belief:lisa:nan", r"share in \[0, 1\]"),
+        ("belief:lisa:1.5", r"revealing lies in \[0, 1\]"),
+        ("belief:lisa:nan", r"revealing lies in \[0, 1\]"),
         ("optimal:lisa:0.1", "name:beta,alpha,eta,inflation, not 'lisa:0.1'"),
     ],
 )

@@ -78,7 +78,7 @@ def test_it_plays_writes_and_prints(
     ("arguments", "told"),
     [
         (["--quick", "--drivers", "7"], "--quick sets the sizes itself; leave it out"),
-        (["--workers", "0"], "at least one worker"),
+        (["--workers", "0"], "workers lies in 1 to"),
         (["--evidence", "nowhere"], "no evidence model at nowhere"),
         (["--driver-policy", "siren"], "unknown driver policy 'siren'"),
     ],

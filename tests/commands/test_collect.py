@@ -85,8 +85,8 @@ def test_without_minari_nothing_is_played(monkeypatch, tmp_path, capsys):
     ("arguments", "told"),
     [
         (["--drivers", "nobody"], "unknown driver"),
-        (["--steps", "0"], "steps is at least 1"),
-        (["--alert-rate", "2"], "an alert rate lies in [0, 1]"),
+        (["--steps", "0"], "steps lies in 1 to"),
+        (["--alert-rate", "2"], "alert_rate lies in [0, 1]"),
     ],
 )
 def test_bad_settings_are_refused_before_anything_is_played(arguments, told, capsys):

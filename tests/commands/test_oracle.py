@@ -36,7 +36,7 @@ def test_bad_alerts_are_told_in_a_line(tmp_path, capsys):
     assert main(["oracle", "--alert-strengths", "1", "0.5", *out]) == 2
     assert "alert_strengths rise within (0, 1]" in capsys.readouterr().err.splitlines()[-1]
     assert main(["oracle", "--fatigue", "0", "1", "0.5", *out]) == 2
-    assert "fatigue: levels is at least 1" in capsys.readouterr().err.splitlines()[-1]
+    assert "fatigue: levels lies in 1 to" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_every_command_about_teams_takes_them(tmp_path):

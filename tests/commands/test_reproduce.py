@@ -53,7 +53,7 @@ def test_bad_settings_are_told_before_anything_is_done(asked, capsys) -> None:
     assert main(["reproduce", "--workers", "0"]) == 2
     assert main(["reproduce", "--seed", "-1"]) == 2
     told = capsys.readouterr().err.splitlines()
-    assert "there is at least one worker, but got 0" in told[0]
+    assert "workers lies in 1 to 1024, but got 0" in told[0]
     assert "seed" in told[1]
     assert not asked
 

@@ -61,7 +61,7 @@ def test_a_run_is_learned_watched_and_put_in_a_table(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--num-teams", "0"], "num_teams is at least 1"),
+        (["--num-teams", "0"], "num_teams lies in 1 to"),
         (["--ppo.gamma", "1.5"], "gamma lies in [0, 1]"),
         (["--drivers", "nobody"], "unknown driver"),
         (["--hmi-reads", "wheel"], "no part 'wheel' to read"),
@@ -114,7 +114,10 @@ def test_torchruns_processes_start_no_others(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("processes", "told"),
-    [("0", "processes is at least 1, but got 0"), ("3", "processes is one of 1, 2, since a batch")],
+    [
+        ("0", "processes lies in 1 to 1024, but got 0"),
+        ("3", "processes is one of 1, 2, since a batch"),
+    ],
 )
 def test_processes_that_cannot_be_are_refused(processes, told, capsys):
     assert main(["train", "joint", "--processes", processes, "--device", "cpu"]) == 2

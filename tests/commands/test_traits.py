@@ -122,7 +122,7 @@ def test_what_is_not_there_is_told_in_one_line(capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["train", "--latent", "0"], "latent is at least 1"),
+        (["train", "--latent", "0"], "latent lies in 1 to"),
         (["train", "--num-teams", "3", "--pool", "2"], "num_teams is a multiple of pool = 2"),
         (
             ["train", "--supervision", "age"],

@@ -329,7 +329,7 @@ def test_a_world_that_does_not_fit_is_refused():
 
 
 def test_there_is_at_least_one_team():
-    with pytest.raises(ValueError, match="at least one team"):
+    with pytest.raises(ValueError, match="num_teams lies in"):
         Teaming(standing_teams(1).config, 0)
 
 

@@ -15,7 +15,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import parts_read
-from hmi_marl.envs.streams import episode_seed
+from hmi_marl.envs.streams import episode_seed, team_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.files import json_value
@@ -95,7 +95,9 @@ def alone_at_once(seed, actions, world, **settings):
 def check_against_merge_v0(env, actions, world, **settings):
     """Every team of ``env`` against an environment of its own: numbers of crashes and time-outs."""
     singles = [
-        alone(env.cfg["seed"] + team, env.seat, actions[:, team], world(), **settings)
+        alone(
+            int(team_seed(env.cfg["seed"], team)), env.seat, actions[:, team], world(), **settings
+        )
         for team in range(env.num_envs)
     ]
     seen = env.get_observations()
@@ -154,7 +156,8 @@ def test_a_team_is_the_same_alone_and_among_many(seat):
     actions = random_actions(many, 23)
     kept = [(many.get_observations(), *many.step(step)) for step in actions]
     for team in (0, 17, 63):
-        one = standing(1, seat, partner_for(seat, TeamConfig()), seed=100 + team, **settings)
+        one = standing(1, seat, partner_for(seat, TeamConfig()), **settings)
+        one.reset(100, first_team=team)
         for step, (before, after, rewards, dones, extras) in zip(actions, kept, strict=True):
             assert (one.get_observations() == before[team : team + 1]).all()
             own_after, own_rewards, own_dones, own_extras = one.step(step[team : team + 1])
@@ -355,9 +358,8 @@ def test_with_both_seats_the_extras_hold_the_rewards_of_each_agent():
 
 def test_every_episode_has_its_own_seed_and_driver():
     population = TraitDistributions()
-    env = standing(50, seed=2**64 - 20, driver=population, duration=0.4)  # runs over 2^64
-    first = (np.uint64(2**64 - 20) + np.arange(50, dtype=np.uint64)).astype(np.uint64)
-    assert first[-1] == 29
+    env = standing(50, seed=2**64 - 20, driver=population, duration=0.4)
+    first = team_seed(2**64 - 20, np.arange(50))
     for episode in range(3):
         seeds = episode_seed(first, episode)
         np.testing.assert_array_equal(env.teaming.seeds, seeds)
@@ -371,7 +373,7 @@ def test_every_episode_has_its_own_seed_and_driver():
 
 def test_reset_goes_on_in_the_series_or_starts_it_anew():
     env = standing(4, seed=3, driver=TraitDistributions())
-    first = np.arange(3, 7, dtype=np.uint64)
+    first = team_seed(3, np.arange(4))
     env.get_observations()
     env.reset()  # the first one: nothing was played yet
     np.testing.assert_array_equal(env.teaming.seeds, first)
@@ -383,7 +385,7 @@ def test_reset_goes_on_in_the_series_or_starts_it_anew():
     env.reset()
     np.testing.assert_array_equal(env.teaming.seeds, episode_seed(first, 2))
     env.reset(seed=9)
-    np.testing.assert_array_equal(env.teaming.seeds, first + np.uint64(6))
+    np.testing.assert_array_equal(env.teaming.seeds, team_seed(9, np.arange(4)))
     with pytest.raises(ValueError, match="seed"):
         env.reset(seed=-1)
 
@@ -415,7 +417,7 @@ def test_assigning_episode_lengths_spreads_the_ends():
         lengths += extras["log"]["Episode/length"].tolist()
     assert ends == [4, 3, 2, 1, 0]
     assert lengths == [1.0, 2.0, 3.0, 4.0, 5.0]  # steps really taken
-    np.testing.assert_array_equal(env.teaming.seeds, episode_seed(np.arange(5), 1))
+    np.testing.assert_array_equal(env.teaming.seeds, episode_seed(team_seed(0, np.arange(5)), 1))
     for wrong in ([0, 1], [0, 1, 2, 3, 5], [-1, 0, 0, 0, 0]):
         with pytest.raises(ValueError, match="episode lengths"):
             env.episode_length_buf = torch.tensor(wrong)
@@ -520,7 +522,7 @@ def test_make_vec_takes_partners_by_name():
         make_vec(1, "team", "never", **small)
     with pytest.raises(ValueError, match="seat= is one of"):
         make_vec(1, "passenger", **small)
-    with pytest.raises(ValueError, match="at least one team"):
+    with pytest.raises(ValueError, match="num_teams lies in"):
         make_vec(0, **small)
 
 

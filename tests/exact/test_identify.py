@@ -241,13 +241,13 @@ def test_a_step_that_cannot_be_is_refused_and_changes_nothing(
 def test_a_filter_needs_candidates_and_teams() -> None:
     with pytest.raises(ValueError, match="at least one candidate"):
         BayesFilter([], 7, 1)
-    with pytest.raises(ValueError, match="at least one team"):
+    with pytest.raises(ValueError, match="count lies in"):
         BayesFilter(PAPER_DRIVERS, 7, 0)
     with pytest.raises(ValueError, match="unknown driver 'moe'"):
         BayesFilter(["moe"], 7, 1)
     with pytest.raises(TypeError, match="a list of drivers, not 'bart'"):
         BayesFilter("bart", 7, 1)
-    with pytest.raises(ValueError, match="alert_window is at least 1"):
+    with pytest.raises(ValueError, match="alert_window lies in 1 to"):
         BayesFilter(PAPER_DRIVERS, 0, 1)
 
 

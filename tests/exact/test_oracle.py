@@ -12,6 +12,7 @@ from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.rewards import RewardWeights, attention_terms
 from hmi_marl.envs.streams import Stream, uniform
 from hmi_marl.exact import oracle
+from hmi_marl.exact.hidden_attention import solve_belief
 
 WHEN_DISTRACTED = np.arange(2.0).reshape(1, 2, 1, 1)
 
@@ -114,9 +115,9 @@ def test_values_and_flow_are_those_of_the_transition_matrix():
 
 
 def test_a_very_long_window_is_as_good_as_one_that_never_ends():
-    long, longer = (oracle.solve_alerts("average", window, 100) for window in (100, 20_000))
+    long, longer = (oracle.solve_alerts("average", window, 100) for window in (100, 10_000))
     assert longer.total_return == pytest.approx(long.total_return, abs=1e-9)
-    assert longer.policy.shape == (100, 2, 2, 20_000)
+    assert longer.policy.shape == (100, 2, 2, 10_000)
 
 
 @pytest.mark.parametrize("rule", ["optimal", "when-distracted", 0.0, 1.0, 0.3], ids=str)
@@ -192,8 +193,13 @@ def test_one_step_by_hand():
         (lambda: oracle.solve_alerts("lisa", horizon=0), "horizon"),
         (lambda: oracle.evaluate(1.2, "lisa"), r"lies in \[0, 1\]"),
         (lambda: oracle.evaluate(np.nan, "lisa"), r"lies in \[0, 1\]"),
-        (lambda: oracle.evaluate(np.zeros((5, 2)), "lisa"), "does not broadcast"),
+        (lambda: oracle.evaluate(np.zeros((5, 2)), "lisa"), "its shape is"),
+        (lambda: oracle.evaluate(np.zeros(7), "lisa"), "its shape is"),
+        (lambda: oracle.evaluate(np.zeros((2, 7)), "lisa"), "its shape is"),
+        (lambda: oracle.evaluate(np.zeros((100, 2, 2, 1, 7)), "lisa"), "its shape is"),
         (lambda: oracle.reachable("lisa", horizon=-2), "horizon"),
+        (lambda: oracle.solve_alerts("lisa", 10_000, 10**6), "more than 250000000; use a shorter"),
+        (lambda: solve_belief("lisa", 10_000, 10**3, RewardWeights()), "use a shorter horizon"),
     ],
 )
 def test_bad_questions_are_refused(call, message):

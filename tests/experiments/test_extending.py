@@ -14,7 +14,7 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.checks import Count
 from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.streams import Seed
+from hmi_marl.envs.streams import Seed, episode_seed
 from hmi_marl.experiments.episodes import play_episodes
 from hmi_marl.experiments.experiment import Experiment, Place, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS, Where
@@ -47,7 +47,7 @@ class Alerting(Experiment[dict[str, Estimate]]):
 
     def run(self, place: Place) -> dict[str, Estimate]:
         team = TeamConfig(driver=self.driver, duration=4.0)
-        seeds = np.arange(self.seed, self.seed + self.episodes, dtype=np.uint64)
+        seeds = episode_seed(self.seed, np.arange(self.episodes))
         found = {}
         for hmi in place.each(("never", "optimal"), "HMIs"):
             seats = make_driver_policy("rule", team), make_hmi(hmi, team)

@@ -217,7 +217,9 @@ _PIP = ("-m", "pip", "--quiet", "--disable-pip-version-check")
 
 
 def _call(command: Sequence[str | Path]) -> None:
+    pins = str(ROOT / "constraints.txt")
     variables = clean(os.environ) | {"PYTHONSAFEPATH": "1"}
+    variables |= {"PIP_CONSTRAINT": pins, "PIP_BUILD_CONSTRAINT": pins}  # the build backend's too
     run = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
     if run.returncode:
         raise RuntimeError(f"{' '.join(map(str, command))} failed:\n{run.stdout}{run.stderr}")

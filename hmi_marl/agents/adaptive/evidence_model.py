@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
 from hmi_marl.agents.learned.trait_model import LONG_AGO
-from hmi_marl.checks import Checked, Count
+from hmi_marl.checks import Checked, Count, Units
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits
 from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
@@ -60,7 +60,7 @@ class EvidenceCard(Checked):
 
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of the vehicle AI's observation that it reads, in order."""
-    latent: Count = 16
+    latent: Units = 16
     """Z, size of e_t and w(θ)."""
     segment: Count = 25
     """Turns after which the encoder's recurrent state is reset."""

@@ -26,6 +26,7 @@ from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE, TraitEstimator
 from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.learned.policy import CONTEXT_OF, LearnedPolicy, load_policy
 from hmi_marl.agents.memory import AttentionWatch
+from hmi_marl.checks import Real
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.seats import Policy, moves_sequentially
@@ -34,6 +35,8 @@ from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, look_up, solve_be
 from hmi_marl.exact.identify import TraitBelief
 from hmi_marl.registry import unknown
 
+DOUBT = Real(0.0, 1e9)
+"""Range of κ."""
 CAUTION = 0.5
 """κ of :class:`ExpectedValueHMI`: at maximum entropy it follows AvgHMI unless the expected gain
 from deviating exceeds this many standard deviations of the gain."""
@@ -148,7 +151,7 @@ class ExpectedValueHMI(AdaptiveHMI):
         default: driver model of AvgHMI.
 
     Raises:
-        ValueError: caution below 0.
+        ValueError, TypeError: caution out of its range.
     """
 
     def __init__(
@@ -160,10 +163,8 @@ class ExpectedValueHMI(AdaptiveHMI):
         default: str | Driver = "average",
     ) -> None:
         super().__init__(estimator)
-        if not caution >= 0:
-            raise ValueError(f"caution is at least 0, but got {caution}")
         drivers, alike = chains(estimator.evidence.drivers)
-        self.caution = float(caution)
+        self.caution = DOUBT("caution", caution)
         self._default = BeliefAlert(default, config, revealing)
         self._attention = AttentionWatch(drivers, config)
         game = config.alert_window, config.horizon, config.weights, revealing

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.checks import SHARE
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.exact.bayes_filter import posterior
@@ -46,10 +47,8 @@ class TraitEstimator:
         prior: ArrayLike | None = None,
         change_rate: float = CHANGE_RATE,
     ) -> None:
-        if not 0.0 <= change_rate <= 1.0:
-            raise ValueError(f"change_rate lies in [0, 1], but got {change_rate}")
         self.evidence = evidence
-        self.change_rate = float(change_rate)
+        self.change_rate = SHARE("change_rate", change_rate)
         self.prior = posterior(np.zeros((1, len(evidence.drivers))), prior)[0]
         """Belief before the first observation, shape (K,)."""
         self._layout = vehicle_ai_layout(config)
@@ -59,7 +58,7 @@ class TraitEstimator:
     @property
     def belief(self) -> TraitBelief:
         """Current belief."""
-        return TraitBelief(self.evidence.drivers, self._probabilities)
+        return TraitBelief(self.evidence.drivers, self._probabilities.copy())
 
     def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
         """Begin a trip of unknown drivers.

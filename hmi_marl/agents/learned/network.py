@@ -15,10 +15,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.checks import Checked
+from hmi_marl.checks import Checked, Units, UnitsOrZero, Whole
 
 Activation = Literal["relu", "elu", "tanh"]
 Weights = Mapping[str, NDArray[np.floating]]
+
+
+_LAYERS = Whole(1, 100)
 
 
 @dataclass(frozen=True)
@@ -26,27 +29,20 @@ class NetworkConfig(Checked):
     """Sizes of one network.
 
     Raises:
-        ValueError: a size below 1 (rnn_hidden_dim: below 0), or an unknown activation.
+        ValueError, TypeError: no hidden layer or too many, a size out of its range, or an unknown
+            activation.
     """
 
-    hidden_dims: tuple[int, ...] = (64, 64)
-    """Units of each hidden layer."""
+    hidden_dims: tuple[Units, ...] = (64, 64)
+    """Units of each hidden layer, up to 100 layers."""
     activation: Activation = "relu"
     """Activation after each hidden layer: relu, elu or tanh."""
-    rnn_hidden_dim: int = 0
+    rnn_hidden_dim: UnitsOrZero = 0
     """Units of a recurrent layer (GRU), whose state is an additional input; 0 for none."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hidden_dims", tuple(self.hidden_dims))
-        for size in (*self.hidden_dims, self.rnn_hidden_dim):
-            if isinstance(size, bool) or not isinstance(size, int):
-                raise ValueError(f"sizes of layers are whole numbers, not {size!r}")
-        if not self.hidden_dims or min(self.hidden_dims) < 1 or self.rnn_hidden_dim < 0:
-            raise ValueError(
-                "a network has hidden layers of at least one unit and no or some recurrent units, "
-                f"but got hidden_dims = {self.hidden_dims}, rnn_hidden_dim = {self.rnn_hidden_dim}"
-            )
         super().__post_init__()
+        _LAYERS("the number of hidden_dims", len(self.hidden_dims))
 
     def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
         """Return names and shapes of the weights for these numbers of inputs and outputs.

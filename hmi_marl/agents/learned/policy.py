@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 from hmi_marl.agents.learned.cards import CardFormat, find_card
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights
 from hmi_marl.agents.memory import Draws
-from hmi_marl.envs.alerts import FULL, check_strengths
+from hmi_marl.checks import Checked, UnitsOrZero, check_choice
+from hmi_marl.envs.alerts import FULL, Strengths
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.observations import Layout, driver_layout, vehicle_ai_layout
 from hmi_marl.envs.streams import Stream
@@ -43,7 +44,7 @@ def seat_layout(seat: str, config: TeamConfig) -> Layout:
 
 
 @dataclass(frozen=True)
-class PolicyCard:
+class PolicyCard(Checked):
     """Description of a learned policy, without its weights.
 
     Raises:
@@ -56,26 +57,23 @@ class PolicyCard:
     """Names and sizes of the parts of the observation that it reads, in their order."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Sizes of its network."""
-    context: int = 0
+    context: UnitsOrZero = 0
     """Z, size of the vector z that the policy is conditioned on; 0 for none."""
     by_intent: bool = False
     """Whether a vehicle AI's network returns logits for each a^H instead of reading a^H."""
     sequential: bool = True
     """Whether it was trained with sequential moves, so that the vehicle AI sees a^H_t."""
-    alert_strengths: tuple[float, ...] = FULL
+    alert_strengths: Strengths = FULL
     """Alerts that a vehicle AI can give; (1.0,) is alert or no alert."""
     training: dict[str, Any] = field(default_factory=dict)
     """How it was trained: version, configuration, protocol, seed, steps."""
 
     def __post_init__(self) -> None:
-        if self.seat not in AGENTS:
-            raise ValueError(f"a policy's seat is one of {', '.join(AGENTS)}, not {self.seat!r}")
+        super().__post_init__()
+        check_choice("a policy's seat", self.seat, AGENTS)
         object.__setattr__(self, "reads", tuple((str(n), int(size)) for n, size in self.reads))
-        object.__setattr__(self, "alert_strengths", check_strengths(self.alert_strengths))
-        if not self.reads or min(size for _, size in self.reads) < 1 or self.context < 0:
-            raise ValueError(
-                "a policy reads parts of at least one column, and context is at least 0"
-            )
+        if not self.reads or min(size for _, size in self.reads) < 1:
+            raise ValueError("a policy reads parts of at least one column")
         if self.by_intent and (self.seat == DRIVER or INTENT in dict(self.reads)):
             raise ValueError("by_intent is for a vehicle AI that does not read intended_action")
 
@@ -210,11 +208,11 @@ class LearnedPolicy:
         Raises:
             ValueError: another shape, or numbers that are not finite.
         """
-        return self._context
+        return None if self._context is None else self._context.copy()
 
     @context.setter
     def context(self, z: ArrayLike) -> None:
-        values = np.asarray(z, np.float32)
+        values = np.array(z, np.float32)
         if values.ndim not in (1, 2) or values.shape[-1] != self.card.context:
             raise ValueError(
                 f"this policy takes a vector z of size {self.card.context}, but got an array of "

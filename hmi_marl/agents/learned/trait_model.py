@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
-from hmi_marl.checks import Checked, Count, Share
+from hmi_marl.checks import Checked, Count, Share, Units
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 ACTIONS = len(VEHICLE_ACTIONS)
@@ -110,9 +110,9 @@ class TraitCard(Checked):
 
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of an observed state, in their order."""
-    latent: Count = 2
+    latent: Units = 2
     """Z, size of z."""
-    encoder_units: Count = 128
+    encoder_units: Units = 128
     """H, units of the recurrent layer."""
     pool: Count = 8
     """Windows of one driver that training averages over."""

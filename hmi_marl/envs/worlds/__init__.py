@@ -6,6 +6,7 @@ teams. A custom world is an object with the methods of :class:`World`.
 
 from __future__ import annotations
 
+from hmi_marl.checks import COUNT, WORKERS
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS, Ego, Snapshot, World
 from hmi_marl.registry import unknown
@@ -32,8 +33,11 @@ def make_world(world: str, scene: Scene, num_worlds: int, threads: int | None = 
         threads: that the batched world shares its worlds among; all cores by default.
 
     Raises:
-        ValueError: unknown world, or more threads than there are.
+        ValueError, TypeError: unknown world, a number out of its range, or more threads than there
+            are.
     """
+    num_worlds = COUNT("num_worlds", num_worlds)
+    threads = None if threads is None else WORKERS("threads", threads)
     if check_world(world) == "highway":
         from hmi_marl.envs.worlds.highway import HighwayWorld  # highway-env is slow to import
 

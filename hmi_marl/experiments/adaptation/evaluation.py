@@ -11,16 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.hmis import CAUTION, TYPES, Trained
+from hmi_marl.agents.adaptive.hmis import CAUTION, DOUBT, TYPES, Trained
 from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.checks import Checked, Count
+from hmi_marl.checks import Checked, Count, Share, Whole
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions, Traits, get_driver
-from hmi_marl.envs.streams import Seed, Stream, mix
+from hmi_marl.envs.streams import Seed, Stream, mix, part_seed
 from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
@@ -78,6 +79,10 @@ WHEN: Mapping[str, Callable[[Trips], NDArray[np.float64]]] = {
 """Attention reward (E,) of the 20 s, or the trip, after so much driving."""
 
 
+Several = Annotated[int, Whole(2, 1_000_000)]
+"""Number of things over which an interval is taken."""
+
+
 @dataclass(frozen=True)
 class AdaptSettings(Checked):
     """Size of an evaluation of adaptive HMIs.
@@ -86,34 +91,22 @@ class AdaptSettings(Checked):
         ValueError: too few drivers for an interval, or a number out of its range.
     """
 
-    drivers: int = 400
+    drivers: Several = 400
     """Drivers of each of the four types."""
-    population: int = 128
+    population: Several = 128
     """Drivers of the continuous population, all different."""
     repeats: Count = 4
     """Times that each of them takes their trips."""
     candidates: Count = 128
     """Other drivers of that population, which an estimator considers."""
-    changes: int = 400
+    changes: Several = 400
     """Changes of driver in mid-trip, to each of the four types."""
-    revealing: float = 0.35
+    revealing: Share = 0.35
     """Share of steps in which a^H differs from the last applied action, as every HMI assumes it."""
-    caution: float = CAUTION
+    caution: Annotated[float, DOUBT] = CAUTION
     """Standard deviations of doubt at which the HMI of expected value acts as AvgHMI."""
     seed: Seed = 10**7
     """Seed of the trips."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("drivers", "population", "changes"):
-            if getattr(self, name) < 2:
-                raise ValueError(
-                    f"an interval needs at least 2, but got {name} = {getattr(self, name)}"
-                )
-        if not 0.0 <= self.revealing <= 1.0:
-            raise ValueError(f"revealing is a share in [0, 1], but got {self.revealing}")
-        if not self.caution >= 0.0:
-            raise ValueError(f"caution is at least 0, but got {self.caution}")
 
 
 QUICK = AdaptSettings(drivers=40, population=24, repeats=2, candidates=48, changes=40)
@@ -147,12 +140,13 @@ class Group:
 
 def groups(settings: AdaptSettings) -> tuple[Group, ...]:
     """Return the four types, the continuous population, and changes to each of the four."""
+    driving, considered = (int(part_seed(settings.seed, k)) for k in (_DRIVING, _CANDIDATES))
     known = [Group(driver.name, (driver,), settings.drivers, TYPES) for driver in TYPES]
     population = Group(
         POPULATION,
-        _random_drivers(settings.population, settings.seed + _DRIVING),
+        _random_drivers(settings.population, driving),
         settings.population * settings.repeats,
-        _with_any_inflation(_random_drivers(settings.candidates, settings.seed + _CANDIDATES)),
+        _with_any_inflation(_random_drivers(settings.candidates, considered)),
     )
     changing = [
         Group(

@@ -15,7 +15,7 @@ from hmi_marl.agents.adaptive.hmis import Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.agents.rollout import begin
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps, Units
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.drivers import Traits, get_driver
 from hmi_marl.envs.streams import Seed
@@ -170,11 +170,11 @@ class Adaptation(_Judged):
     """Drives that the encoder learns from."""
     updates: Count = EvidenceSettings.updates
     """Gradient steps of the encoder."""
-    hmi_steps: Count = 8_000_000
+    hmi_steps: Steps = 8_000_000
     """Environment steps in which the HMI conditioned on z learns."""
-    rnn_hidden_dim: Count = 32
+    rnn_hidden_dim: Units = 32
     """Units of its recurrent layer."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
     """Seed of all training."""

@@ -11,10 +11,10 @@ from typing import Any
 from tqdm import tqdm
 
 from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
-from hmi_marl.envs.streams import Seed
+from hmi_marl.envs.streams import Seed, part_seed
 from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
 from hmi_marl.experiments.latent_traits import assessment, ceiling
 from hmi_marl.experiments.latent_traits.assessment import (
@@ -33,8 +33,8 @@ from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
 DEMONSTRATIONS, POPULATION = "demonstrations", "population"
-_POPULATION_SEED = 1
-"""Added to the seed for the population's episodes."""
+_POPULATION_PART = 2**32
+"""Part of the experiment that the population's episodes are; the first parts are its runs."""
 _FREE = ("driver_policy", "num_teams")
 """Settings that a recorded dataset may differ in: the policy's folder (its weights are compared
 instead), and memory."""
@@ -130,9 +130,9 @@ class LatentTraits(TraitReport):
         ValueError: a size below its least, or a setting that the experiment sets itself.
     """
 
-    driver_steps: Count = 4_000_000
+    driver_steps: Steps = 4_000_000
     """Environment steps in which the driver learns, unless one is given."""
-    demonstrated: Count = 300_000
+    demonstrated: Steps = 300_000
     """Steps demonstrated by each driver."""
     population: Count = 200
     """Unseen drivers, over whom traits are regressed."""
@@ -191,17 +191,17 @@ class LatentTraits(TraitReport):
                 drivers=(),
                 population=self.population,
                 windows=max(common.windows, 2 * self.learn.pool),
-                seed=self.seed + _POPULATION_SEED,
+                seed=int(part_seed(self.seed, _POPULATION_PART)),
             ),
         }
 
     def trainings(self, folder: Path) -> dict[Path, TraitSettings]:
         """Return what to learn, by folder; the first seed of each setting comes first."""
         return {
-            folder / f"traits-{supervision}{'' if seed == 0 else f'-{seed}'}": replace(
-                self.learn, supervision=supervision, seed=self.seed + seed
+            folder / f"traits-{supervision}{'' if number == 0 else f'-{number}'}": replace(
+                self.learn, supervision=supervision, seed=int(part_seed(self.seed, number))
             )
-            for seed in range(self.seeds)
+            for number in range(self.seeds)
             for supervision in SUPERVISIONS
         }
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.streams import Seed
@@ -58,13 +58,13 @@ class MetricsTable(Experiment[list[PaperTable]]):
         ValueError: no steps or no episodes.
     """
 
-    driver_steps: Count = 12_000_000
+    driver_steps: Steps = 12_000_000
     """Environment steps in which the driver learns."""
-    hmi_steps: Count = 1_500_000
+    hmi_steps: Steps = 1_500_000
     """Environment steps in which each HMI learns."""
     episodes: Count = 2000
     """Episodes in each cell."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
     """Seed of all training."""

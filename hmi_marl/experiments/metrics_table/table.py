@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.hmis import AttentionRule, OptimalAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.seats import Policy
-from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.streams import Seed, episode_seed
 from hmi_marl.envs.worlds import check_world
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.episodes import (
@@ -50,16 +51,16 @@ class TableSettings(TeamSettings):
     optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or trained:NAME."""
     driver_policy: str = "rule"
     """Driver policy: rule, random, the folder of a trained run, or trained:NAME."""
-    episodes: int = 16
+    episodes: Count = 16
     """Episodes in each cell."""
-    seed: int = 0
-    """Seed of the first episode; the others count on from it."""
+    seed: Seed = 0
+    """Seed of the series of episodes: that of the first, from which the others' are mixed."""
     world: str = "highway"
     """World to drive in."""
 
 
 @dataclass(frozen=True)
-class TableConfig(TableSettings):
+class TableConfig(Checked, TableSettings):
     """Settings of a table, checked.
 
     Raises:
@@ -69,20 +70,19 @@ class TableConfig(TableSettings):
     """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _check_names("drivers", self.drivers)
         _check_names("hmis", self.hmis)
-        if isinstance(self.episodes, bool) or not isinstance(self.episodes, int):
-            raise TypeError(f"episodes is a whole number, not {self.episodes!r}")
-        if self.episodes < 1:
-            raise ValueError(f"a cell needs at least one episode, but got {self.episodes}")
-        object.__setattr__(self, "seed", check_seed(self.seed))
-        check_seed(self.seed + self.episodes - 1)
         check_world(self.world)
         for driver in self.drivers:
             config = self.team(driver)
             make_driver_policy(self.driver_policy, config)
             for hmi in self.hmis:
                 make_hmi(hmi, config)
+
+    def seeds(self, numbers: range) -> NDArray[np.uint64]:
+        """Seeds of some of the episodes, by their numbers, 0 for the first."""
+        return episode_seed(self.seed, np.array(numbers))
 
 
 def _check_names(field: str, names: Sequence[str]) -> None:
@@ -216,11 +216,11 @@ def known_rule(hmi: Policy, team: TeamConfig) -> NDArray[np.float64] | None:
     )
 
 
-def play_cell(config: TableConfig, driver: str, hmi: str, seeds: range) -> Episodes:
-    """Play some of the episodes of one cell."""
+def play_cell(config: TableConfig, driver: str, hmi: str, numbers: range) -> Episodes:
+    """Play some of the episodes of one cell, by their numbers."""
     team = config.team(driver)
     seats = make_driver_policy(config.driver_policy, team), make_hmi(hmi, team)
-    return play_episodes(team, *seats, np.array(seeds, np.uint64), config.world, AlertJudge(team))
+    return play_episodes(team, *seats, config.seeds(numbers), config.world, AlertJudge(team))
 
 
 def make_table(
@@ -238,7 +238,7 @@ def make_table(
     workers = check_workers(workers)
     wanted = [(driver, hmi) for hmi in config.hmis for driver in config.drivers]
     played: dict[tuple[str, str], list[Episodes]] = {cell: [] for cell in wanted}
-    tasks = [(*cell, seeds) for cell in wanted for seeds in _chunks(config)]
+    tasks = [(*cell, numbers) for cell in wanted for numbers in _chunks(config)]
     play_task = partial(_play_task, config)
     for (driver, hmi, _), episodes in zip(tasks, results(play_task, tasks, workers), strict=True):
         played[driver, hmi].append(episodes)
@@ -250,8 +250,9 @@ def make_table(
 
 
 def _chunks(config: TableConfig) -> list[range]:
-    end, size = config.seed + config.episodes, EPISODES_PER_TASK[config.world]
-    return [range(start, min(start + size, end)) for start in range(config.seed, end, size)]
+    """Numbers of the episodes of each task."""
+    end, size = config.episodes, EPISODES_PER_TASK[config.world]
+    return [range(start, min(start + size, end)) for start in range(0, end, size)]
 
 
 def _play_task(config: TableConfig, task: tuple[str, str, range]) -> Episodes:

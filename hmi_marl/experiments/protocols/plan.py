@@ -13,17 +13,17 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import permutations, product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.checks import Check, Checked, Count, check_share
-from hmi_marl.envs.config import TeamConfig
+from hmi_marl.checks import Checked, Count, OpenShare, Steps
+from hmi_marl.envs.config import Duration, TeamConfig, VehicleRange
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
-from hmi_marl.envs.streams import Seed, check_seed
+from hmi_marl.envs.streams import Seed, part_seed
 from hmi_marl.experiments.episodes import Episodes, play_named
 from hmi_marl.registry import unknown
 from hmi_marl.training.jobs import Job
@@ -45,14 +45,15 @@ class PlannedRun:
     """One training run."""
 
     protocol: Protocol
-    seed: int
+    number: int
+    """Number of the run among those of its protocol, 0 for the first."""
     standing: bool = False
     """Whether it is trained with ``end_at_crash=False``: a crashed car stands until the end."""
 
     @property
     def name(self) -> str:
         """Name of the run and of its folder."""
-        return f"{self.protocol}-seed{self.seed}" + ("-standing" if self.standing else "")
+        return f"{self.protocol}-run{self.number}" + ("-standing" if self.standing else "")
 
 
 @dataclass(frozen=True)
@@ -76,16 +77,16 @@ class ComparisonSettings(Checked):
 
     protocols: tuple[Protocol, ...] = field(default_factory=lambda: tuple(compared()))
     """Protocols to compare; two-stage is the reference."""
-    steps: Count = 3_000_000
+    steps: Steps = 3_000_000
     """Environment steps of each run in all, rounded to batches, the same for every protocol."""
-    driver_share: Annotated[float, Check(partial(check_share, zero=False, one=False))] = 0.8
+    driver_share: OpenShare = 0.8
     """Share of the steps of two-stage and alternating in which the driver learns."""
     rounds: Count = 4
     """Rounds of alternating."""
     seeds: Count = 3
     """Runs of each protocol."""
     seed: Seed = 0
-    """Seed of the first run; the others count up from it."""
+    """Seed of the first run of each protocol; those of the others are mixed from it."""
     episodes: Count = 1000
     """Episodes that each pair of driver and HMI plays."""
     drivers: tuple[str, ...] = PAPER_DRIVERS
@@ -100,15 +101,14 @@ class ComparisonSettings(Checked):
     crashing early pays."""
     num_teams: Count = 512
     """Teams that train side by side."""
-    duration: float = 20.0
+    duration: Duration = 20.0
     """Length of an episode [s]."""
-    vehicles: tuple[int, int] = (1, 20)
+    vehicles: VehicleRange = (1, 20)
     """Least and most other vehicles."""
 
     def __post_init__(self) -> None:
         _check_protocols(self.protocols)
         super().__post_init__()
-        check_seed(self.seed + self.seeds - 1)
         if not isinstance(self.drivers, tuple) or not self.drivers:
             raise ValueError(f"drivers is a tuple of at least one name, not {self.drivers!r}")
         names = Counter(get_driver(driver).name for driver in self.drivers)
@@ -155,16 +155,14 @@ class ComparisonSettings(Checked):
     def main_runs(self) -> tuple[PlannedRun, ...]:
         """Runs of every protocol with every seed."""
         return tuple(
-            PlannedRun(protocol, self.seed + k)
-            for protocol in self.protocols
-            for k in range(self.seeds)
+            PlannedRun(protocol, k) for protocol in self.protocols for k in range(self.seeds)
         )
 
     @property
     def standing_runs(self) -> tuple[PlannedRun, ...]:
         """Runs in which a crash does not end the episode."""
         wanted = self.protocols if self.crash_check else ()
-        return tuple(PlannedRun(protocol, self.seed, standing=True) for protocol in wanted)
+        return tuple(PlannedRun(protocol, 0, standing=True) for protocol in wanted)
 
     @property
     def runs(self) -> tuple[PlannedRun, ...]:
@@ -180,7 +178,7 @@ class ComparisonSettings(Checked):
         reward = None if self.reward == "default" else self.reward
         shared: dict[str, Any] = {
             "drivers": self.drivers,
-            "seed": run.seed,
+            "seed": int(part_seed(self.seed, run.number)),
             "end_at_crash": not run.standing,
             "num_teams": self.num_teams,
             "duration": self.duration,
@@ -192,14 +190,12 @@ class ComparisonSettings(Checked):
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
         """Reward terms that the driver learns from."""
-        return self._training(PlannedRun(protocol, self.seed)).driver_terms
+        return self._training(PlannedRun(protocol, 0)).driver_terms
 
     def pairs(self) -> list[Pair]:
         """List every pair that plays, each once."""
-        by_seed = [
-            [run for run in self.main_runs if run.seed == self.seed + k] for k in range(self.seeds)
-        ]
-        wanted = [Pair(a.name, b.name) for same in by_seed for a, b in product(same, same)]
+        by_number = [[run for run in self.main_runs if run.number == k] for k in range(self.seeds)]
+        wanted = [Pair(a.name, b.name) for same in by_number for a, b in product(same, same)]
         for protocol in self.protocols:
             own = [run for run in self.main_runs if run.protocol == protocol]
             wanted += [Pair(a.name, b.name) for a, b in permutations(own, 2)]

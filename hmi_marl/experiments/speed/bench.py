@@ -15,10 +15,11 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from hmi_marl.checks import Checked, Count, Real, Threads, Whole
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.scene import Scene
@@ -39,31 +40,33 @@ DRIVE = 150
 """Steps of a drive that is repeated."""
 
 
+Vehicles = Annotated[int, Whole(1, 50)]
+
+
 @dataclass(frozen=True)
-class BenchConfig:
+class BenchConfig(Checked):
     """Settings of a bench."""
 
-    teams: tuple[int, ...] = (1, 16, 64, 1024, 4096, 16384)
+    teams: tuple[Count, ...] = (1, 16, 64, 1024, 4096, 16384)
     """Sizes of the batches."""
-    threads: tuple[int, ...] = ()
+    threads: tuple[Threads, ...] = ()
     """Thread counts; one and all cores by default."""
-    vehicles: int = 20
+    vehicles: Vehicles = 20
     """Vehicles in every scene, besides the driver's car and the one on the ramp."""
-    scaling: tuple[int, ...] = (5, 10, 20, 40)
+    scaling: tuple[Vehicles, ...] = (5, 10, 20, 40)
     """Numbers of vehicles that show how the cost grows."""
-    vector_teams: tuple[int, ...] = (1024, 4096)
+    vector_teams: tuple[Count, ...] = (1024, 4096)
     """Sizes of the vector environments, on all threads; one of 512 teams with the default traffic
     is measured with every number of threads. Needs the train extra; none leaves them out."""
-    seconds: float = 1.0
+    seconds: Annotated[float, Real(1e-3, 3600.0, "s")] = 1.0
     """Duration of each measurement [s]."""
-    rounds: int = 3
+    rounds: Count = 3
     """Turns of each contestant."""
 
-    def check(self) -> None:
-        """Raise ValueError where a number is not positive."""
-        numbers = (*self.teams, *self.threads, self.vehicles, *self.scaling, *self.vector_teams)
-        if min(*numbers, self.seconds, self.rounds) <= 0 or not self.teams:
-            raise ValueError("everything that a bench counts is positive")
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.teams:
+            raise ValueError("teams names at least one size of a batch")
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,6 @@ def bench(config: BenchConfig, progress: Callable[[int], Any] = id) -> list[Meas
     Raises:
         ValueError: a number in ``config`` that is not positive, or more threads than there are.
     """
-    config.check()
     with ExitStack() as stack:
         every = list(_contestants(config, stack))
         speeds = np.zeros((config.rounds, len(every)))

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Annotated
 
 from hmi_marl.agents.adaptive.evidence_model import READS, EvidenceCard
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.checks import Check, Checked, Count, Positive, PositiveOrZero, Share, check_share
+from hmi_marl.checks import (
+    Checked,
+    Count,
+    LearningRate,
+    OpenShare,
+    Seconds,
+    Share,
+    Threads,
+    Units,
+    Weight,
+)
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import Seed
 
@@ -42,17 +50,17 @@ class EvidenceSettings(Checked):
     known: Share = 0.4
     """Share of the episodes with one of the named drivers; the other drivers' traits are drawn
     uniformly."""
-    held_out: Annotated[float, Check(partial(check_share, zero=False, one=False))] = 0.05
+    held_out: OpenShare = 0.05
     """Share of the episodes that is kept out of the learning, to measure the loss on."""
     updates: Count = 2000
     """Gradient steps."""
     batch: Count = 256
     """Episodes in each gradient step."""
-    learning_rate: Positive = 3e-3
+    learning_rate: LearningRate = 3e-3
     """Learning rate at the start; it falls to a twentieth along half a cosine."""
-    weight_decay: PositiveOrZero = 1e-2
+    weight_decay: Weight = 1e-2
     """Weight decay of AdamW."""
-    latent: Count = 16
+    latent: Units = 16
     """Z, the size of e_t and w."""
     segment: Count = 25
     """Turns after which the encoder's recurrent units are reset."""
@@ -64,9 +72,9 @@ class EvidenceSettings(Checked):
     """Parts of the vehicle AI's observation that the encoder reads."""
     seed: Seed = 0
     """Random seed. The same seed gives the same weights (on one machine)."""
-    threads: Count = 1
+    threads: Threads = 1
     """Threads of the world and of the learner. Does not change the episodes."""
-    checkpoint_every: float = 60.0
+    checkpoint_every: Seconds = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:

@@ -285,7 +285,7 @@ def play_batch(
     Args:
         env: environment with this process's teams, which is reset.
         learner: acts and records.
-        seed: team k of the whole batch gets the series of episodes of ``seed + k``.
+        seed: team k of the whole batch gets the series of episodes of ``team_seed(seed, k)``.
         shards: cut of the batch, over which means are taken.
 
     Returns:
@@ -294,9 +294,9 @@ def play_batch(
         ``length``, ``crash_rate`` and ``alerts``.
     """
     first = _FirstEpisodes(env.num_envs)
-    before = shards.processes.rank * env.num_envs
+    first_team = shards.processes.rank * env.num_envs
     with torch.inference_mode():
-        observations, _ = env.reset((seed + before) % 2**64)
+        observations, _ = env.reset(seed, first_team)
         for _ in range(env.max_episode_length):
             actions = learner.act(observations)
             observations, rewards, dones, extras = env.step(actions)

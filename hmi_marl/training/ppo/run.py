@@ -246,7 +246,7 @@ class _Run(Run):
         return learner
 
     def _seed_batch(self) -> tuple[int, list[torch.Generator]]:
-        """Seed of the next batch's first team, and a seeded generator for each own shard."""
+        """Seed of the next batch, and a seeded generator for each own shard."""
         batch = 2**32 * self.state.phase + self.state.iteration
         first = len(_INITIAL_WEIGHTS) + batch * self._shards.count
         generators = [

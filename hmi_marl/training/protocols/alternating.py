@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from hmi_marl.checks import Count
+from hmi_marl.checks import Count, Steps
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.protocols.settings import LEARNED, Budget, Phase, TrainSettings
@@ -20,9 +20,9 @@ class Alternating(TrainSettings):
 
     rounds: Count = 4
     """Rounds. In the first one the driver learns without an HMI."""
-    driver_steps: Count = 12_000_000
+    driver_steps: Steps = 12_000_000
     """Environment steps in which the driver learns, over all rounds."""
-    hmi_steps: Count = 2_000_000
+    hmi_steps: Steps = 2_000_000
     """Environment steps in which the HMI learns, over all rounds."""
     driver_reward: Sharing = "driving"
     """Reward of the driver. Without an HMI, as in the first round, a distracted step gives the team

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from hmi_marl.checks import Count
+from hmi_marl.checks import Steps
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.protocols.settings import TEAM, Budget, Phase, TrainSettings
@@ -19,7 +19,7 @@ class Joint(TrainSettings):
     Example: hmi-marl train joint --steps 14_000_000 --out runs/joint
     """
 
-    steps: Count = 14_000_000
+    steps: Steps = 14_000_000
     """Environment steps."""
     reward: Sharing = "team"
     """Reward of the composite policy: the sum of both agents' rewards where they differ."""
@@ -53,7 +53,7 @@ class Simultaneous(TrainSettings):
 
     variants: ClassVar[Mapping[str, Mapping[str, Any]]] = {"": {}, "-moves": {"sequential": False}}
 
-    steps: Count = 14_000_000
+    steps: Steps = 14_000_000
     """Environment steps."""
     reward: Sharing = "team"
     """Reward of both policies."""

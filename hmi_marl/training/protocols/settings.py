@@ -10,16 +10,19 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import PolicyCard, make_card
 from hmi_marl.checks import (
-    Check,
     Checked,
     Count,
     CountOrZero,
-    Positive,
-    PositiveOrZero,
+    Factor,
+    LearningRate,
     PowerOfTwo,
+    Real,
+    Seconds,
     Share,
+    Threads,
+    UnitsOrZero,
+    Weight,
     check_mini_batches,
-    check_threads,
 )
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
@@ -43,19 +46,19 @@ class PPOSettings(Checked):
     """Discount γ per step: 0.98 looks about 10 s ahead."""
     gae_lambda: Share = 0.95
     """λ of generalised advantage estimation."""
-    learning_rate: Positive = 1e-3
+    learning_rate: LearningRate = 1e-3
     """Learning rate at the start."""
-    final_learning_rate: Positive = 2e-5
+    final_learning_rate: LearningRate = 2e-5
     """Learning rate at the end; it changes linearly in between."""
-    entropy_coef: PositiveOrZero = 0.01
+    entropy_coef: Weight = 0.01
     """Coefficient of the policy's entropy bonus at the start."""
-    final_entropy_coef: PositiveOrZero = 0.0
+    final_entropy_coef: Weight = 0.0
     """Coefficient of the entropy bonus at the end; it changes linearly in between."""
-    clip_param: Positive = 0.2
+    clip_param: Annotated[float, Real(0.0, 100.0, above=True)] = 0.2
     """Clip range of the ratio of an action's new to old probability."""
-    max_grad_norm: Positive = 1.0
+    max_grad_norm: Factor = 1.0
     """Largest norm of a gradient."""
-    reward_scale: Positive = 0.1
+    reward_scale: Factor = 0.1
     """Factor on rewards, so that values are not in the hundreds."""
 
 
@@ -148,7 +151,7 @@ class TrainSettings(Checked, TeamSettings):
     """Whether the policies observe the driver's traits, or not ("hidden")."""
     critic: Critic = "team"
     """Input of the critics: the state of the whole team, or the seat's own observation."""
-    rnn_hidden_dim: int = 0
+    rnn_hidden_dim: UnitsOrZero = 0
     """Recurrent units in the vehicle AI's network, for hidden attention; 0 for none."""
     hmi_reads: tuple[str, ...] = ()
     """Observation parts that the vehicle AI reads; all of them by default."""
@@ -159,12 +162,12 @@ class TrainSettings(Checked, TeamSettings):
     device: str = "auto"
     """Device of the learner: cpu, cuda, or auto for a GPU if there is one. The world runs on the
     CPU."""
-    threads: Annotated[int | None, Check(check_threads)] = None
+    threads: Threads | None = None
     """Threads of the world and of the learner in each process. By default one on the CPU, where
     more processes are the better use of more cores, and all cores where a GPU learns."""
     snapshots: CountOrZero = 0
     """Times in each phase that the policies are saved in snapshots/STEPS."""
-    checkpoint_every: PositiveOrZero = 60.0
+    checkpoint_every: Seconds = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:
@@ -173,7 +176,6 @@ class TrainSettings(Checked, TeamSettings):
             raise ValueError(
                 "only the vehicle AI is recurrent: set rnn_hidden_dim, not network.rnn_hidden_dim"
             )
-        NetworkConfig(rnn_hidden_dim=self.rnn_hidden_dim)  # checks it
         check_mini_batches(self.ppo.num_mini_batches, self.num_teams)
         self.card(VEHICLE_AI, self.team(self.drivers))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from hmi_marl.checks import Count, check_count
+from hmi_marl.checks import STEPS, Steps, StepsOrZero
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.protocols.settings import LEARNED, Budget, Phase, TrainSettings
@@ -23,9 +23,9 @@ class TwoStage(TrainSettings):
     hmi_for: str = POPULATION
     """Driver that the HMI is trained for: a name (average makes an AvgHMI), or population for all
     of the drivers, which the policies distinguish by the traits that they observe."""
-    driver_steps: Count = 12_000_000
+    driver_steps: Steps = 12_000_000
     """Environment steps of the first stage."""
-    hmi_steps: int = 2_000_000
+    hmi_steps: StepsOrZero = 2_000_000
     """Environment steps of the second stage; 0 for the driver alone."""
     driver_policy: str | None = None
     """Skip the first stage and use this driver: a trained run, or rule or random."""
@@ -36,8 +36,8 @@ class TwoStage(TrainSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.hmi_steps != 0 or self.driver_policy is not None:
-            check_count("hmi_steps", self.hmi_steps)
+        if self.driver_policy is not None:
+            STEPS("hmi_steps", self.hmi_steps)
         self.team(self._assisted)
 
     @property

@@ -13,7 +13,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from hmi_marl.checks import check_count
+from hmi_marl.checks import WORKERS
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.workers import begin_worker, cores, environment, threads_each
@@ -56,7 +56,7 @@ def check_processes(count: int, settings: TrainSettings) -> int:
     Raises:
         TypeError, ValueError: it is no number of processes that can share the teams.
     """
-    check_count("processes", count)
+    WORKERS("processes", count)
     shards = settings.shards_used
     if learns_on_gpu(settings.device):
         if (

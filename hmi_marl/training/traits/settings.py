@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Annotated, Literal
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.checks import (
-    Check,
     Checked,
     Count,
     CountOrZero,
-    Positive,
-    PositiveOrZero,
+    Factor,
+    LearningRate,
+    Real,
+    Seconds,
     Share,
-    check_count,
+    Steps,
+    Threads,
+    Units,
+    Weight,
+    Whole,
     check_mini_batches,
-    check_share,
 )
 from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.streams import Seed
@@ -36,15 +39,15 @@ class LossWeights(Checked):
         ValueError: a weight below 0, or not finite.
     """
 
-    reconstruct: PositiveOrZero = 1.0
+    reconstruct: Weight = 1.0
     """Weight of L1, the adversarial loss."""
-    information: PositiveOrZero = 5.0
+    information: Weight = 5.0
     """Weight of L2, the information loss."""
-    contrast: PositiveOrZero = 10.0
+    contrast: Weight = 10.0
     """Weight of L3, the contrastive loss."""
-    regularise: PositiveOrZero = 1e-4
+    regularise: Weight = 1e-4
     """Weight of L4, the regularisation."""
-    imitate: PositiveOrZero = 0.0
+    imitate: Weight = 0.0
     """Weight of −log π(a | s, z) on demonstrations in the encoder, which is not in the paper. The
     policy always learns from it: a random policy would crash at once and leave the discriminator
     nothing to compare. With 1 the encoder learns the part of z that the policy can use, which makes
@@ -71,39 +74,39 @@ class TraitSettings(Checked):
 
     supervision: Supervision = "none"
     """Labels of windows: none, the driver (id), or the driver's wish for help (preference)."""
-    labelled: Annotated[float, Check(partial(check_share, zero=False))] = 0.2
+    labelled: Annotated[float, Real(0.0, 1.0, above=True)] = 0.2
     """Share of each driver's windows that is labelled."""
-    label_bandwidth: PositiveOrZero = 0.0
+    label_bandwidth: Annotated[float, Real(1e-6, 1e6, or_zero=True)] = 0.0
     """Bandwidth of the Gaussian by which graded labels count as similar, in units of the labels; 0
     if labels are only equal or different."""
-    margin: Positive = 2.0
+    margin: Factor = 2.0
     """Margin ε of L3: least distance between latent vectors of different labels."""
-    held_out: Annotated[float, Check(partial(check_share, one=False))] = 0.2
+    held_out: Annotated[float, Real(0.0, 1.0, below=True)] = 0.2
     """Share of each driver's windows, the last ones, that is kept out of the learning."""
-    latent: Count = 2
+    latent: Units = 2
     """Size of z."""
     pool: Count = 8
     """Windows of one driver that are pooled."""
-    encoder_units: Count = 128
+    encoder_units: Units = 128
     """Recurrent units of the context encoder."""
     imitation_updates: CountOrZero = 600
     """Updates before the policy drives, in which the policy learns by imitation and the encoder
     from the losses that need no driving by the policy."""
-    steps: Count = 1_000_000
+    steps: Steps = 1_000_000
     """Environment steps of the policy, rounded up to whole rounds."""
     num_teams: Count = 64
     """Cars that the policy drives in a round, one window each. The cars of a pool share one z."""
     expert_pools: Count = 16
     """Pools of demonstrations in each update of the discriminator, in pairs of one driver."""
-    labelled_pools: Annotated[int, Check(partial(check_count, least=2))] = 16
+    labelled_pools: Annotated[int, Whole(2, 1_000_000)] = 16
     """Labelled pools in each update, if there are labels; L3 compares them."""
     updates: Count = 2
     """Updates of the discriminator in each round."""
     settling: Share = 0.06
     """Share of the rounds, at the start, in which only the discriminator learns."""
-    learning_rate: Positive = 5e-4
+    learning_rate: LearningRate = 5e-4
     """Learning rate of the discriminator."""
-    imitation_rate: Positive = 5e-3
+    imitation_rate: LearningRate = 5e-3
     """Learning rate of the policy's imitation."""
     weights: LossWeights = field(default_factory=LossWeights)
     """Weights of the losses."""
@@ -128,9 +131,9 @@ class TraitSettings(Checked):
     """Random seed. The same seed and demonstrations give the same weights (on one machine)."""
     device: str = "auto"
     """Device of the learner: cpu, cuda, or auto for a GPU if there is one."""
-    threads: Count = 1
+    threads: Threads = 1
     """Threads of the world and of the learner."""
-    checkpoint_every: PositiveOrZero = 60.0
+    checkpoint_every: Seconds = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:

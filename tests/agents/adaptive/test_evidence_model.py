@@ -61,8 +61,8 @@ def test_by_default_it_reads_what_everybody_may_see():
     [
         ({"reads": ()}, "reads parts of at least one column"),
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
-        ({"latent": 0}, "latent is at least 1, but got 0"),
-        ({"segment": 0}, "segment is at least 1, but got 0"),
+        ({"latent": 0}, "latent lies in 1 to .*, but got 0"),
+        ({"segment": 0}, "segment lies in 1 to .*, but got 0"),
         (
             {"place": NetworkConfig((4,), rnn_hidden_dim=2)},
             "only the encoder may be recurrent: set place",

@@ -135,7 +135,7 @@ def test_it_deviates_exactly_where_the_gain_outweighs_the_doubt(caution):
 
 def test_caution_below_0_is_refused():
     for caution in (-0.1, np.nan):
-        with pytest.raises(ValueError, match="caution is at least 0, but got"):
+        with pytest.raises(ValueError, match=r"caution lies in .*, but got"):
             ExpectedValueHMI(estimator(), CONFIG, caution=caution)
 
 

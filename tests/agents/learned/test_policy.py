@@ -128,7 +128,7 @@ def test_an_unknown_part_is_reported_without_a_hint():
         ({"seat": "passenger"}, "seat is one of driver, vehicle_ai, not 'passenger'"),
         ({"reads": ()}, "reads parts of at least one column"),
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
-        ({"context": -1}, "context is at least 0"),
+        ({"context": -1}, "context lies in 0 to"),
         ({"seat": "driver", "by_intent": True}, "by_intent is for a vehicle AI"),
         (
             {"by_intent": True, "reads": (("speed", 1), ("intended_action", 5))},

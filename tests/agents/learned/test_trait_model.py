@@ -68,9 +68,9 @@ def windows(seed=0, length=(6, 2, 4, 1)):
     [
         ({"reads": ()}, "reads parts of at least one column"),
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
-        ({"latent": 0}, "latent is at least 1, but got 0"),
-        ({"encoder_units": -3}, "encoder_units is at least 1, but got -3"),
-        ({"pool": 0}, "pool is at least 1, but got 0"),
+        ({"latent": 0}, "latent lies in 1 to .*, but got 0"),
+        ({"encoder_units": -3}, "encoder_units lies in 1 to .*, but got -3"),
+        ({"pool": 0}, "pool lies in 1 to .*, but got 0"),
         ({"gamma": 1.01}, r"gamma lies in \[0, 1\], but got 1.01"),
         ({"gamma": math.nan}, r"gamma lies in \[0, 1\], but got nan"),
         *(

@@ -203,8 +203,8 @@ def test_where_there_is_no_ceiling_that_is_told(split: Split, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("name", "value", "told"),
     [
-        ("windows", 0, "windows is at least 1"),
-        ("episodes", 0, "episodes is at least 1"),
+        ("windows", 0, "windows lies in 1 to"),
+        ("episodes", 0, "episodes lies in 1 to"),
         ("ranked", 1, "ranking takes two windows: ranked is at least 2"),
     ],
 )

@@ -136,7 +136,7 @@ def test_dependence_is_unknown_without_others() -> None:
 
 
 def test_the_matrices_have_drivers_in_rows() -> None:
-    told = comparison(two_stage_seed1=sums(70.0))
+    told = comparison(two_stage_run1=sums(70.0))
     np.testing.assert_array_equal(
         swap_matrix(told), [[[200, 200], [200, 200]], [[70, 70], [200, 200]]]
     )
@@ -144,7 +144,7 @@ def test_the_matrices_have_drivers_in_rows() -> None:
 
 
 def test_means_over_seeds_count_each_seed_once() -> None:
-    told = comparison(two_stage_seed0=sums(100.0, 10), two_stage_seed1=sums(300.0, 1000))
+    told = comparison(two_stage_run0=sums(100.0, 10), two_stage_run1=sums(300.0, 1000))
     found = over_seeds(told.played, told.own_pairs("two-stage"), "team_return")
     assert found.mean == 200.0
     assert found.high - found.mean == pytest.approx(12.7062 * 100, rel=1e-5)
@@ -152,7 +152,7 @@ def test_means_over_seeds_count_each_seed_once() -> None:
 
 
 def test_counts_have_no_intervals_below_nothing() -> None:
-    told = comparison(two_stage_seed0=sums(episodes=10, crashes=5))
+    told = comparison(two_stage_run0=sums(episodes=10, crashes=5))
     pairs = told.own_pairs("two-stage")
     assert over_seeds(told.played, pairs, "crash_rate").low == 0.0
     assert over_seeds(told.played, pairs, "team_return").low < 0.0
@@ -183,7 +183,7 @@ def test_the_rule_of_gaming(low: float, worth: float, finding: str) -> None:
 def test_a_driver_who_crashes_to_get_away_games() -> None:
     # 60 of 100 crash; 100 steps each of -3: -2 without the collisions
     crashing = sums(-200.0, crashes=60, collision=-300.0 * 100 + 200.0 * 100)
-    told = comparison(simultaneous_seed0=crashing, simultaneous_seed1=crashing)
+    told = comparison(simultaneous_run0=crashing, simultaneous_run1=crashing)
     found = {(row.protocol, row.driver): row for row in gaming_of(told)}
     row = found["simultaneous", "bart"]
     assert row.crash_rate.mean == 0.6
@@ -199,14 +199,14 @@ def test_a_driver_who_crashes_to_get_away_games() -> None:
 
 def test_a_driver_who_crashes_but_would_gain_by_going_on_does_not_game() -> None:
     crashing = sums(200.0, crashes=60)
-    told = comparison(simultaneous_seed0=crashing, simultaneous_seed1=crashing)
+    told = comparison(simultaneous_run0=crashing, simultaneous_run1=crashing)
     assert worst_finding(gaming_of(told), "simultaneous") == "crashes more"
 
 
 def test_the_worth_of_a_step_is_in_the_reward_that_is_learned_from() -> None:
     # the driver's own terms are worth less than nothing, alerts make up for it
     crashing = sums(-200.0, crashes=60, alert=500.0 * 100)
-    changed = {"simultaneous_seed0": crashing, "simultaneous_seed1": crashing}
+    changed = {"simultaneous_run0": crashing, "simultaneous_run1": crashing}
     assert worst_finding(gaming_of(comparison(**changed)), "simultaneous") == "crashes more"
     individual = comparison(replace(SETTINGS, reward="individual"), **changed)
     assert worst_finding(gaming_of(individual), "simultaneous") == "GAMED"
@@ -214,7 +214,7 @@ def test_the_worth_of_a_step_is_in_the_reward_that_is_learned_from() -> None:
 
 def test_the_standing_run_is_told_in_both_settings() -> None:
     told = comparison()
-    name = "simultaneous-seed0-standing"
+    name = "simultaneous-run0-standing"
     told.played[Pair(name, name)]["bart"] = sums(crashes=10)  # type: ignore[index]
     told.played[Pair(name, name, end_at_crash=False)]["bart"] = sums(-50.0, crashes=20)  # type: ignore[index]
     row = next(r for r in gaming_of(told) if (r.protocol, r.driver) == ("simultaneous", "bart"))

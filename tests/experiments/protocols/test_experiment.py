@@ -44,7 +44,7 @@ def made(settings: ProtocolComparison = SETTINGS, crashes: int = 0) -> Compariso
         played[pair] = {ALL_DRIVERS: sums, "bart": sums, "homer": replace(sums, episodes=0)}
     curves = {
         run.name: [
-            dict.fromkeys(CURVES, run.seed + 0.1 * k) | {"steps": 100 * k, "seconds": 2.0 * k}
+            dict.fromkeys(CURVES, run.number + 0.1 * k) | {"steps": 100 * k, "seconds": 2.0 * k}
             for k in range(1, 4)
         ]
         for run in settings.runs
@@ -135,7 +135,7 @@ def test_json_has_no_nan_and_everything_in_it(out: Path) -> None:
     assert content["pairs"][0]["by_driver"][ALL_DRIVERS]["team_return"] == -100.0
     assert content["curves"]["two-stage"]["team_return"]["steps"] == [100, 200, 300]
     assert content["curves"]["two-stage"]["team_return"]["mean"] == pytest.approx([0.6, 0.7, 0.8])
-    assert content["training_seconds"]["two-stage-seed0"] == 6.0
+    assert content["training_seconds"]["two-stage-run0"] == 6.0
     settings = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in content["settings"].items()

@@ -10,7 +10,8 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import read_policy
 from hmi_marl.cli import main
 from hmi_marl.envs.rewards import DRIVER_TERMS, DRIVING_TERMS, TERMS
-from hmi_marl.experiments.episodes import EVALUATION_SEED, Episodes, play_episodes
+from hmi_marl.envs.streams import part_seed
+from hmi_marl.experiments.episodes import Episodes, evaluation_seeds, play_episodes
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.plan import (
     ALL_DRIVERS,
@@ -87,12 +88,13 @@ def test_the_steps_are_about_those_that_were_asked_for() -> None:
 def test_every_run_has_its_own_folder_seed_and_setting() -> None:
     jobs = {job.folder.name: job.settings for job in replace(TINY, seed=5).jobs(Path("out"))}
     assert len(jobs) == 15
-    assert jobs["joint-seed6"].seed == 6
-    assert jobs["joint-seed6"].end_at_crash
-    assert not jobs["joint-seed5-standing"].end_at_crash
-    assert not jobs["simultaneous-moves-seed5"].sequential
-    assert jobs["simultaneous-seed5"].sequential
-    assert "joint-seed6-standing" not in jobs
+    assert jobs["joint-run0"].seed == 5
+    assert jobs["joint-run1"].seed == part_seed(5, 1)
+    assert jobs["joint-run1"].end_at_crash
+    assert not jobs["joint-run0-standing"].end_at_crash
+    assert not jobs["simultaneous-moves-run0"].sequential
+    assert jobs["simultaneous-run0"].sequential
+    assert "joint-run1-standing" not in jobs
     unchecked = replace(TINY, crash_check=False)
     assert not any("standing" in job.folder.name for job in unchecked.jobs(Path("out")))
 
@@ -103,15 +105,15 @@ def test_the_reward_is_that_of_those_who_learn_together() -> None:
         for job in replace(TINY, reward="individual").jobs(Path("out"))
     }
     for protocol in ("joint", "simultaneous", "simultaneous-moves"):
-        assert jobs[f"{protocol}-seed0"].reward == "individual"
-    alternating = jobs["alternating-seed0"]
+        assert jobs[f"{protocol}-run0"].reward == "individual"
+    alternating = jobs["alternating-run0"]
     assert (alternating.driver_reward, alternating.hmi_reward) == ("individual", "individual")
     default = {job.folder.name: job.settings for job in TINY.jobs(Path("out"))}
-    assert default["joint-seed0"].reward == "team"
-    assert default["alternating-seed0"].driver_reward == "driving"
+    assert default["joint-run0"].reward == "team"
+    assert default["alternating-run0"].driver_reward == "driving"
     assert TINY.driver_terms("alternating") == DRIVING_TERMS
     assert replace(TINY, reward="team").driver_terms("alternating") == TERMS
-    assert jobs["two-stage-seed0"].driver_reward == "driving"
+    assert jobs["two-stage-run0"].driver_reward == "driving"
     assert TINY.driver_terms("two-stage") == DRIVING_TERMS
     assert TINY.driver_terms("simultaneous") == TERMS
     individual = replace(TINY, reward="individual")
@@ -124,13 +126,13 @@ def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
     assert len(pairs) == len(set(pairs))
     # 25 of each seed, 2 across the seeds of each protocol, 2 + 2 x 2 baselines, 2 x 5 standing
     assert len(pairs) == 2 * 25 + 5 * 2 + 6 + 10
-    assert Pair("joint-seed1", "alternating-seed1") in pairs
-    assert Pair("joint-seed0", "joint-seed1") in pairs
-    assert Pair("joint-seed0", "alternating-seed1") not in pairs
-    assert Pair("joint-seed0-standing", "joint-seed0-standing", end_at_crash=False) in pairs
+    assert Pair("joint-run1", "alternating-run1") in pairs
+    assert Pair("joint-run0", "joint-run1") in pairs
+    assert Pair("joint-run0", "alternating-run1") not in pairs
+    assert Pair("joint-run0-standing", "joint-run0-standing", end_at_crash=False) in pairs
     alone = replace(TINY, protocols=("joint",), seeds=1, crash_check=False)
     assert alone.pairs() == [
-        Pair("joint-seed0", "joint-seed0"),
+        Pair("joint-run0", "joint-run0"),
         Pair("rule", "never"),
         Pair("rule", "when-distracted"),
     ]
@@ -143,17 +145,16 @@ def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
         ({"protocols": "joint"}, "a tuple of at least one"),
         ({"protocols": ("fast",)}, "unknown protocol 'fast'; known: two-stage"),
         ({"protocols": ("joint", "joint")}, "'joint' twice"),
-        ({"steps": 0}, "steps is at least 1"),
-        ({"rounds": 0}, "rounds is at least 1"),
-        ({"seeds": 0}, "seeds is at least 1"),
-        ({"episodes": 0}, "episodes is at least 1"),
-        ({"num_teams": 0}, "teams is at least 1"),
+        ({"steps": 0}, "steps lies in 1 to"),
+        ({"rounds": 0}, "rounds lies in 1 to"),
+        ({"seeds": 0}, "seeds lies in 1 to"),
+        ({"episodes": 0}, "episodes lies in 1 to"),
+        ({"num_teams": 0}, "teams lies in 1 to"),
         ({"num_teams": 8}, "cannot split 8 teams into 16 mini-batches"),
         ({"driver_share": 0.0}, r"driver_share lies in \(0, 1\)"),
         ({"driver_share": float("nan")}, r"driver_share lies in \(0, 1\)"),
         ({"reward": "driving"}, "reward is one of default, team, individual"),
         ({"seed": -1}, "a seed lies in"),
-        ({"seed": 2**64 - 1}, "a seed lies in"),
         ({"drivers": ()}, "at least one name"),
         ({"drivers": "homer"}, "a tuple of at least one name"),
         ({"drivers": ("bob",)}, "unknown driver 'bob'"),
@@ -219,17 +220,17 @@ def test_a_driver_who_never_came_is_left_open() -> None:
 
 
 def test_drivers_share_the_episodes_among_them(folder: Path) -> None:
-    sums = play_pair(TINY, folder, Pair("joint-seed0", "two-stage-seed0"))
+    sums = play_pair(TINY, folder, Pair("joint-run0", "two-stage-run0"))
     parts = [part for name, part in sums.items() if name != ALL_DRIVERS]
     assert sum(part.episodes for part in parts) == 8
     assert Sums.join(parts).per_episode() == pytest.approx(sums[ALL_DRIVERS].per_episode())
 
 
 def test_a_swapped_pair_plays_as_anybody_would_play_it(folder: Path) -> None:
-    swapped = Pair("alternating-seed1", "simultaneous-moves-seed1")
+    swapped = Pair("alternating-run1", "simultaneous-moves-run1")
     sums = play_pair(TINY, folder, swapped)[ALL_DRIVERS]
     team = TINY.team()
-    seeds = np.arange(EVALUATION_SEED, EVALUATION_SEED + 8, dtype=np.uint64)
+    seeds = evaluation_seeds(8)
     episodes = play_episodes(
         team,
         make_driver_policy(str(folder / swapped.driver), team),
@@ -267,7 +268,7 @@ def test_a_second_call_trains_nothing_and_another_comparison_is_refused(folder: 
     paths = [job.folder / "checkpoint.safetensors" for job in jobs]
     before = [path.stat().st_mtime_ns for path in paths]
     other = replace(few, drivers=("homer",)).jobs(folder)[-1]
-    with pytest.raises(ValueError, match=r"joint-seed1 holds another run \(drivers = "):
+    with pytest.raises(ValueError, match=r"joint-run1 holds another run \(drivers = "):
         train_all([*jobs, other], 1, quiet=True)
     assert [path.stat().st_mtime_ns for path in paths] == before
 
@@ -293,7 +294,7 @@ def test_json_holds_every_seeds_numbers(content: dict) -> None:
     found = {(p["driver"], p["hmi"], p["end_at_crash"]): p["by_driver"] for p in content["pairs"]}
     assert len(found) == len(TINY.pairs())
     for k, (i, a), (j, b) in product(range(2), enumerate(PROTOCOLS), enumerate(PROTOCOLS)):
-        pair = found[f"{a}-seed{k}", f"{b}-seed{k}", True]
+        pair = found[f"{a}-run{k}", f"{b}-run{k}", True]
         matrix = content["swap_matrix"]["team_return_by_seed_driver_hmi"]
         assert matrix[k][i][j] == pytest.approx(pair[ALL_DRIVERS]["team_return"])
     assert set(content["findings"]) == set(PROTOCOLS)

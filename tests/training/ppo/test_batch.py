@@ -5,6 +5,7 @@ from standing_world import CrashingWorld, StandingWorld
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
+from hmi_marl.envs.streams import team_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.learner import play_batch
@@ -39,7 +40,7 @@ def script(count, horizon, seed=0):
 def by_hand(teaming, actions, seed):
     """Sums of one episode of each team; those that are over stay so, and get zeros."""
     count = teaming.num_teams
-    teaming.reset(seed + np.arange(count))
+    teaming.reset(team_seed(seed, np.arange(count)))
     sums = dict.fromkeys((*TERMS, "return", "length", "alerts", "crash_rate"), 0.0)
     for step in actions.numpy():
         active = ~teaming.over

@@ -111,7 +111,7 @@ def test_it_is_compared_with_the_others(commands, tmp_path: Path) -> None:
         "compare --help", f"{words} --episodes 4 --no-crash-check --workers 1 --out out"
     ):
         assert "reversed" in printed
-    runs = [tmp_path / "out" / f"{name}-seed0" for name in ("two-stage", "reversed")]
+    runs = [tmp_path / "out" / f"{name}-run0" for name in ("two-stage", "reversed")]
     steps = [json.loads((run / "curve.json").read_text())[-1]["steps"] for run in runs]
     assert steps[0] == steps[1]
 

@@ -146,7 +146,10 @@ class BatchedWorld:
         return Readings(self._merges.numbers.copy(), self._merges.flags.copy())
 
     def lidar(self, inflated: bool) -> NDArray[np.float32]:
-        """See :meth:`World.lidar`; traced when asked for, where something has moved since."""
+        """See :meth:`World.lidar`; traced when asked for, where something has moved since.
+
+        It cannot be written to, since unless something moves it is shown again.
+        """
         name = _LIDARS[inflated]
         news = self._merges.perceived_news if inflated else self._merges.true_news
         changed = int((news == CHANGED).sum())
@@ -155,7 +158,9 @@ class BatchedWorld:
             threads = self.sharing(changed)
             share(look_around, self.num_worlds, threads, self._merges, not inflated, inflated)
         self._returned[name] = True
-        return getattr(self._merges, name)
+        shown: NDArray[np.float32] = getattr(self._merges, name).view()
+        shown.flags.writeable = False
+        return shown
 
     def arrays(self) -> Merges:
         """The worlds as loops see them, for loops elsewhere that step them or trace lidars."""

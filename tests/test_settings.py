@@ -1,0 +1,161 @@
+"""Every number of every settings dataclass has a range with both ends, and keeps to it."""
+
+import importlib
+import inspect
+import math
+import pkgutil
+import types
+from dataclasses import MISSING, fields, is_dataclass, replace
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+
+import hmi_marl
+from hmi_marl.checks import Checked, allowed
+
+UNBOUNDED = {
+    "PolicyCard.reads": "sizes of parts, which are compared with the layout",
+    "TraitCard.reads": "the same",
+    "EvidenceCard.reads": "the same",
+}
+"""Numeric fields whose annotation has no range, and why."""
+
+NO_SETTINGS = {
+    "hmi_marl.commands": "as typed; what they set up is checked",
+    "hmi_marl.envs.config.TeamSettings": "as typed; TeamConfig checks",
+    "hmi_marl.experiments.metrics_table.table.TableSettings": "as typed; TableConfig checks",
+    "hmi_marl.experiments.experiment.Place": "made by commands, whose workers are checked",
+    "hmi_marl.experiments.protocols.analysis.Comparison": "the same",
+    "hmi_marl.experiments.graded_alerts.Case": "constants of the experiment",
+    "hmi_marl.training.protocols.settings.Phase": "made by protocols from checked settings",
+    "hmi_marl.training.protocols.settings.Budget": "the same",
+    "hmi_marl.training.ppo.shards.Shards": "the same",
+    "hmi_marl.training.runs.processes.Processes": "read from torchrun's environment",
+    "hmi_marl.training.runs.run.Checkpoint": "state of a run",
+    "hmi_marl.demonstrations.recording.Tally": "results",
+    "hmi_marl.envs.render.TeamStatus": "results",
+    "hmi_marl.experiments.metrics_table.table.Cell": "results",
+    "hmi_marl.experiments.speed.bench._Contestant": "results",
+}
+"""Dataclasses with numbers by default that nobody sets, and why."""
+
+EXAMPLES = {
+    "Driver": {"name": "mona", "beta": 0.1, "alpha": 0.2, "eta": 0.3, "inflation": 4.0},
+    "Uniform": {"low": 0.5, "high": 1.0},
+    "Choice": {"values": (0.5, 1.0)},
+    "PolicyCard": {"seat": "driver", "reads": (("speed", 1),)},
+    "TraitCard": {"reads": (("speed", 1),)},
+    "EvidenceCard": {"reads": (("intended_action", 5),)},
+    "TableConfig": {"hmis": ("never",)},
+    "TrainTraits": {},
+}
+"""Arguments of settings that do not work by default, or are slow."""
+
+ODD = [
+    math.nan,
+    math.inf,
+    -math.inf,
+    10**400,
+    -(10**400),
+    1e308,
+    -1,
+    0,
+    1,
+    True,
+    "1",
+    None,
+    [1],
+    1j,
+    np.float64(math.nan),
+    np.float64(1.0),
+    np.int64(1),
+    np.array([1, 2]),
+    object(),
+]
+
+
+def dataclasses_of_the_package() -> list[type]:
+    found = {}
+    for module in pkgutil.walk_packages(hmi_marl.__path__, "hmi_marl."):
+        if module.name.endswith("__main__"):
+            continue
+        for kind in vars(importlib.import_module(module.name)).values():
+            if inspect.isclass(kind) and is_dataclass(kind) and kind.__module__ == module.name:
+                found[f"{kind.__module__}.{kind.__qualname__}"] = kind
+    return list(found.values())
+
+
+def bare(hint: Any) -> bool:
+    """Whether a number may stand here: int or float, alone, in unions or in tuples."""
+    if hint in (int, float):
+        return True
+    inner = get_origin(hint) in (tuple, Union, types.UnionType) or hasattr(hint, "__metadata__")
+    return inner and any(bare(part) for part in get_args(hint))
+
+
+def numeric(kind: type) -> dict[str, Any]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {f.name: hints[f.name] for f in fields(kind) if f.init and bare(hints[f.name])}
+
+
+ALL = dataclasses_of_the_package()
+SETTINGS = [kind for kind in ALL if issubclass(kind, Checked) and numeric(kind)]
+FIELDS = [(kind, name) for kind in SETTINGS for name in numeric(kind)]
+
+
+def name_of(kind: type, field: str = "") -> str:
+    return f"{kind.__module__}.{kind.__qualname__}{field and '.'}{field}"
+
+
+def test_all_settings_check_themselves():
+    forgotten = [
+        name_of(kind)
+        for kind in ALL
+        if not issubclass(kind, Checked)
+        and any(
+            field.name in numeric(kind) and field.default is not MISSING for field in fields(kind)
+        )
+        and not any(name_of(kind).startswith(known) for known in NO_SETTINGS)
+    ]
+    assert forgotten == []
+    assert len(SETTINGS) > 30
+
+
+def test_every_number_has_a_range_with_both_ends():
+    for kind, field in FIELDS:
+        words = allowed(numeric(kind)[field])
+        assert words or f"{kind.__name__}.{field}" in UNBOUNDED, name_of(kind, field)
+        assert "inf" not in words
+        assert "nan" not in words
+
+
+def numbers_in(value: Any) -> list[Any]:
+    if isinstance(value, tuple):
+        return [number for each in value for number in numbers_in(each)]
+    return [] if value is None else [value]
+
+
+@pytest.mark.parametrize("kind", SETTINGS, ids=name_of)
+def test_odd_values_are_refused_in_one_line_or_work(kind):
+    base = kind(**EXAMPLES.get(kind.__name__, {}))
+    outcomes = set()
+    for field in numeric(kind):
+        if f"{kind.__name__}.{field}" in UNBOUNDED:
+            continue
+        for value in ODD:
+            try:
+                kept = getattr(replace(base, **{field: value}), field)
+            except (ValueError, TypeError) as error:
+                outcomes.add("refused")
+                text = str(error)
+                assert field in text.replace("-", "_"), (field, value, text)
+                assert "\n" not in text
+                assert len(text) < 300
+            else:
+                outcomes.add("kept")
+                assert not isinstance(value, (str, complex, bool)), (field, value)
+                for number in numbers_in(kept):
+                    assert type(number) in (int, float), (field, value)
+                    assert abs(number) < 2**64
+    assert outcomes in ({"refused", "kept"}, {"refused"}, set())
