@@ -6,7 +6,7 @@ import torch
 from safetensors.torch import save
 
 from hmi_marl.training.runs import run
-from hmi_marl.training.runs.run import FORMAT, Checkpoint
+from hmi_marl.training.runs.checkpoint import FORMAT, Checkpoint
 
 ROWS = [{"phase": "driver", "steps": 80, "return": 0.1 + 0.2}]
 
