@@ -5,7 +5,7 @@ import pytest
 import torch
 from safetensors.torch import save
 
-from hmi_marl.training.runs import run
+from hmi_marl.training.runs import checkpoint
 from hmi_marl.training.runs.checkpoint import FORMAT, Checkpoint
 
 ROWS = [{"phase": "driver", "steps": 80, "return": 0.1 + 0.2}]
@@ -107,7 +107,7 @@ def test_a_write_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     def fail(path, content):
         raise OSError("no space left")
 
-    monkeypatch.setattr(run, "write_bytes", fail)
+    monkeypatch.setattr(checkpoint, "write_bytes", fail)
     with pytest.raises(OSError, match="no space left"):
         Checkpoint().save(path)
     assert Checkpoint.load(path).iteration == 3
