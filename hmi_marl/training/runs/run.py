@@ -22,7 +22,7 @@ from tqdm import tqdm
 import hmi_marl
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.files import make_folder, write_json
-from hmi_marl.training.runs.checkpoint import Checkpoint
+from hmi_marl.training.runs.checkpoint import Checkpoint, fitting
 from hmi_marl.training.runs.folder import (
     CHECKPOINT,
     CURVE,
@@ -30,6 +30,7 @@ from hmi_marl.training.runs.folder import (
     check_same,
     read_settings,
     run_settings,
+    settings_digest,
 )
 from hmi_marl.training.runs.processes import ALONE, Processes
 
@@ -172,12 +173,12 @@ class Run(ABC):
         line: int = 0,
     ) -> None:
         self.folder, self.processes, self.command_line = folder, processes, command_line
-        self.state = Checkpoint()
         self.about: dict[str, Any] = {
             "version": hmi_marl.__version__,
             "settings": run_settings(settings),
             **about,
         }
+        self.state = Checkpoint(settings=settings_digest(self.about))
         self._seed, self._checkpoint_every = settings.seed, settings.checkpoint_every
         self._quiet, self._line = quiet or not processes.is_first, line
         self._saved_at = time.monotonic()
@@ -209,9 +210,11 @@ class Run(ABC):
             make_folder(self.folder)
         settings, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
         if checkpoint.is_file():  # otherwise nothing was learned that could be lost
-            self.check(read_settings(settings))
-            self.state = Checkpoint.load(checkpoint)
-            self.restore(self.state.tensors)
+            before = read_settings(settings)
+            self.check(before)
+            self.state = Checkpoint.load(checkpoint, settings_digest(before), self.phases)
+            with fitting(checkpoint):
+                self.restore(self.state.tensors)
         elif self.processes.is_first:
             write_json(settings, self.about | {"command": self.command_line})
         self.processes.wait()
