@@ -76,7 +76,7 @@ def read_json(path: Path, limit: int = JSON_BYTES, most_values: int = MOST_VALUE
     try:
         return parse_json(content, most_values)
     except ValueError as error:
-        raise ValueError(f"{path} is not a JSON file that can be read here: {error}") from None
+        raise ValueError(f"{path} is no JSON file that can be read here: {error}") from None
 
 
 def parse_json(content: bytes | str, most_values: int = MOST_VALUES) -> Any:
@@ -114,16 +114,16 @@ def parse_tensors(
     """
     size = int.from_bytes(content[:_HEADER_AT], "little")
     if not 2 <= size <= len(content) - _HEADER_AT:
-        raise ValueError("no safetensors file, or cut off")
+        raise ValueError("cut off, or something else")
     header = parse_json(content[_HEADER_AT : _HEADER_AT + size], most_values)
     metadata = header.get("__metadata__", {}) if isinstance(header, dict) else None
     if not isinstance(metadata, dict) or not all(isinstance(v, str) for v in metadata.values()):
-        raise ValueError("no safetensors file: its header is something else")
+        raise ValueError("its header is something else")
     try:
         return metadata, load(content)
     except (SafetensorError, AttributeError, KeyError, TypeError) as error:
         # The last three: numbers of a type that NumPy or torch does not have.
-        raise ValueError(f"no safetensors file that can be read here: {error}") from None
+        raise ValueError(str(error)) from None
 
 
 _HEADER_AT = 8

@@ -1,16 +1,18 @@
 """Dataclasses from JSON content, checked by the types of their fields.
 
 A field's type says what its JSON value must be: ``int`` a whole number (``true`` is none),
-``float`` a finite number, ``tuple[X, ...]`` a list, a dataclass a mapping with exactly its fields.
-Ranges are checked by the dataclass itself, in ``__post_init__``.
+``float`` a finite number, ``tuple[X, ...]`` a list, ``bytes`` a text in base64, a dataclass a
+mapping with exactly its fields. Ranges are checked by the dataclass, in ``__post_init__``.
 """
 
 from __future__ import annotations
 
 import math
 import types
-from collections.abc import Callable, Mapping
+from base64 import b64decode
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from enum import StrEnum
 from reprlib import Repr
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -49,6 +51,12 @@ def read_value(hint: Any, content: Any, name: str) -> Any:
         if not fits(content):
             raise _wrong(name, what, content)
         return float(content) if hint is float else content
+    if hint is bytes:
+        return _bytes(content, name)
+    if isinstance(hint, type) and issubclass(hint, StrEnum):
+        if content not in list(hint):
+            raise _wrong(name, f"one of {', '.join(hint)}", content)
+        return hint(content)
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return _one_of(arguments, content, name)
@@ -56,7 +64,7 @@ def read_value(hint: Any, content: Any, name: str) -> Any:
         if not isinstance(content, str) or content not in arguments:
             raise _wrong(name, f"one of {', '.join(arguments)}", content)
         return content
-    if origin in (tuple, list):
+    if origin in (tuple, list, Sequence):
         return _several(origin, arguments, content, name)
     if hint is dict or origin in (dict, Mapping):
         if not isinstance(content, dict):
@@ -96,12 +104,20 @@ def _one_of(hints: tuple[Any, ...], content: Any, name: str) -> Any:
 def _several(kind: Any, hints: tuple[Any, ...], content: Any, name: str) -> Any:
     if not isinstance(content, list):
         raise _wrong(name, "a list", content)
-    if kind is list or hints[-1] is Ellipsis:
+    if kind is not tuple or hints[-1] is Ellipsis:
         hints = (hints[0],) * len(content)
     if len(hints) != len(content):
         raise _wrong(name, f"a list of {len(hints)} items", content)
     items = zip(hints, content, strict=True)
-    return kind(read_value(hint, item, f"{name}[{k}]") for k, (hint, item) in enumerate(items))
+    made = tuple if kind is tuple else list
+    return made(read_value(hint, item, f"{name}[{k}]") for k, (hint, item) in enumerate(items))
+
+
+def _bytes(content: Any, name: str) -> bytes:
+    try:
+        return b64decode(content, validate=True)
+    except (TypeError, ValueError):
+        raise _wrong(name, "bytes in base64", content) from None
 
 
 def _wrong(name: str, what: str, content: Any) -> ValueError:

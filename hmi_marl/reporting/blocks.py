@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from base64 import b64decode, b64encode
+from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from hmi_marl.files import json_value
 from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.typed_json import read_as, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -232,24 +233,17 @@ class Verdicts(Block):
         )
 
 
-def block_from(content: dict[str, Any]) -> Block:
+def block_from(content: Any) -> Block:
     """Read a block from its JSON content, or raise ``ValueError`` if it describes no block."""
-    given, kinds = dict(content), {block.kind: block for block in Block.__subclasses__()}
+    kinds = {block.kind: block for block in Block.__subclasses__()}
+    given = dict(content) if isinstance(content, dict) else {}
     kind = given.pop("kind", None)
-    if kind not in kinds:
-        raise ValueError(f"a report has no blocks of kind {kind!r}")
+    if not isinstance(kind, str) or kind not in kinds:
+        raise ValueError(f"a report has no blocks of kind {shown(kind)}")
     try:
-        for name in ("content", "narrow"):
-            if given.get(name) is not None:
-                given[name] = b64decode(given[name])
-        if "verdicts" in given:
-            given["verdicts"] = [
-                Verdict(**each | {"outcome": Outcome(each["outcome"])})
-                for each in given["verdicts"]
-            ]
-        return kinds[kind](**given)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"a damaged block of a report: {error!r}") from None
+        return read_as(kinds[kind], given)
+    except ValueError as error:
+        raise ValueError(f"a damaged block of a report: {error}") from None
 
 
 def as_text(blocks: Iterable[Block]) -> str:

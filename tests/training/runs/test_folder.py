@@ -61,7 +61,7 @@ def test_the_digest_is_that_of_what_binds_a_run(tmp_path: Path) -> None:
         ("[3]", r"curve\[0\] is a mapping"),
         ('[{"loss": [1]}]', r"curve\[0\].loss is a whole number or"),
         ('[{"loss": NaN}]', "NaN is no number in JSON"),
-        ("[", "not a JSON file"),
+        ("[", "no JSON file"),
     ],
 )
 def test_a_curve_is_rows_of_numbers(tmp_path: Path, content: str, message: str) -> None:
