@@ -19,6 +19,8 @@ from typing import Any, TypeVar
 
 from safetensors import SafetensorError
 
+from hmi_marl.text import one_line
+
 T = TypeVar("T")
 JSON_BYTES = 16 * 2**20
 """Largest JSON file by default [bytes]; cards and settings have some thousands."""
@@ -123,7 +125,7 @@ def parse_tensors(
         return metadata, load(content)
     except (SafetensorError, AttributeError, KeyError, TypeError) as error:
         # The last three: numbers of a type that NumPy or torch does not have.
-        raise ValueError(str(error)) from None
+        raise ValueError(one_line(str(error))) from None
 
 
 _HEADER_AT = 8
@@ -150,7 +152,7 @@ def _refuse(name: str) -> float:
 
 def _is_shallow(content: Any) -> bool:
     level = [content] if isinstance(content, (dict, list)) else []
-    for _ in range(_MOST_DEPTH + 1):
+    for _ in range(_MOST_DEPTH):
         values = (each.values() if isinstance(each, dict) else each for each in level)
         level = [item for items in values for item in items if isinstance(item, (dict, list))]
         if not level:

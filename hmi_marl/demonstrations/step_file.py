@@ -20,6 +20,7 @@ from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.files import json_value
 from hmi_marl.reading import parse_json
+from hmi_marl.text import one_line
 from hmi_marl.typed_json import read_value, shown
 
 FORMAT = "hmi-marl demonstrations 1"
@@ -69,9 +70,9 @@ def stamped(schema: pa.Schema, about: Any, more: dict[str, Any]) -> pa.Schema:
 
 
 MOST_GROWTH = 1000
-"""Most memory that columns take, as a multiple of the file's size. It is 9 for recorded drives and
-67 for their truth, which compresses well."""
-_SMALL = 64 * 2**20
+"""Most memory that reading takes, as a multiple of the file's size. It is 18 for recorded drives,
+and 134 for their truth, which compresses well."""
+_SMALL = 16 * 2**20
 """Memory that reading may take whatever the file's size [bytes]."""
 
 
@@ -95,7 +96,9 @@ class StepFile:
             self._parquet = pq.ParquetFile(path, page_checksum_verification=True)
             found = self._parquet.schema_arrow
         except _UNREADABLE as error:
-            raise ValueError(f"{path} is no parquet file, or cut off: {error}") from None
+            raise ValueError(
+                f"{path} is no parquet file, or cut off: {one_line(str(error))}"
+            ) from None
         metadata = self._parquet.metadata.metadata or {}
         self.belongs_to = metadata.get(BELONGS, b"").decode(errors="replace")
         self.stamp = _read_stamp(path, metadata.get(STAMP, b"{}"))
@@ -104,7 +107,7 @@ class StepFile:
             schema = observed_schema(self.layout)
         _check_schema(path, found, schema)
         self._schema = schema
-        self._check_size(self._parquet.metadata.num_rows * len(schema) * 4)
+        self._check_size(self._parquet.metadata.num_rows)
         self.names: list[str] = []
         """Names of the drivers, in the order in which they appear."""
 
@@ -113,9 +116,10 @@ class StepFile:
         try:
             return self._read()
         except _UNREADABLE as error:
-            raise ValueError(f"{self.path} is damaged: {error}") from None
+            raise ValueError(f"{self.path} is damaged: {one_line(str(error))}") from None
 
-    def _check_size(self, size: int) -> None:
+    def _check_size(self, steps: int) -> None:
+        size = 8 * steps * len(self._schema)  # numbers of 4 bytes, copied once
         if size > self._limit:
             raise ValueError(
                 f"{self.path} would take {size / 2**20:,.0f} MiB of memory, over {MOST_GROWTH} "
@@ -128,7 +132,7 @@ class StepFile:
         self.episode, self.step = (keys[name].to_numpy().astype(np.int64) for name, _ in KEYS)
         self.length = self._lengths()
         shape = len(self.length), int(self.length.max())
-        self._check_size(shape[0] * shape[1] * len(self._schema) * 4)
+        self._check_size(shape[0] * shape[1])
         states = column_names(self.layout) if "driver" in self._schema.names else []
         self.states = np.zeros((*shape, len(states)), np.float32)
         pieces: dict[str, list[NDArray[Any]]] = {}
@@ -218,7 +222,7 @@ def _read_layout(path: Path, stamp: dict[str, Any], columns: int) -> Layout:
     except ValueError as error:
         raise ValueError(f"{path} has a damaged layout: {error}") from None
     for part in parts:
-        if not (part.size > 0 and part.low <= part.high):
+        if not (part.name.isidentifier() and part.size > 0 and part.low <= part.high):
             raise ValueError(f"{path} has a damaged layout: {shown(part)}")
     layout = Layout(parts)
     if layout.size > columns:  # before a name is made for each

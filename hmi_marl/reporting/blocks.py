@@ -104,6 +104,11 @@ class Table(Block):
     """Explanation below the table."""
     kind: ClassVar = "table"
 
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if not len(row) == len(self.head) > 0:
+                raise ValueError(f"a row of {len(row)} entries in {len(self.head)} columns")
+
     @classmethod
     def of(
         cls,

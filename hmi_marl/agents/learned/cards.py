@@ -24,6 +24,7 @@ from hmi_marl.agents.learned.network import Weights
 from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
 from hmi_marl.reading import parse_tensors, read_bytes, read_json
 from hmi_marl.registry import HELP, suggest, unknown
+from hmi_marl.text import one_line
 from hmi_marl.typed_json import read_as, read_value, shown
 
 INDEX_FORMAT = "hmi-marl trained 1"
@@ -57,6 +58,11 @@ class Shipped:
         return next(path for path in self.files if path.endswith(".json"))
 
 
+_NAME = re.compile(r"[\w.-]{1,100}")
+_LINE = 200
+"""Most characters of a description."""
+
+
 @dataclass(frozen=True)
 class _Entry:
     """Content of the index about one agent."""
@@ -66,6 +72,8 @@ class _Entry:
     files: dict[str, str]
 
     def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.kind) or self.what != one_line(self.what, _LINE):
+            raise ValueError(f"{shown(self.what)} ({shown(self.kind)}) describes no agent")
         for path, digest in self.files.items():
             parts = PurePosixPath(path).parts
             if not parts or {"..", "/"} & set(parts) or "\\" in path or ":" in path:
@@ -103,6 +111,8 @@ def shipped_agents(folder: Path = FOLDER) -> dict[str, Shipped]:
         raise ValueError(f"{path} is no index of trained agents: format {shown(found)}; {_REMEDY}")
     try:
         agents = read_value(dict[str, _Entry], content.get("agents"), "agents")
+        if odd := [name for name in agents if not _NAME.fullmatch(name)]:
+            raise ValueError(f"{shown(odd[0])} is no name of an agent")
         return {name: Shipped(name, **vars(entry)) for name, entry in agents.items()}
     except ValueError as error:
         raise ValueError(f"{path} is damaged ({error}); {_REMEDY}") from None

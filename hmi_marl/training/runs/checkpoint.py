@@ -23,6 +23,7 @@ from safetensors.torch import save as save_tensors
 from hmi_marl.checks import Checked, CountOrZero, PositiveOrZero
 from hmi_marl.files import write_bytes
 from hmi_marl.reading import MOST_STATE_VALUES, parse_json, parse_tensors, read_bytes
+from hmi_marl.text import one_line
 from hmi_marl.training.runs.folder import Row
 from hmi_marl.typed_json import read_as
 
@@ -115,9 +116,8 @@ def fitting(path: Path) -> Iterator[None]:
     try:
         yield
     except (IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        reason = " ".join(str(error).split())
         raise ValueError(
-            f"{path} is a damaged checkpoint, which does not fit this run: {reason}"
+            f"{path} is a damaged checkpoint, which does not fit this run: {one_line(str(error))}"
         ) from error
 
 
