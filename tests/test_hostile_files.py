@@ -187,6 +187,7 @@ def parquet_of_many_rows(folder: Path, one_long: bool) -> None:
     )
 
 
+@pytest.mark.slow  # a process of its own
 def test_files_made_to_fill_the_memory_are_refused_soon(tmp_path: Path) -> None:
     sparse = tmp_path / "sparse weights"
     save_driver(sparse)
