@@ -25,7 +25,7 @@ def printable(text: str, keep: str = "") -> str:
     )
 
 
-def one_line(text: str, most: int = 1000) -> str:
+def one_line(text: str, most: int = 2000) -> str:
     """Write a text on one line of at most so many characters; the middle of a longer one is cut."""
     return _shortened(printable(" ".join(text.split())), most)
 
