@@ -15,6 +15,7 @@ from typing import Annotated, Any, NoReturn, Union
 import hmi_marl
 from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
 from hmi_marl.registry import unknown
+from hmi_marl.text import one_line
 
 BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 """Exit statuses; the last two are those of a shell after SIGINT and SIGPIPE."""
@@ -26,13 +27,15 @@ _WIDE = "10000"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status. Errors take one line, without a traceback."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # file names may be no text
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
     except BrokenPipeError:  # as in `hmi-marl oracle | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or exit reports it
         return BROKEN_PIPE
     except ERRORS as error:
-        print(f"hmi-marl: {_one_line(str(error)) or type(error).__name__}", file=sys.stderr)
+        print(f"hmi-marl: {one_line(str(error)) or type(error).__name__}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("hmi-marl: interrupted", file=sys.stderr)
@@ -177,7 +180,7 @@ def _first_part(box: str) -> str:
     """Return the text of tyro's boxed error up to its first rule, in one line."""
     lines = [line.strip(" │") for line in box.splitlines() if line[:1] == "│"]
     end = next((place for place, line in enumerate(lines) if line.startswith("──")), len(lines))
-    return _one_line(" ".join(lines[:end])).rstrip(".") or "cannot parse the arguments"
+    return one_line(" ".join(lines[:end])).rstrip(".") or "cannot parse the arguments"
 
 
 def _explained(error: str, lists: str) -> str:
@@ -192,12 +195,8 @@ def _explained(error: str, lists: str) -> str:
     return f"{error}; see {lists}"
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
-
-
 def _refuse(reason: str) -> NoReturn:
-    print(f"hmi-marl: {reason}", file=sys.stderr)
+    print(f"hmi-marl: {one_line(reason)}", file=sys.stderr)
     raise SystemExit(BAD_INPUT)
 
 

@@ -1,18 +1,40 @@
-"""Atomic writing of files, SHA-256 checksums, and values as JSON has them."""
+"""Atomic writing of files, SHA-256 checksums, and values as JSON has them.
+
+A file that is written appears under its name whole or not at all, also after a power cut: its bytes
+are on the disk before it takes its name. As with ``open(path, "w")`` a new file gets the mode that
+the umask leaves, an existing one keeps its own, and a symbolic link stays a link to what it names.
+"""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
 import os
+import re
+import secrets
+import stat
+import sys
 import tempfile
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from hmi_marl.reading import opened
+
+if sys.platform != "win32":
+    import fcntl
+
+_PART = ".part"
+"""Mark of temporary files, before the suffix."""
+_OLD = 24 * 3600.0
+"""Age at which a temporary file is left over where files cannot be locked [s]."""
 
 
 def make_folder(folder: Path) -> None:
@@ -31,18 +53,123 @@ def make_folder(folder: Path) -> None:
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` make a temporary file in the folder of ``path``, then move it there.
 
-    The temporary name keeps the suffix, by which image libraries choose their format.
+    The temporary name keeps the suffix, by which image libraries choose their format. Temporary
+    files that dead processes left behind for the same path are removed.
+
+    Raises:
+        OSError: the file cannot be written, for example since the disk is full; it names ``path``.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    target = Path(os.path.realpath(path))
+    mode = _mode_of(target)
+    _remove_left_over(target)
     try:
-        write(temporary)
-        temporary.chmod(0o644)
-        temporary.replace(path)
+        with _temporary(target, 0o666 if mode is None else mode | 0o200) as temporary:
+            write(temporary)
+            if mode is not None:
+                temporary.chmod(mode)
+            _keep(temporary)
+            temporary.replace(target)
+        _keep(target.parent)
+    except OSError as error:
+        about_another = error.filename is not None and _PART not in str(error.filename)
+        if error.errno is None or about_another:
+            raise
+        raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
+
+
+def _mode_of(target: Path) -> int | None:
+    """Mode of the file that is to be replaced; None if there is none."""
+    try:
+        found = target.lstat()
+    except FileNotFoundError:
+        return None
+    if stat.S_ISLNK(found.st_mode):  # what is left when links lead back to themselves
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(target))
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(
+            errno.EINVAL, "cannot replace a pipe, a device or a socket by a file", str(target)
+        )
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target))
+    return stat.S_IMODE(found.st_mode)
+
+
+def _named(target: Path, token: str) -> str:
+    return f".{target.stem[:60]}-{token}{_PART}{target.suffix}"
+
+
+@contextmanager
+def _temporary(target: Path, mode: int) -> Iterator[Path]:
+    """Make an empty file beside ``target``, locked as long as this process works on it."""
+    while True:
+        path = target.with_name(_named(target, secrets.token_hex(6)))
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, mode)
+        _lock(handle, wait=True)
+        with suppress(FileNotFoundError):
+            if os.path.samestat(path.stat(), os.fstat(handle)):
+                break  # else it was taken for a left-over one before it was locked
+        os.close(handle)
+    if sys.platform == "win32":  # where open files can be neither replaced nor removed
+        os.close(handle)
+    try:
+        yield path
     finally:
-        temporary.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+        if sys.platform != "win32":
+            os.close(handle)
+
+
+def _remove_left_over(target: Path) -> None:
+    """Remove the temporary files of ``target`` that no living process has locked.
+
+    A lock ends with its process, however that ends. Where files cannot be locked, those are removed
+    that are older than a day.
+    """
+    before, after = (re.escape(part) for part in _named(target, "\n").split("\n"))
+    ours = re.compile(f"{before}[0-9a-f]{{12}}{after}")
+    for name in os.listdir(target.parent):
+        if not ours.fullmatch(name):
+            continue
+        path = target.with_name(name)
+        with suppress(OSError):  # removed meanwhile, or another user's
+            handle = os.open(path, os.O_RDWR)
+            try:
+                free = _lock(handle, wait=False)
+                if free or (free is None and time.time() - path.stat().st_mtime > _OLD):
+                    path.unlink()
+            finally:
+                os.close(handle)
+
+
+def _lock(handle: int, wait: bool) -> bool | None:
+    """Lock an open file, and return whether that was possible; None if there are no locks."""
+    if sys.platform == "win32":
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return None
+    return True
+
+
+def _keep(path: Path) -> None:
+    """Have a file, or the names in a folder, written to the disk."""
+    folder = path.is_dir()
+    if folder and sys.platform == "win32":  # where folders cannot be opened
+        return
+    handle = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if not folder or error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise  # some file systems keep no names on demand
+    finally:
+        os.close(handle)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -51,8 +178,8 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` as UTF-8, atomically."""
-    write_bytes(path, text.encode("utf-8"))
+    """Write ``text`` as UTF-8, atomically; bytes of file names that are not UTF-8 as escapes."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -66,8 +193,12 @@ def sha256(content: bytes) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 checksum of a file in hexadecimal digits."""
-    with path.open("rb") as file:
+    """SHA-256 checksum of a regular file in hexadecimal digits.
+
+    Raises:
+        OSError, ValueError: see :func:`hmi_marl.reading.opened`.
+    """
+    with opened(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -17,7 +17,7 @@ def learn(tasks, memory, rank):
 
 def learn_until_killed(settings, folder, batches, memory, rank):
     """Train until the first process is killed before it saves so many batches."""
-    from hmi_marl.training.runs.run import Checkpoint
+    from hmi_marl.training.runs.checkpoint import Checkpoint
 
     save = Checkpoint.save
 

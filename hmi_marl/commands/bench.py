@@ -32,6 +32,7 @@ class Bench:
         with tqdm(total=measurements(self.bench), unit=" turns", desc="bench") as bar:
             rows = bench(self.bench, bar.update)
         report = make_report(self.bench, rows, command_line)
-        report.write(self.out)
+        report.write_results(self.out)
         print(as_text(report.blocks))
+        report.write(self.out)
         print(f"\nwritten: {self.out / 'bench.json'}")

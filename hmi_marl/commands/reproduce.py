@@ -15,6 +15,7 @@ from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.experiment import Experiment, Place, coarse, conduct
 from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.files import make_folder, write_bytes
+from hmi_marl.reading import read_bytes
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
 
@@ -117,7 +118,7 @@ class ReproduceShip:
             print(f"{agent.name:<20} {agent.what}")
         if self.report is not None:
             for name in (PAGE, NUMBERS):
-                write_bytes(self.report / name, (self.run_folder / name).read_bytes())
+                write_bytes(self.report / name, read_bytes(self.run_folder / name, 2**30))
 
 
 @dataclass(frozen=True)

@@ -43,17 +43,23 @@ class TableCommand:
         from tqdm import tqdm
 
         from hmi_marl.experiments.metrics_table.in_short import in_short
-        from hmi_marl.experiments.metrics_table.report import NOTE, metric_tables, write_report
+        from hmi_marl.experiments.metrics_table.report import (
+            NOTE,
+            metric_tables,
+            write_report,
+            write_results,
+        )
 
         config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
         make_folder(self.out)
         total = config.episodes * len(config.drivers) * len(config.hmis)
         with tqdm(total=total, unit=" episodes", desc="table") as bar:
             cells = make_table(config, workers, bar.update)
-        clip = _record(config, self.out) if self.clip else None
-        page = write_report(self.out, config, cells, command_line, clip)
+        write_results(self.out, config, cells, command_line)  # before anything is drawn
         remarks = in_short(config, cells)
         print(as_text([*metric_tables(config, cells), Text(NOTE), *remarks]))
+        clip = _record(config, self.out) if self.clip else None
+        page = write_report(self.out, config, cells, command_line, clip)
         print_page(page)
         if clip:
             print(f"the clip: {self.out / 'clip.gif'}\n  {clip.caption}")

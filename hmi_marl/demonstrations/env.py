@@ -47,12 +47,13 @@ def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
         ValueError, TypeError: an unknown field, or a value out of its range.
     """
     fields: dict[str, Any] = defaults | dict(team)
+    given, weights = fields.pop("scene", {}), fields.pop("weights", {})
+    if not (isinstance(given, Mapping) and isinstance(weights, Mapping)):
+        raise ValueError("scene and weights of a team are mappings")
     scene: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in fields.pop("scene", {}).items()
+        name: tuple(value) if isinstance(value, list) else value for name, value in given.items()
     }
-    weights = RewardWeights(**fields.pop("weights", {}))
-    return TeamConfig(scene=Scene(**scene), weights=weights, **fields)
+    return TeamConfig(scene=Scene(**scene), weights=RewardWeights(**weights), **fields)
 
 
 def team_of(observed: Observed) -> TeamConfig:
@@ -63,10 +64,13 @@ def team_of(observed: Observed) -> TeamConfig:
     Raises:
         ValueError: the states do not have the layout of such a team.
     """
-    team = dict(observed.about.get("team", {}))
-    frequency = team.get("scene", {}).get("policy_frequency", Scene().policy_frequency)
-    duration = observed.actions.shape[1] / frequency
-    config = team_config(team, duration=duration, end_at_crash=False)
+    team = observed.about.get("team", {})
+    try:
+        frequency = team.get("scene", {}).get("policy_frequency", Scene().policy_frequency)
+        duration = observed.actions.shape[1] / frequency
+        config = team_config(team, duration=duration, end_at_crash=False)
+    except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"the demonstrations describe no team that can be: {error}") from None
     if observed_layout(config) != observed.layout:
         raise ValueError("the demonstrations' states are not laid out as their scene would be seen")
     if config.horizon < observed.actions.shape[1]:

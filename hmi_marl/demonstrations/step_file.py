@@ -19,9 +19,14 @@ from hmi_marl.demonstrations.dataset import MISSING
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.files import json_value
+from hmi_marl.reading import parse_json
+from hmi_marl.text import one_line
+from hmi_marl.typed_json import read_value, shown
 
 FORMAT = "hmi-marl demonstrations 1"
 STAMP, BELONGS = b"hmi-marl", b"hmi-marl observed"
+_UNREADABLE = (pa.ArrowException, OSError)
+"""Errors of pyarrow for damaged files."""
 KEYS = (("episode", pa.int32()), ("step", pa.int32()))
 TRUTH_SCHEMA = pa.schema(
     [
@@ -64,25 +69,45 @@ def stamped(schema: pa.Schema, about: Any, more: dict[str, Any]) -> pa.Schema:
     return schema.with_metadata({STAMP: json.dumps(stamp, allow_nan=False)})
 
 
+MOST_GROWTH = 1000
+"""Most memory that reading takes, as a multiple of the file's size. It is 18 for recorded drives,
+and 134 for their truth, which compresses well."""
+_SMALL = 16 * 2**20
+"""Memory that reading may take whatever the file's size [bytes]."""
+
+
 class StepFile:
-    """One of the two files, with the checks that both have in common."""
+    """One of the two files, with the checks that both have in common.
+
+    Its size in memory is known from its metadata, and checked before any row is read.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: another kind of file, a damaged one, or one that takes far more memory than
+            disk space.
+    """
 
     def __init__(self, path: Path, schema: pa.Schema | None = None) -> None:
         if not path.is_file():
             raise FileNotFoundError(f"no demonstrations at {path}; make some with hmi-marl collect")
         self.path = path
+        self._limit = _SMALL + MOST_GROWTH * path.stat().st_size
         try:
             self._parquet = pq.ParquetFile(path, page_checksum_verification=True)
-        except (pa.ArrowException, OSError) as error:
-            raise ValueError(f"{path} is no parquet file, or cut off: {error}") from None
+            found = self._parquet.schema_arrow
+        except _UNREADABLE as error:
+            raise ValueError(
+                f"{path} is no parquet file, or cut off: {one_line(str(error))}"
+            ) from None
         metadata = self._parquet.metadata.metadata or {}
-        self.belongs_to = metadata.get(BELONGS, b"").decode()
+        self.belongs_to = metadata.get(BELONGS, b"").decode(errors="replace")
         self.stamp = _read_stamp(path, metadata.get(STAMP, b"{}"))
         if schema is None:
-            self.layout = _read_layout(path, self.stamp)
+            self.layout = _read_layout(path, self.stamp, len(found))
             schema = observed_schema(self.layout)
-        _check_schema(path, self._parquet.schema_arrow, schema)
+        _check_schema(path, found, schema)
         self._schema = schema
+        self._check_size(self._parquet.metadata.num_rows)
         self.names: list[str] = []
         """Names of the drivers, in the order in which they appear."""
 
@@ -90,14 +115,24 @@ class StepFile:
         """Return every column except those of the states, which are put into ``states``."""
         try:
             return self._read()
-        except (pa.ArrowException, OSError) as error:
-            raise ValueError(f"{self.path} is damaged: {error}") from None
+        except _UNREADABLE as error:
+            raise ValueError(f"{self.path} is damaged: {one_line(str(error))}") from None
+
+    def _check_size(self, steps: int) -> None:
+        size = 8 * steps * len(self._schema)  # numbers of 4 bytes, copied once
+        if size > self._limit:
+            raise ValueError(
+                f"{self.path} would take {size / 2**20:,.0f} MiB of memory, over {MOST_GROWTH} "
+                "times its size; it is damaged, or its episodes differ too much in length to be "
+                "read together"
+            )
 
     def _read(self) -> dict[str, NDArray[Any]]:
         keys = self._parquet.read([name for name, _ in KEYS])
         self.episode, self.step = (keys[name].to_numpy().astype(np.int64) for name, _ in KEYS)
         self.length = self._lengths()
         shape = len(self.length), int(self.length.max())
+        self._check_size(shape[0] * shape[1])
         states = column_names(self.layout) if "driver" in self._schema.names else []
         self.states = np.zeros((*shape, len(states)), np.float32)
         pieces: dict[str, list[NDArray[Any]]] = {}
@@ -163,29 +198,36 @@ class StepFile:
 
 def _read_stamp(path: Path, text: bytes) -> dict[str, Any]:
     try:
-        stamp = json.loads(text)
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        stamp = parse_json(text)
+    except ValueError as error:
         raise ValueError(f"{path} has a damaged stamp: {error}") from None
     form = stamp.get("format") if isinstance(stamp, dict) else None
     if form != FORMAT:
-        raise ValueError(f"{path} holds no demonstrations that can be read here: format {form!r}")
+        raise ValueError(
+            f"{path} holds no demonstrations that can be read here: format {shown(form)}"
+        )
     if not isinstance(stamp.get("about"), dict):
         raise ValueError(f"{path} has a damaged stamp: it does not say how the data were made")
+    if not isinstance(stamp["about"].get("team", {}), dict):
+        raise ValueError(f"{path} has a damaged stamp: team is a mapping")
     return stamp
 
 
-def _read_layout(path: Path, stamp: dict[str, Any]) -> Layout:
+def _read_layout(path: Path, stamp: dict[str, Any], columns: int) -> Layout:
+    """Layout in the stamp of a file with so many columns."""
     if "layout" not in stamp:
         raise ValueError(f"{path} holds no observed data: its stamp has no layout")
     try:
-        parts = tuple(Part(**part) for part in stamp["layout"])
-    except TypeError as error:
+        parts = read_value(tuple[Part, ...], stamp["layout"], "layout")
+    except ValueError as error:
         raise ValueError(f"{path} has a damaged layout: {error}") from None
     for part in parts:
-        numbers = isinstance(part.low, (int, float)) and isinstance(part.high, (int, float))
-        if not (numbers and isinstance(part.size, int) and part.size > 0):
-            raise ValueError(f"{path} has a damaged layout: {part}")
-    return Layout(parts)
+        if not (part.name.isidentifier() and part.size > 0 and part.low <= part.high):
+            raise ValueError(f"{path} has a damaged layout: {shown(part)}")
+    layout = Layout(parts)
+    if layout.size > columns:  # before a name is made for each
+        raise ValueError(f"{path} has {columns} columns, fewer than its layout of {layout.size}")
+    return layout
 
 
 def _check_schema(path: Path, found: pa.Schema, expected: pa.Schema) -> None:

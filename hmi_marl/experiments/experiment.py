@@ -22,8 +22,8 @@ from hmi_marl.checks import Checked
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.files import json_value, make_folder, write_bytes
-from hmi_marl.reporting.blocks import Block, Figure, Verdicts
+from hmi_marl.files import json_value, make_folder
+from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.jobs import Job, train_all
@@ -66,10 +66,6 @@ class Place:
         """
         train_all(jobs, self.workers, self.command_line)
         self.note_training(job.folder for job in jobs)
-
-    def write(self, figure: Figure) -> None:
-        """Write a figure that is ready before the rest of the report."""
-        write_bytes(self.folder / f"{figure.name}.{figure.suffix}", figure.content)
 
     def note_training(self, runs: Iterable[Path]) -> None:
         """Note how long each training took in all, however often it was cut off."""

@@ -7,22 +7,27 @@ which it can be read again: a report assembled later, from files, shows the same
 from __future__ import annotations
 
 import re
+import warnings
 from abc import ABC, abstractmethod
-from base64 import b64decode, b64encode
+from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
+from functools import cached_property
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from hmi_marl.files import json_value
 from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.text import in_html, printable
+from hmi_marl.typed_json import read_as, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
 T = TypeVar("T")
+Picture = bytes | Callable[[], bytes]
+"""PNG, or a function that draws one."""
 COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
 """Colours of figures, in their order."""
 _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPORTED: "bad"}
@@ -46,9 +51,7 @@ class Block(ABC):
     def as_json(self) -> dict[str, Any]:
         """JSON content, from which :func:`block_from` reads it again."""
         return {"kind": self.kind} | {
-            name: b64encode(value).decode("ascii")
-            if isinstance(value, bytes)
-            else json_value(value)
+            name: _base64(value) if isinstance(value, bytes) else json_value(value)
             for name, value in vars(self).items()
         }
 
@@ -68,8 +71,8 @@ class Heading(Block):
 
     def as_html(self) -> str:
         """Render for a page."""
-        anchor = f' id="{escape(self.anchor)}"' if self.anchor else ""
-        return f"<h2{anchor}>{escape(self.text)}</h2>"
+        anchor = f' id="{in_html(self.anchor)}"' if self.anchor else ""
+        return f"<h2{anchor}>{in_html(self.text)}</h2>"
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class Text(Block):
 
     def as_html(self) -> str:
         """Render for a page."""
-        lead = f"<b>{escape(self.lead)}</b><br>" if self.lead else ""
+        lead = f"<b>{in_html(self.lead)}</b><br>" if self.lead else ""
         return f"<p>{lead}{_with_commands(self.text)}</p>"
 
 
@@ -102,6 +105,11 @@ class Table(Block):
     note: str = ""
     """Explanation below the table."""
     kind: ClassVar = "table"
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if not len(row) == len(self.head) > 0:
+                raise ValueError(f"a row of {len(row)} entries in {len(self.head)} columns")
 
     @classmethod
     def of(
@@ -138,24 +146,37 @@ class Table(Block):
             + "</tr>"
             for row in self.rows
         )
-        title = f"<h3>{escape(self.title)}</h3>\n" if self.title else ""
-        note = f'\n<p class="small">{escape(self.note)}</p>' if self.note else ""
+        title = f"<h3>{in_html(self.title)}</h3>\n" if self.title else ""
+        note = f'\n<p class="small">{in_html(self.note)}</p>' if self.note else ""
         return f'{title}<div class="wide"><table><tr>{top}</tr>{body}</table></div>{note}'
 
 
 @dataclass(frozen=True)
 class Figure(Block):
-    """PNG of a figure."""
+    """PNG of a figure, or a function that draws it when it is first shown.
+
+    So a report's numbers are written before its figures are drawn.
+    """
 
     name: str
     """Name of its file, without the suffix."""
     description: str
     """Text for readers who do not see it."""
-    content: bytes
-    narrow: bytes | None = None
-    """PNG for narrow screens."""
+    content: Picture
+    narrow: Picture | None = None
+    """For narrow screens."""
     kind: ClassVar = "figure"
     suffix: ClassVar = "png"
+
+    @cached_property
+    def drawn(self) -> bytes:
+        """The PNG."""
+        return self.content if isinstance(self.content, bytes) else self.content()
+
+    @cached_property
+    def drawn_narrow(self) -> bytes | None:
+        """The PNG for narrow screens."""
+        return self.narrow() if callable(self.narrow) else self.narrow
 
     def as_text(self) -> str:
         """Nothing on a terminal."""
@@ -163,12 +184,18 @@ class Figure(Block):
 
     def as_html(self) -> str:
         """Render for a page, with the picture inside it."""
-        shown = f'<img alt="{escape(self.description)}" src="{_data(self.suffix, self.content)}">'
-        if self.narrow is None:
+        shown = f'<img alt="{in_html(self.description)}" src="{_data(self.suffix, self.drawn)}">'
+        if self.drawn_narrow is None:
             return shown
-        narrow = _data(self.suffix, self.narrow)
+        narrow = _data(self.suffix, self.drawn_narrow)
         source = f'<source media="(max-width: 40rem)" srcset="{narrow}">'
         return f"<picture>{source}{shown}</picture>"
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content, with the figure drawn."""
+        narrow = None if self.drawn_narrow is None else _base64(self.drawn_narrow)
+        about = {"kind": self.kind, "name": self.name, "description": self.description}
+        return about | {"content": _base64(self.drawn), "narrow": narrow}
 
 
 @dataclass(frozen=True)
@@ -188,9 +215,9 @@ class Clip(Block):
 
     def as_html(self) -> str:
         """Render for a page, with the clip inside it."""
-        alt = escape(self.caption or "clip of one episode")
+        alt = in_html(self.caption or "clip of one episode")
         source = _data(self.suffix, self.content)
-        return f'<img class="clip" alt="{alt}" src="{source}"><p>{escape(self.caption)}</p>'
+        return f'<img class="clip" alt="{alt}" src="{source}"><p>{in_html(self.caption)}</p>'
 
 
 @dataclass(frozen=True)
@@ -218,43 +245,37 @@ class Verdicts(Block):
             f"{counts[outcome]} {outcome}" for outcome in Outcome if counts[outcome]
         )
         rows = "".join(
-            f"<tr><td>{escape(verdict.claim)}"
-            + (f"<br><span class='small'>{escape(verdict.where)}</span>" if verdict.where else "")
-            + f"</td><td>{escape(verdict.reason)}</td>"
+            f"<tr><td>{in_html(verdict.claim)}"
+            + (f"<br><span class='small'>{in_html(verdict.where)}</span>" if verdict.where else "")
+            + f"</td><td>{in_html(verdict.reason)}</td>"
             f"<td class='{_CLASSES.get(verdict.outcome, 'small')}'>{verdict.outcome}</td></tr>"
             for verdict in self.verdicts
         )
-        note = f" {escape(self.note)}" if self.note else ""
+        note = f" {in_html(self.note)}" if self.note else ""
         return (
-            f"<h3>{escape(self.title)}</h3>\n<p>{escape(summary)}.{note}</p>\n"
+            f"<h3>{in_html(self.title)}</h3>\n<p>{in_html(summary)}.{note}</p>\n"
             "<div class='wide'><table><tr><th>claim</th><th>by the numbers of this run</th>"
             f"<th>verdict</th></tr>{rows}</table></div>"
         )
 
 
-def block_from(content: dict[str, Any]) -> Block:
+def block_from(content: Any) -> Block:
     """Read a block from its JSON content, or raise ``ValueError`` if it describes no block."""
-    given, kinds = dict(content), {block.kind: block for block in Block.__subclasses__()}
+    kinds = {block.kind: block for block in Block.__subclasses__()}
+    given = dict(content) if isinstance(content, dict) else {}
     kind = given.pop("kind", None)
-    if kind not in kinds:
-        raise ValueError(f"a report has no blocks of kind {kind!r}")
+    if not isinstance(kind, str) or kind not in kinds:
+        raise ValueError(f"a report has no blocks of kind {shown(kind)}")
     try:
-        for name in ("content", "narrow"):
-            if given.get(name) is not None:
-                given[name] = b64decode(given[name])
-        if "verdicts" in given:
-            given["verdicts"] = [
-                Verdict(**each | {"outcome": Outcome(each["outcome"])})
-                for each in given["verdicts"]
-            ]
-        return kinds[kind](**given)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"a damaged block of a report: {error!r}") from None
+        return read_as(kinds[kind], given)
+    except ValueError as error:
+        raise ValueError(f"a damaged block of a report: {error}") from None
 
 
 def as_text(blocks: Iterable[Block]) -> str:
-    """Render blocks for a terminal."""
-    return "\n\n".join(text for text in (block.as_text() for block in blocks) if text)
+    """Render blocks for a terminal, without control characters."""
+    texts = (printable(block.as_text(), keep="\n") for block in blocks)
+    return "\n\n".join(text for text in texts if text)
 
 
 def as_html(blocks: Iterable[Block]) -> str:
@@ -272,7 +293,9 @@ def canvas(width: float, height: float) -> Drawing:
 def png(drawing: Drawing, dpi: int = 110) -> bytes:
     """Draw a matplotlib figure as a PNG."""
     content = BytesIO()
-    drawing.savefig(content, format="png", dpi=dpi)
+    with warnings.catch_warnings():  # characters that the font lacks are drawn as boxes
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        drawing.savefig(content, format="png", dpi=dpi)
     return content.getvalue()
 
 
@@ -284,22 +307,26 @@ def _in_brackets(reason: str) -> str:
     return f" ({reason})" if reason else ""
 
 
+def _base64(content: bytes) -> str:
+    return b64encode(content).decode("ascii")
+
+
 def _data(suffix: str, content: bytes) -> str:
-    return f"data:image/{suffix};base64,{b64encode(content).decode('ascii')}"
+    return f"data:image/{suffix};base64,{_base64(content)}"
 
 
 def _with_commands(text: str) -> str:
     """Render a text whose commands stand between backticks; options are not broken in two."""
     parts = text.split("`")
-    return "".join(_command(part) if k % 2 else escape(part) for k, part in enumerate(parts))
+    return "".join(_command(part) if k % 2 else in_html(part) for k, part in enumerate(parts))
 
 
 def _command(text: str) -> str:
-    words = (f'<span class="word">{escape(word)}</span>' for word in text.split(" "))
+    words = (f'<span class="word">{in_html(word)}</span>' for word in text.split(" "))
     return f"<code>{' '.join(words)}</code>"
 
 
 def _entry(text: str) -> str:
     """Render an entry of a table; intervals in brackets are not broken over lines."""
-    whole = re.sub(r"[\[(][^\])]{1,24}[\])]", r'<span class="whole">\g<0></span>', escape(text))
+    whole = re.sub(r"[\[(][^\])]{1,24}[\])]", r'<span class="whole">\g<0></span>', in_html(text))
     return whole.replace("\n", "<br>")

@@ -6,13 +6,13 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import hmi_marl
 from hmi_marl.files import json_value, write_bytes, write_json, write_text
 from hmi_marl.reporting.blocks import Block, Clip, Figure, Heading, Table, as_html, as_text
+from hmi_marl.text import in_html
 
 PAGE = "index.html"
 
@@ -71,21 +71,31 @@ class Report:
         """HTML page that needs no other file."""
         body = as_html([*self.blocks, *self._times()])
         listed = ", ".join(f"{name} = {value}" for name, value in _flat(self.settings))
-        command = f"<code>{escape(self.command_line)}</code>"
+        command = f"<code>{in_html(self.command_line)}</code>"
         return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>hmi-marl: {escape(self.title)}</title>
+<title>hmi-marl: {in_html(self.title)}</title>
 <style>{_STYLE}</style>
-<h1>{escape(self.title)}</h1>
+<h1>{in_html(self.title)}</h1>
 {self._contents()}{body}
 <p class="small">Made by hmi-marl {hmi_marl.__version__}: {command}<br>
-{escape(listed)}</p>
+{in_html(listed)}</p>
 </html>
 """
 
     def write(self, folder: Path) -> Path:
-        """Write NAME.txt, NAME.json, figures, clips and the page; return the path of the page."""
+        """Write the results, then figures, clips and the page; return the path of the page."""
+        self.write_results(folder)
+        for block in self.blocks:
+            if isinstance(block, (Figure, Clip)):
+                content = block.drawn if isinstance(block, Figure) else block.content
+                write_bytes(folder / f"{block.name}.{block.suffix}", content)
+        write_text(folder / PAGE, self.page)
+        return folder / PAGE
+
+    def write_results(self, folder: Path) -> None:
+        """Write NAME.txt and NAME.json, for which nothing is drawn."""
         write_text(folder / f"{self.name}.txt", self.text + "\n")
         about = {
             "hmi_marl_version": hmi_marl.__version__,
@@ -94,11 +104,6 @@ class Report:
         }
         times = {"seconds": dict(self.seconds)} if self.seconds else {}
         write_json(folder / f"{self.name}.json", {**about, **self.numbers, **times})
-        for block in self.blocks:
-            if isinstance(block, (Figure, Clip)):
-                write_bytes(folder / f"{block.name}.{block.suffix}", block.content)
-        write_text(folder / PAGE, self.page)
-        return folder / PAGE
 
     def _times(self) -> list[Block]:
         rows = [[part, f"{spent:.0f} s"] for part, spent in self.seconds.items()]
@@ -106,7 +111,7 @@ class Report:
 
     def _contents(self) -> str:
         links = "".join(
-            f'<li><a href="#{escape(block.anchor)}">{escape(block.text)}</a></li>'
+            f'<li><a href="#{in_html(block.anchor)}">{in_html(block.text)}</a></li>'
             for block in self.blocks
             if isinstance(block, Heading) and block.anchor
         )

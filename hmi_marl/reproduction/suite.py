@@ -24,14 +24,19 @@ from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, shipped_agents
+from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, MOST_WEIGHTS, shipped_agents
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, conduct, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS
-from hmi_marl.files import make_folder, sha256_of, write_bytes, write_json
+from hmi_marl.files import make_folder, sha256, sha256_of, write_bytes, write_json
+from hmi_marl.reading import read_bytes, read_json
 from hmi_marl.reporting.blocks import Block, block_from
 from hmi_marl.training.runs.folder import check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
+_CHECKSUM = "sha256"
+"""Checksum of a record, kept in it."""
+_RECORD_BYTES = 256 * 2**20
+"""Largest record; it holds figures."""
 Suite = Sequence[Experiment[Any]]
 _PLACE = re.compile(r"(?<![^\s'\"=])(?:[A-Za-z]:[\\/]|[/~])[^\s'\"]*")
 """Absolute path within a text."""
@@ -88,7 +93,7 @@ def run_suite(
     """
     say = line or (lambda text: print(text, file=sys.stderr))
     make_folder(folder / STAGES)
-    timings = _read(folder / TIMINGS) or {}
+    timings = _read_timings(folder / TIMINGS)
     for experiment in suite:
         before = _read(_record_of(experiment, folder))
         if before is not None:
@@ -118,7 +123,7 @@ def run_suite(
             }
             timings[experiment.name] = {"this time": spent} | dict(report.seconds)
             write_json(folder / TIMINGS, timings)
-            write_json(path, content)
+            _write(path, content)
             content = _read(path) or {}  # as it will be read the next time
             say(f"{which}: done in {spent:.0f} s")
         blocks = tuple(block_from(block) for block in content["blocks"])
@@ -149,13 +154,40 @@ def _about(experiment: Experiment[Any]) -> dict[str, Any]:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """Read JSON from a file that is written at once; None if there is no such file."""
+    """Read a record; None if there is no such file.
+
+    Raises:
+        ValueError: it is damaged; the message says what to do.
+    """
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path, _RECORD_BYTES)
+        if not isinstance(content, dict) or content.pop(_CHECKSUM, None) != _checksum(content):
+            raise ValueError("its checksum differs")
     except FileNotFoundError:
         return None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:
         raise ValueError(f"{path} is damaged ({error}); remove it, to have it made again") from None
+    return dict(content)
+
+
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a record with a checksum over all that is in it."""
+    write_json(path, {**content, _CHECKSUM: _checksum(content)})
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    as_read = json.loads(json.dumps(content))  # keys are texts, which can be sorted
+    return sha256(json.dumps(as_read, sort_keys=True).encode())
+
+
+def _read_timings(path: Path) -> dict[str, Any]:
+    """Durations by experiment so far, or nothing if there are none yet."""
+    try:
+        content = read_json(path)
+    except FileNotFoundError:
+        return {}
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} is damaged; remove it, to have it made again")
     return content
 
 
@@ -216,9 +248,9 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
 def _copy(agent: Agent, folder: Path) -> dict[str, Any]:
     """Copy a card, without this machine's paths, and its weights; returns the index's entry."""
     card = folder / agent.name / agent.card.name
-    write_json(card, without_places(json.loads(agent.card.read_text(encoding="utf-8"))))
+    write_json(card, without_places(read_json(agent.card)))
     weights = card.with_suffix(".safetensors")
-    write_bytes(weights, agent.card.with_suffix(".safetensors").read_bytes())
+    write_bytes(weights, read_bytes(agent.card.with_suffix(".safetensors"), MOST_WEIGHTS))
     return {"what": agent.what, "kind": card.stem, "files": _digests((card, weights), folder)}
 
 

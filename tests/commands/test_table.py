@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 from hmi_marl.cli import main
+from hmi_marl.reporting import highlight
 
 TINY = "table --drivers homer --hmis NoHMI when-distracted own --episodes 3 --duration 4"
 
@@ -33,3 +34,18 @@ def test_without_a_clip_none_is_spoken_of(
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     assert "the clip" not in capsys.readouterr().out
     assert json.loads((tmp_path / "table.json").read_text("utf-8"))["clip"] == ""
+
+
+def test_a_clip_that_fails_loses_no_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ValueError("no clip today")
+
+    monkeypatch.setattr(highlight, "record", fail)
+    arguments = [*TINY.split(), "--world", "batched", "--workers", "1", "--out", str(tmp_path)]
+    assert main(arguments) == 2
+    shown = capsys.readouterr()
+    assert "hmi-marl: no clip today" in shown.err
+    assert "when-distracted" in shown.out
+    assert {path.name for path in tmp_path.iterdir()} == {"table.csv", "table.json", "table.txt"}

@@ -8,26 +8,35 @@ Only unaltered files that it lists are loaded.
 
 from __future__ import annotations
 
-import json
+import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import Field, asdict, dataclass
-from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_type_hints
+from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from hmi_marl.agents.learned.network import NetworkConfig, Weights
+from hmi_marl.agents.learned.network import Weights
 from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
+from hmi_marl.reading import parse_tensors, read_bytes, read_json
 from hmi_marl.registry import HELP, suggest, unknown
+from hmi_marl.text import one_line
+from hmi_marl.typed_json import read_as, read_value, shown
 
 INDEX_FORMAT = "hmi-marl trained 1"
 PREFIX = "trained:"
 INDEX = "INDEX.json"
 FOLDER = Path(__file__).parents[2] / "trained"
+_MOST_VALUES = 200_000
+"""Most values in a card, whose training may name thousands of drivers."""
+MOST_WEIGHTS = 2 * 2**30
+"""Largest file of weights [bytes]."""
+_HEADER_BYTES = 1024
+"""Most bytes that a header has for each of the weights."""
 _REMEDY = "install hmi-marl again, or name the folder of a training run"
 
 
@@ -49,6 +58,33 @@ class Shipped:
         return next(path for path in self.files if path.endswith(".json"))
 
 
+_NAME = re.compile(r"[\w.-]{1,100}")
+_LINE = 200
+"""Most characters of a description."""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """Content of the index about one agent."""
+
+    what: str
+    kind: str
+    files: dict[str, str]
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.kind) or self.what != one_line(self.what, _LINE):
+            raise ValueError(f"{shown(self.what)} ({shown(self.kind)}) describes no agent")
+        for path, digest in self.files.items():
+            parts = PurePosixPath(path).parts
+            if not parts or {"..", "/"} & set(parts) or "\\" in path or ":" in path:
+                raise ValueError(f"{shown(path)} is no file in the folder of trained agents")
+            if not re.fullmatch("[0-9a-f]{64}", digest):
+                raise ValueError(f"{shown(digest)} is no SHA-256 checksum")
+        suffixes = sorted(PurePosixPath(path).suffix for path in self.files)
+        if suffixes != [".json", ".safetensors"]:
+            raise ValueError(f"an agent has a card and weights, not {shown(list(self.files))}")
+
+
 def is_shipped(name: str | Path) -> bool:
     """Return whether a name stands for an agent that comes with the package."""
     return str(name).lower().startswith(PREFIX)
@@ -63,23 +99,23 @@ def shipped_agents(folder: Path = FOLDER) -> dict[str, Shipped]:
     """
     path = folder / INDEX
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
     except FileNotFoundError:
         raise FileNotFoundError(
             f"no trained agents came with this package: {path} is missing; {_REMEDY}"
         ) from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:
         raise ValueError(f"{path} is damaged ({error}); {_REMEDY}") from None
     found = content.get("format") if isinstance(content, dict) else None
     if found != INDEX_FORMAT:
-        raise ValueError(f"{path} is no index of trained agents: format {found!r}; {_REMEDY}")
+        raise ValueError(f"{path} is no index of trained agents: format {shown(found)}; {_REMEDY}")
     try:
-        return {
-            name: Shipped(name, str(about["what"]), str(about["kind"]), dict(about["files"]))
-            for name, about in content["agents"].items()
-        }
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged ({error!r}); {_REMEDY}") from None
+        agents = read_value(dict[str, _Entry], content.get("agents"), "agents")
+        if odd := [name for name in agents if not _NAME.fullmatch(name)]:
+            raise ValueError(f"{shown(odd[0])} is no name of an agent")
+        return {name: Shipped(name, **vars(entry)) for name, entry in agents.items()}
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged ({error}); {_REMEDY}") from None
 
 
 def shipped_names(kind: str) -> tuple[str, ...]:
@@ -155,7 +191,7 @@ class CardFormat(Generic[C]):
     model: str
     """Name of the model for error messages: "policy", "trait model", ..."""
     card: type[C]
-    """Class of the card. Its fields of type :class:`NetworkConfig` become mappings in JSON."""
+    """Class of the card, which is read from JSON by the types of its fields."""
 
     def check(self, card: C, weights: Weights) -> None:
         """Raise ``ValueError`` unless the weights fit the card and are finite."""
@@ -168,6 +204,8 @@ class CardFormat(Generic[C]):
                 raise ValueError(
                     f"{name} has shape {weights[name].shape}, but the card says {shape}"
                 )
+            if weights[name].dtype.kind != "f":
+                raise ValueError(f"{name} holds numbers of type {weights[name].dtype}")
             if not np.isfinite(weights[name]).all():
                 raise ValueError(f"{name} is not finite everywhere")
 
@@ -196,7 +234,7 @@ class CardFormat(Generic[C]):
                 damaged or were altered; the message says which.
         """
         card, checksum = self._read_card(path)
-        weights = _read_weights(path, checksum)
+        weights = _read_weights(path, checksum, card.shapes)
         try:
             self.check(card, weights)
         except ValueError as error:
@@ -204,20 +242,16 @@ class CardFormat(Generic[C]):
         return card, weights
 
     def _read_card(self, path: Path) -> tuple[C, str]:
-        try:
-            content: Any = json.loads(path.read_text(encoding="utf-8"))
-        except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ValueError(f"{path} is no JSON file: {error}") from None
-        found = content.get("format") if isinstance(content, dict) else None
+        content = read_json(path, most_values=_MOST_VALUES)
+        found = content.pop("format", None) if isinstance(content, dict) else None
         if found != self.name:
-            raise ValueError(f"{path} is no {self.model} that can be read here: format {found!r}")
+            raise ValueError(
+                f"{path} is no {self.model} that can be read here: format {shown(found)}"
+            )
         try:
-            fields = {name: content[name] for name in self.card.__dataclass_fields__}
-            for name, kind in get_type_hints(self.card).items():
-                if kind is NetworkConfig:
-                    fields[name] = NetworkConfig(**fields[name])
-            return self.card(**fields), str(content["sha256"])
-        except (KeyError, TypeError, ValueError) as error:
+            checksum = content.pop("sha256", None)
+            return read_as(self.card, content), read_value(str, checksum, "sha256")
+        except ValueError as error:
             raise ValueError(f"{path} is a damaged {self.model} card: {error}") from None
 
 
@@ -265,16 +299,18 @@ def find_card(place: str | Path, kind: str, model: str, hint: str = "") -> Path:
     return path
 
 
-def _read_weights(path: Path, checksum: str) -> dict[str, NDArray[np.float32]]:
-    """The weights next to the card at ``path``, whose SHA-256 is known."""
+def _read_weights(path: Path, checksum: str, shapes: Shapes) -> dict[str, NDArray[np.float32]]:
+    """The weights next to the card at ``path``, whose SHA-256 and shapes are known."""
     weights_path = path.with_suffix(".safetensors")
+    expected = 8 * sum(math.prod(shape) for shape in shapes.values())  # in double precision
+    limit = min(MOST_WEIGHTS, expected + _HEADER_BYTES * (len(shapes) + 1))
     try:
-        content = weights_path.read_bytes()
+        content = read_bytes(weights_path, limit)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} has lost its weights, {weights_path.name}") from None
     if sha256(content) != checksum:
         raise ValueError(f"{weights_path} is not the file that {path.name} was written with")
     try:
-        return load_tensors(content)
-    except (SafetensorError, KeyError) as error:  # KeyError: number types unknown to NumPy
+        return parse_tensors(content, load_tensors)[1]
+    except ValueError as error:
         raise ValueError(f"{weights_path} is no safetensors file: {error}") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -321,7 +322,11 @@ def tables(results: Sequence[Result]) -> list[Table]:
 
 
 def figure(results: Sequence[Result]) -> Figure:
-    """Draw regret, and belief in the true type, by time driven."""
+    """Show regret, and belief in the true type, by time driven."""
+    return Figure("adapt", "Regret and belief by time at the wheel", partial(_draw, results))
+
+
+def _draw(results: Sequence[Result]) -> bytes:
     drivers = criteria.GAP_DRIVERS
     shown = [r for r in results if r.group in (*drivers, POPULATION)]
     shown += [r for r in results if r.after_change and r.group.endswith(drivers)]
@@ -334,7 +339,7 @@ def figure(results: Sequence[Result]) -> Figure:
     axes[1, 0].set_ylabel("probability of the true type")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     drawing.legend(handles, labels, loc="outside lower center", ncols=5)
-    return Figure("adapt", "Regret and belief by time at the wheel", png(drawing, 100))
+    return png(drawing, 100)
 
 
 def _draw_regret(axes: Axes, result: Result) -> None:

@@ -22,7 +22,6 @@ from hmi_marl.experiments.latent_traits.assessment import (
     Assessment,
     AssessSettings,
 )
-from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import check_fits
 from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
 from hmi_marl.files import json_value, make_folder, sha256_of
@@ -94,10 +93,6 @@ class TraitEvaluation(TraitReport):
             check_fits(models[0], unknown.observed)
         embeddings = [assessment.embed(model, split) for model in models]
         settings = [assessment.supervision_of(model) for model in models]
-        first = dict(reversed(list(zip(settings, embeddings, strict=True))))
-        place.write(
-            embeddings_figure({name: first[name] for name in SUPERVISIONS if name in first})
-        )
         found: dict[str, list[Assessment]] = {}
         parts = 1 + assessment.PARTS * len(models)
         with tqdm(total=parts, unit=" parts", desc="judging") as bar:

@@ -14,6 +14,7 @@ from hmi_marl.experiments.latent_traits.assessment import Embedding
 from hmi_marl.experiments.latent_traits.probes import average_kl, checked_vectors
 from hmi_marl.reporting.blocks import COLOURS, Figure, canvas, png
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.text import in_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,7 +90,7 @@ def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
         )
         for name, one in embeddings.items()
     ]
-    return Figure("embeddings", "embeddings by driver", png(draw_embeddings(panels)))
+    return Figure("embeddings", "embeddings by driver", lambda: png(draw_embeddings(panels)))
 
 
 def draw_accuracy(
@@ -159,7 +160,7 @@ def _embedding(axes: Axes, panel: EmbeddingPanel, names: Sequence[str]) -> None:
         )
         if len(own) > 2:
             axes.add_patch(_ellipse(own, _colour(DRIVER_COLOURS, place)))
-    axes.set_title(panel.title, fontsize=12, fontweight="bold", pad=22)
+    axes.set_title(in_figure(panel.title), fontsize=12, fontweight="bold", pad=22)
     kl = f"average KL {_short(panel.average_kl)}"
     axes.text(0.5, 1.025, kl, transform=axes.transAxes, ha="center", va="bottom", color=_GREY)
     axes.set_xlabel(labels[0])
@@ -221,7 +222,7 @@ def _accuracy_line(axes: Axes, at: Array, curve: Sequence[Estimate], name: str, 
 def _legend_entry(name: str, place: int) -> Line2D:
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], linestyle="", markersize=7, label=name, **_style(place))
+    return Line2D([], [], linestyle="", markersize=7, label=in_figure(name), **_style(place))
 
 
 def _style(place: int) -> dict[str, Any]:

@@ -168,8 +168,12 @@ def accuracy_figure(results: TraitResults) -> Figure:
         for name in results.assessments
     }
     exact = [row.ceilings.identity.mean for row in rows if row.ceilings is not None]
-    drawing = draw_accuracy(windows, curves, exact or None, rows[0].types.chance)
-    return Figure("accuracy", "accuracy by windows seen", png(drawing))
+    chance = rows[0].types.chance
+
+    def draw() -> bytes:
+        return png(draw_accuracy(windows, curves, exact or None, chance))
+
+    return Figure("accuracy", "accuracy by windows seen", draw)
 
 
 def identity_table(results: TraitResults) -> Table:

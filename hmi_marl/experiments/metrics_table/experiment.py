@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +177,7 @@ class MetricsTable(Experiment[list[PaperTable]]):
         """Figure, and tables of each variant."""
         shown: list[Block] = [
             Text(CAPTION),
-            Figure("table", "bars of both tables", paper_figure(results)),
+            Figure("table", "bars of both tables", partial(paper_figure, results)),
         ]
         for table in results:
             shown += [_metric_table(table, *metric) for metric in METRICS]

@@ -6,6 +6,7 @@ import csv
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ from hmi_marl.reporting.blocks import (
 )
 from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.statistics import Estimate, number
+from hmi_marl.text import in_figure, printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +69,7 @@ def make_report(
 ) -> Report:
     """Make the report of a table: remarks, clip (if any), figure and a table for each metric."""
     remarks = in_short(config, cells)
-    wide, narrow = (table_figure(config, cells, narrow) for narrow in (False, True))
+    wide, narrow = (partial(table_figure, config, cells, narrow) for narrow in (False, True))
     described = f"{len(cells)} cells of {config.episodes} episodes each. {NOTE}"
     blocks: list[Block] = [
         *remarks,
@@ -85,6 +87,14 @@ def make_report(
     return Report("table", "HMIs and drivers", blocks, numbers, command_line, asdict(config))
 
 
+def write_results(
+    folder: Path, config: TableConfig, cells: Sequence[Cell], command_line: str
+) -> None:
+    """Write text, CSV and JSON, for which nothing is drawn."""
+    write_text(folder / "table.csv", as_csv(cells))
+    make_report(config, cells, command_line).write_results(folder)
+
+
 def write_report(
     folder: Path,
     config: TableConfig,
@@ -93,9 +103,9 @@ def write_report(
     clip: Clip | None = None,
 ) -> Path:
     """Write the report and table.csv, remove an earlier clip if there is none; return the page."""
+    write_text(folder / "table.csv", as_csv(cells))
     if clip is None:
         (folder / f"{CLIP}.gif").unlink(missing_ok=True)
-    write_text(folder / "table.csv", as_csv(cells))
     return make_report(config, cells, command_line, clip).write(folder)
 
 
@@ -105,9 +115,12 @@ def metric_tables(config: TableConfig, cells: Sequence[Cell]) -> list[Table]:
     return [
         Table(
             title,
-            ["", *config.drivers],
+            ["", *map(printable, config.drivers)],
             [
-                [hmi, *(_entry(found[hmi, driver], metric, form) for driver in config.drivers)]
+                [
+                    printable(hmi),
+                    *(_entry(found[hmi, driver], metric, form) for driver in config.drivers),
+                ]
                 for hmi in config.hmis
             ],
         )
@@ -175,13 +188,13 @@ def _bars(axes: Axes, config: TableConfig, cells: Sequence[Cell], name: str) -> 
         errors = np.nan_to_num(np.abs(ends - means))
         at = places + (row + 0.5) * width - 0.4
         colour = COLOURS[row % len(COLOURS)]
-        line = {"elinewidth": 1, "ecolor": "#333"}
-        axes.bar(at, means, width * 0.92, yerr=errors, color=colour, label=hmi, error_kw=line)
+        line, label = {"elinewidth": 1, "ecolor": "#333"}, in_figure(hmi)
+        axes.bar(at, means, width * 0.92, yerr=errors, color=colour, label=label, error_kw=line)
         if name == "distraction_return":
             exact = [own[driver].exact_distraction_return_same_steps for driver in config.drivers]
             marks = [math.nan if value is None else value for value in exact]
-            label = "exact, same number of steps" if row == len(config.hmis) - 1 else None
-            axes.plot(at, marks, "k_", markersize=9, markeredgewidth=2, label=label)
-    axes.set_xticks(places, config.drivers)
+            last = "exact, same number of steps" if row == len(config.hmis) - 1 else None
+            axes.plot(at, marks, "k_", markersize=9, markeredgewidth=2, label=last)
+    axes.set_xticks(places, [in_figure(driver) for driver in config.drivers])
     axes.spines[["top", "right"]].set_visible(False)
     axes.axhline(0, color="#333", linewidth=0.8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -153,10 +154,10 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             ),
             summary_table(results),
             Text(ABOUT_CURVES, "Learning curves"),
-            curves_figure(results),
-            terms_figure(results),
+            Figure("curves", "Learning curves", partial(curves_figure, results)),
+            Figure("terms", "The eight reward terms", partial(terms_figure, results)),
             terms_table(results),
-            swap_figure(results),
+            Figure("swap", "Swapped partners", partial(swap_figure, results)),
             swap_table(results),
             dependence_table(results),
             gaming_table(results),
@@ -298,7 +299,7 @@ def colour_of(protocol: str) -> str:
     return COLOURS[list(compared()).index(protocol) % len(COLOURS)]
 
 
-def curves_figure(comparison: Comparison) -> Figure:
+def curves_figure(comparison: Comparison) -> bytes:
     """Draw learning curves: mean over seeds with the 95 % band, over environment steps.
 
     The band of two seeds is nine times their standard deviation to either side and would hide the
@@ -328,10 +329,10 @@ def curves_figure(comparison: Comparison) -> Figure:
         axes.spines[["top", "right"]].set_visible(False)
     lines = panels[CURVES[0]].get_legend_handles_labels()
     figure.legend(*lines, loc="outside lower center", ncols=len(compared()))
-    return Figure("curves", "Learning curves", png(figure))
+    return png(figure)
 
 
-def swap_figure(comparison: Comparison) -> Figure:
+def swap_figure(comparison: Comparison) -> bytes:
     """Draw team returns of every driver (rows) with every HMI (columns), own pairs framed."""
     protocols, returns = comparison.settings.protocols, swap_matrix(comparison).mean(axis=0)
     size = 2.6 + 1.15 * len(protocols)
@@ -355,10 +356,10 @@ def swap_figure(comparison: Comparison) -> Figure:
     axes.set_yticks(range(len(protocols)), labels)
     axes.set_xlabel("HMI of")
     axes.set_ylabel("driver of")
-    return Figure("swap", "Swapped partners", png(figure))
+    return png(figure)
 
 
-def terms_figure(comparison: Comparison) -> Figure:
+def terms_figure(comparison: Comparison) -> bytes:
     """Draw the reward terms per episode: a bar for each protocol, a dot for each seed."""
     protocols = comparison.settings.protocols
     figure = canvas(11, 5.6)
@@ -375,4 +376,4 @@ def terms_figure(comparison: Comparison) -> Figure:
         axes.spines[["top", "right"]].set_visible(False)
     bars = figure.axes[0].get_legend_handles_labels()
     figure.legend(*bars, loc="outside lower center", ncols=len(compared()))
-    return Figure("terms", "The eight reward terms", png(figure))
+    return png(figure)

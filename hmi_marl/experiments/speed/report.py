@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 
 from hmi_marl.experiments.speed.bench import (
     SCALING_TEAMS,
@@ -37,6 +38,12 @@ def make_report(config: BenchConfig, rows: Sequence[Measured], command_line: str
 
 
 def growth_figure(rows: Sequence[Measured]) -> Figure:
+    """Show how the speed grows, and the cost."""
+    description = "speed by number of teams and threads; cost by number of vehicles"
+    return Figure("bench", description, partial(_draw, rows))
+
+
+def _draw(rows: Sequence[Measured]) -> bytes:
     """Draw how the speed grows with teams and threads, and the cost with vehicles."""
     drawing = canvas(10.0, 3.8)
     by_teams, by_vehicles = drawing.subplots(1, 2)
@@ -62,5 +69,4 @@ def growth_figure(rows: Sequence[Measured]) -> Figure:
     for axes in (by_teams, by_vehicles):
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.3)
-    description = "speed by number of teams and threads; cost by number of vehicles"
-    return Figure("bench", description, png(drawing))
+    return png(drawing)

@@ -30,6 +30,7 @@ from hmi_marl.extras import needing
 from hmi_marl.files import json_value
 from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phase, TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
+from hmi_marl.training.runs.folder import CHECKPOINT
 from hmi_marl.training.runs.start import (
     check_processes,
     default_threads,
@@ -53,6 +54,7 @@ with needing("training"):
         weights_of_both,
     )
     from hmi_marl.training.ppo.shards import Shards
+    from hmi_marl.training.runs.checkpoint import fitting
     from hmi_marl.training.runs.processes import Processes, joined
     from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
 
@@ -241,7 +243,8 @@ class _Run(Run):
             self._shards,
         )
         if name in self._restored:
-            learner.load(self._restored[name])
+            with fitting(self.folder / CHECKPOINT):
+                learner.load(self._restored[name])
         self._learners[name] = learner
         return learner
 

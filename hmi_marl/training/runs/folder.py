@@ -10,7 +10,9 @@ from typing import Any
 from hmi_marl.agents.catalogue import learned_file
 from hmi_marl.agents.learned.cards import is_shipped
 from hmi_marl.envs.config import DRIVER
-from hmi_marl.files import json_value, sha256_of
+from hmi_marl.files import json_value, sha256, sha256_of
+from hmi_marl.reading import MOST_STATE_VALUES, read_json
+from hmi_marl.typed_json import read_value, shown
 
 SETTINGS = "run.json"
 """Settings of the run."""
@@ -21,17 +23,39 @@ CHECKPOINT = "checkpoint.safetensors"
 POLICY = "driver_policy"
 FREE = ("device", "threads", "checkpoint_every")
 """Settings of the machine, which may differ when a run is resumed."""
+_CURVE_BYTES = 2**30
+Row = dict[str, int | float | str | None]
+"""Row of a learning curve."""
 
 
 def read_curve(folder: Path) -> list[dict[str, Any]]:
-    """Rows of a run's learning curve."""
-    rows: list[dict[str, Any]] = json.loads((folder / CURVE).read_text("utf-8"))
+    """Rows of a run's learning curve.
+
+    Raises:
+        OSError: there is none.
+        ValueError: the file holds no such rows, or none at all.
+    """
+    path = folder / CURVE
+    content = read_json(path, _CURVE_BYTES, MOST_STATE_VALUES)
+    try:
+        rows: list[dict[str, Any]] = read_value(list[Row], content, "curve")
+    except ValueError as error:
+        raise ValueError(f"{path} is no learning curve: {error}") from None
+    if not rows:
+        raise ValueError(f"{path} is no learning curve: it has no rows")
     return rows
 
 
 def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
     """Seconds that each run took in all, interruptions included, by its folder's name."""
-    return {run.name: read_curve(run)[-1]["seconds"] for run in runs}
+    return {run.name: _seconds(run) for run in runs}
+
+
+def _seconds(run: Path) -> float:
+    seconds = read_curve(run)[-1].get("seconds")
+    if not isinstance(seconds, (int, float)):
+        raise ValueError(f"{run / CURVE} is no learning curve: its last row has no seconds")
+    return seconds
 
 
 def run_settings(settings: object) -> dict[str, Any]:
@@ -56,12 +80,12 @@ def read_settings(path: Path) -> dict[str, Any]:
         ValueError: the file is missing or damaged.
     """
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
+        about = read_json(path)
     except FileNotFoundError:
         raise ValueError(f"{path} is missing, but there is a checkpoint in its folder") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:
         raise ValueError(f"{path} is damaged: {error}") from None
-    if not isinstance(about, dict):
+    if not isinstance(about, dict) or not isinstance(about.get("settings"), dict):
         raise ValueError(f"{path} does not contain the settings of a run")
     return about
 
@@ -77,19 +101,26 @@ def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> Non
     Raises:
         ValueError: something differs, other than settings of the machine.
     """
-
-    def binding(about: dict[str, Any]) -> dict[str, Any]:
-        settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
-        policy = settings.get(POLICY)
-        if isinstance(policy, dict):  # whatever the name of its folder
-            settings[POLICY] = policy.get("sha256")
-        others = {k: v for k, v in about.items() if k not in ("settings", "command")}
-        return others | settings
-
-    old, new = binding(before), binding(now)
+    old, new = _binding(before), _binding(now)
     differing = [name for name in new if old.get(name) != new[name]]
     if differing:
-        details = ", ".join(f"{n} = {old.get(n)!r}, now {new[n]!r}" for n in differing)
+        details = ", ".join(f"{n} = {shown(old.get(n))}, now {shown(new[n])}" for n in differing)
         raise ValueError(
             f"{folder} holds another run ({details}); choose another --out, or remove the folder"
         )
+
+
+def settings_digest(about: dict[str, Any]) -> str:
+    """SHA-256 checksum of what must be the same when a run is resumed, of its ``run.json``."""
+    content = json.loads(json.dumps(_binding(about)))  # keys become texts, which can be sorted
+    return sha256(json.dumps(content, sort_keys=True).encode())
+
+
+def _binding(about: dict[str, Any]) -> dict[str, Any]:
+    """Settings and facts of a run by name, but for those of the machine."""
+    settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
+    policy = settings.get(POLICY)
+    if isinstance(policy, dict):  # whatever the name of its folder
+        settings[POLICY] = policy.get("sha256")
+    others = {k: v for k, v in about.items() if k not in ("settings", "command")}
+    return others | settings

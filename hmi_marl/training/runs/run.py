@@ -8,24 +8,21 @@ team from its start, and all random numbers follow from the run's seed and the b
 
 from __future__ import annotations
 
-import json
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, Self
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save as save_tensors
 from tqdm import tqdm
 
 import hmi_marl
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.files import make_folder, write_bytes, write_json
+from hmi_marl.files import make_folder, write_json
+from hmi_marl.training.runs.checkpoint import Checkpoint, fitting
 from hmi_marl.training.runs.folder import (
     CHECKPOINT,
     CURVE,
@@ -33,70 +30,11 @@ from hmi_marl.training.runs.folder import (
     check_same,
     read_settings,
     run_settings,
+    settings_digest,
 )
 from hmi_marl.training.runs.processes import ALONE, Processes
 
 OPTIMIZER = "optimizer"
-FORMAT = "hmi-marl checkpoint 1"
-
-
-@dataclass
-class Checkpoint:
-    """State of a run: one safetensors file with JSON in its header, written atomically."""
-
-    phase: int = 0
-    """Index of the current phase; the number of phases if the run is finished."""
-    iteration: int = 0
-    """Batches learned from in that phase."""
-    steps: int = 0
-    """Environment steps taken in the whole run, over all processes."""
-    seconds: float = 0.0
-    """Time spent in the whole run [s]."""
-    tensors: dict[str, dict[str, torch.Tensor]] = field(default_factory=dict)
-    """Weights and optimizer's state of each learner, by its name."""
-    curve: list[dict[str, Any]] = field(default_factory=list)
-    """A row for each batch."""
-
-    def save(self, path: Path) -> None:
-        """Write the state, atomically."""
-        flat = {
-            f"{learner}/{name}": tensor.detach().cpu().contiguous()
-            for learner, tensors in self.tensors.items()
-            for name, tensor in tensors.items()
-        }
-        header = {
-            "format": FORMAT,
-            "phase": self.phase,
-            "iteration": self.iteration,
-            "steps": self.steps,
-            "seconds": self.seconds,
-            "curve": self.curve,
-        }
-        write_bytes(path, save_tensors(flat, {"hmi_marl": json.dumps(header)}))
-
-    @classmethod
-    def load(cls, path: Path) -> Checkpoint:
-        """Read a state.
-
-        Raises:
-            ValueError: the file is damaged, or not such a checkpoint.
-        """
-        try:
-            with safe_open(path, "pt") as file:
-                header = json.loads((file.metadata() or {}).get("hmi_marl", "{}"))
-                flat = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        except (SafetensorError, json.JSONDecodeError) as error:
-            raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
-        if not isinstance(header, dict) or header.pop("format", None) != FORMAT:
-            raise ValueError(f"{path} is not a checkpoint that can be read here")
-        tensors: dict[str, dict[str, torch.Tensor]] = {}
-        for full_name, tensor in flat.items():
-            learner, name = full_name.split("/", 1)
-            tensors.setdefault(learner, {})[name] = tensor
-        try:
-            return cls(tensors=tensors, **header)
-        except TypeError as error:
-            raise ValueError(f"{path} is a damaged checkpoint: {error}") from None
 
 
 def flat_moments(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
@@ -235,12 +173,12 @@ class Run(ABC):
         line: int = 0,
     ) -> None:
         self.folder, self.processes, self.command_line = folder, processes, command_line
-        self.state = Checkpoint()
         self.about: dict[str, Any] = {
             "version": hmi_marl.__version__,
             "settings": run_settings(settings),
             **about,
         }
+        self.state = Checkpoint(settings=settings_digest(self.about))
         self._seed, self._checkpoint_every = settings.seed, settings.checkpoint_every
         self._quiet, self._line = quiet or not processes.is_first, line
         self._saved_at = time.monotonic()
@@ -272,9 +210,11 @@ class Run(ABC):
             make_folder(self.folder)
         settings, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
         if checkpoint.is_file():  # otherwise nothing was learned that could be lost
-            self.check(read_settings(settings))
-            self.state = Checkpoint.load(checkpoint)
-            self.restore(self.state.tensors)
+            before = read_settings(settings)
+            self.check(before)
+            self.state = Checkpoint.load(checkpoint, settings_digest(before), self.phases)
+            with fitting(checkpoint):
+                self.restore(self.state.tensors)
         elif self.processes.is_first:
             write_json(settings, self.about | {"command": self.command_line})
         self.processes.wait()

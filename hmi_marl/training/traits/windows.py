@@ -8,7 +8,6 @@ windows.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +19,9 @@ from numpy.typing import NDArray
 from hmi_marl.agents.learned.trait_model import situations, standardise
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed
 from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.reading import read_json
 from hmi_marl.training.traits.settings import Supervision
+from hmi_marl.typed_json import read_value
 
 SMALLEST_SPREAD = 1e-6
 
@@ -244,14 +245,10 @@ def read_preferences(path: Path) -> dict[str, float]:
         FileNotFoundError: there is no such file.
         ValueError: the file contains something else.
     """
+    content = read_json(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is not a JSON file: {error}") from None
-    numbers = isinstance(content, dict) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool)
-        for value in content.values()
-    )
-    if not numbers:
-        raise ValueError(f'{path} does not contain {{"name": number in [0, 1], ...}}')
-    return {str(name): float(value) for name, value in content.items()}
+        return dict(read_value(dict[str, float], content, "preference"))
+    except ValueError as error:
+        raise ValueError(
+            f'{path} does not contain {{"name": number in [0, 1], ...}}: {error}'
+        ) from None

@@ -173,7 +173,7 @@ def test_weights_that_are_gone_are_reported(tmp_path):
         (b"[1, 2]", "is no policy that can be read here: format None"),
         (b'{"format": "hmi-marl policy 1"}', "is no policy .* format 'hmi-marl policy 1'"),
         (b'{"layers": 3}', "is no policy that can be read here: format None"),
-        (b'{"format": "hmi-marl policy 2"}', "is a damaged policy card: 'seat'"),
+        (b'{"format": "hmi-marl policy 2"}', "is a damaged policy card: it lacks seat"),
     ],
     ids=str,
 )
@@ -306,7 +306,7 @@ def test_a_card_without_alert_strengths_is_refused(tmp_path):
     content = json.loads(path.read_text("utf-8"))
     assert content.pop("alert_strengths") == [1.0]
     path.write_text(json.dumps(content), "utf-8")
-    with pytest.raises(ValueError, match="is a damaged policy card: 'alert_strengths'"):
+    with pytest.raises(ValueError, match="is a damaged policy card: it lacks alert_strengths"):
         read_policy(path)
 
 

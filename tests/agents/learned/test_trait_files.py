@@ -144,7 +144,7 @@ def test_weights_that_are_gone_are_reported(tmp_path: Path) -> None:
         (b"[1, 2]", "is no trait model that can be read here: format None"),
         (b'{"format": "hmi-marl policy 1"}', "is no trait model .* 'hmi-marl policy 1'"),
         (b'{"format": "hmi-marl traits 1"}', "is no trait model .* 'hmi-marl traits 1'"),
-        (b'{"format": "hmi-marl traits 2"}', "is a damaged trait model card: 'reads'"),
+        (b'{"format": "hmi-marl traits 2"}', "is a damaged trait model card: it lacks reads"),
     ],
     ids=str,
 )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foreign_texts import FOREIGN
 
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.latent_traits import figures
@@ -376,7 +377,14 @@ def test_json_holds_every_seed_and_no_nan(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_figures_are_pngs() -> None:
     for figure in (embeddings_figure(EMBEDDINGS), accuracy_figure(ALL)):
-        assert figure.content.startswith(b"\x89PNG\r\n\x1a\n")
+        assert figure.drawn.startswith(b"\x89PNG\r\n\x1a\n")
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_any_name_of_a_driver_is_drawn_as_text(name: str) -> None:
+    one = next(iter(EMBEDDINGS.values()))
+    named = replace(one, names=(name, *one.names[1:]))
+    assert embeddings_figure({"none": named}).drawn.startswith(b"\x89PNG")
 
 
 def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -396,14 +404,14 @@ def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(trait_report, "draw_accuracy", curves)
     monkeypatch.setattr(figures, "draw_embeddings", panels)
-    assert accuracy_figure(ALL).content == embeddings_figure(EMBEDDINGS).content == b"figure"
+    assert accuracy_figure(ALL).drawn == embeddings_figure(EMBEDDINGS).drawn == b"figure"
     windows, lines, ceiling, chance = drawn["accuracy"]
     assert (windows, ceiling, chance) == ([1, 8], [0.9, 0.9], 0.25)
     assert lines["by driver"] == [share(30, 100), share(88, 100)]
     titles = [(panel.title, panel.average_kl) for panel in drawn["panels"]]
     kl = [average_kl(one.means, one.types) for one in EMBEDDINGS.values()]
     assert titles == list(zip(("unsupervised", "by driver", "by preference"), kl, strict=True))
-    accuracy_figure(results(none=[one(best=None)]))
+    assert accuracy_figure(results(none=[one(best=None)])).drawn
     assert drawn["accuracy"][2] is None, "an unknown ceiling is not one of 100 %"
 
 

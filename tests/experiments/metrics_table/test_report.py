@@ -2,12 +2,15 @@ import base64
 import csv
 import json
 import math
+from copy import copy
+from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO, StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_texts import FOREIGN
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -20,6 +23,7 @@ from hmi_marl.experiments.metrics_table.report import table_figure
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig, make_cell
 from hmi_marl.reporting.blocks import Clip, as_text
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.text import printable
 
 COMMAND = "hmi-marl table --drivers homer lisa --episodes 3"
 CLIP = b"GIF89a and so on"
@@ -298,6 +302,35 @@ def test_one_episode_alone_has_entries_without_an_interval(
     assert math.isnan(cells[0].speed_return.low)
     speed = as_text(report.metric_tables(config, cells)).split("\n\n")[0]
     assert speed.splitlines()[-1].split() == ["belief", "42"]
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_policy_in_any_folder_has_its_table_and_its_figure(
+    tmp_path: Path, alone: tuple[TableConfig, list[Cell]], name: str
+) -> None:
+    config, cells = alone
+    named = copy(config)
+    object.__setattr__(named, "hmis", (name,))  # where there is no such policy
+    page = report.write_report(tmp_path, named, [replace(cells[0], hmi=name)], COMMAND)
+    assert png_size((tmp_path / "table.png").read_bytes())[0] > 800
+    text = (tmp_path / "table.txt").read_text("utf-8")
+    assert printable(name).strip() in text
+    assert "\x1b" not in text + page.read_text("utf-8")
+    written = json.loads((tmp_path / "table.json").read_text())
+    assert written["settings"]["hmis"] == [name]
+    assert "<script>" not in page.read_text("utf-8")
+
+
+def test_results_are_written_before_anything_is_drawn(
+    tmp_path: Path, alone: tuple[TableConfig, list[Cell]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ValueError("no such mathematics")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(ValueError, match="no such mathematics"):
+        report.write_report(tmp_path, *alone, COMMAND)
+    assert {path.name for path in tmp_path.iterdir()} == {"table.csv", "table.json", "table.txt"}
 
 
 def test_one_episode_alone_can_be_drawn(alone: tuple[TableConfig, list[Cell]]) -> None:

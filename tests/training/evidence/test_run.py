@@ -11,7 +11,7 @@ from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.training.evidence import run
 from hmi_marl.training.evidence.run import RecordedDrives, drive_all, learn_evidence
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.runs.run import Checkpoint
+from hmi_marl.training.runs.checkpoint import Checkpoint
 
 TINY = EvidenceSettings(
     driver_policy="rule",

@@ -23,7 +23,7 @@ from hmi_marl.training.protocols.alternating import Alternating
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.run import Checkpoint
+from hmi_marl.training.runs.checkpoint import Checkpoint
 
 TINY = {
     "num_teams": 8,  # 40 steps a batch
@@ -202,7 +202,7 @@ def test_a_run_cut_off_in_the_middle_of_writing_a_policy_mends_it(card, tmp_path
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from hmi_marl.training.runs.run import Checkpoint
+from hmi_marl.training.runs.checkpoint import Checkpoint
 from test_run import {name}, train
 
 save = Checkpoint.save

@@ -15,8 +15,8 @@ from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.runs.checkpoint import Checkpoint
 from hmi_marl.training.runs.folder import read_curve
-from hmi_marl.training.runs.run import Checkpoint
 from hmi_marl.training.runs.start import start_together
 
 TINY = {

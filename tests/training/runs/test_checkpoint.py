@@ -1,3 +1,4 @@
+import hashlib
 import json
 
 import numpy as np
@@ -5,8 +6,8 @@ import pytest
 import torch
 from safetensors.torch import save
 
-from hmi_marl.training.runs import run
-from hmi_marl.training.runs.run import FORMAT, Checkpoint
+from hmi_marl.training.runs import checkpoint
+from hmi_marl.training.runs.checkpoint import FORMAT, Checkpoint
 
 ROWS = [{"phase": "driver", "steps": 80, "return": 0.1 + 0.2}]
 
@@ -91,13 +92,95 @@ def test_weights_without_a_header_are_no_checkpoint(tmp_path):
         Checkpoint.load(path)
 
 
-def test_a_header_that_is_damaged_is_told(tmp_path):
-    path = header(tmp_path / "checkpoint.safetensors", {"format": FORMAT, "mood": "good"})
-    with pytest.raises(ValueError, match=r"is a damaged checkpoint: .*mood"):
+WHOLE = {
+    "format": FORMAT,
+    "sha256": "0" * 64,
+    "settings": "",
+    "phase": 0,
+    "iteration": 0,
+    "steps": 0,
+    "seconds": 0.0,
+    "curve": [],
+}
+
+
+def signed(path, content):
+    """A checkpoint with any header, and the right checksum."""
+    raw = header(path, content).read_bytes()
+    at = raw.index(b"0" * 64)
+    digest = hashlib.sha256(raw).hexdigest().encode()
+    path.write_bytes(raw[:at] + digest + raw[at + 64 :])
+    return path
+
+
+def test_a_header_of_right_fields_is_taken(tmp_path):
+    state = Checkpoint.load(signed(tmp_path / "checkpoint.safetensors", WHOLE))
+    assert state.tensors == {"driver": {"x": torch.zeros(1)}}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mood": "good"}, r"unknown fields: \['mood'\]"),
+        ({"phase": -1}, "phase is at least 0, but got -1"),
+        ({"phase": 1.0}, "phase is a whole number, not 1.0"),
+        ({"iteration": True}, "iteration is a whole number, not True"),
+        ({"steps": "many"}, "steps is a whole number, not 'many'"),
+        ({"steps": 10**30}, "a whole number of more than 20 digits"),
+        ({"seconds": -0.5}, "seconds is a number of at least 0, but got -0.5"),
+        ({"seconds": float("inf")}, "Infinity is no number in JSON"),
+        ({"curve": {}}, "curve is a list, not {}"),
+        ({"curve": [3]}, r"curve\[0\] is a mapping, not 3"),
+        (
+            {"curve": [{"loss": [1]}]},
+            r"curve\[0\].loss is a whole number or .* null, not",
+        ),
+        ({"settings": None}, "settings is a text, not None"),
+    ],
+    ids=str,
+)
+def test_a_header_is_typed_and_ranged(tmp_path, change, message):
+    path = signed(tmp_path / "checkpoint.safetensors", WHOLE | change)
+    with pytest.raises(ValueError, match=f"is a damaged checkpoint: .*{message}"):
         Checkpoint.load(path)
+
+
+def test_a_header_that_is_damaged_is_told(tmp_path):
+    path = tmp_path / "checkpoint.safetensors"
+    with pytest.raises(ValueError, match="is a damaged checkpoint: it lacks sha256, settings"):
+        Checkpoint.load(header(path, {"format": FORMAT}))
     path.write_bytes(save({"driver/x": torch.zeros(1)}, {"hmi_marl": "{"}))
     with pytest.raises(ValueError, match="is a damaged checkpoint: Expecting"):
         Checkpoint.load(path)
+
+
+def test_any_changed_bit_is_found(tmp_path):
+    path = tmp_path / "checkpoint.safetensors"
+    some().save(path)
+    content = path.read_bytes()
+    for at in range(len(content)):
+        changed = bytearray(content)
+        changed[at] ^= 1 << at % 8
+        path.write_bytes(changed)
+        with pytest.raises(ValueError, match=r"checkpoint\.safetensors is (a damaged|not a) check"):
+            Checkpoint.load(path)
+
+
+def test_the_checkpoint_of_another_run_is_refused(tmp_path):
+    path = tmp_path / "checkpoint.safetensors"
+    Checkpoint(settings="a" * 64, phase=2).save(path)
+    assert Checkpoint.load(path, "a" * 64, 2).phase == 2
+    with pytest.raises(ValueError, match=r"safetensors is the checkpoint of a run with other set"):
+        Checkpoint.load(path, "b" * 64, 2)
+    with pytest.raises(ValueError, match=r"is a damaged checkpoint: phase 2 of 1; remove its fol"):
+        Checkpoint.load(path, "a" * 64, 1)
+
+
+def test_numbers_that_json_does_not_have_are_not_written(tmp_path):
+    path = tmp_path / "checkpoint.safetensors"
+    with pytest.raises(ValueError, match="JSON compliant"):
+        Checkpoint(curve=[{"loss": float("nan")}]).save(path)
+    assert not path.exists()
 
 
 def test_a_write_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
@@ -107,7 +190,7 @@ def test_a_write_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     def fail(path, content):
         raise OSError("no space left")
 
-    monkeypatch.setattr(run, "write_bytes", fail)
+    monkeypatch.setattr(checkpoint, "write_bytes", fail)
     with pytest.raises(OSError, match="no space left"):
         Checkpoint().save(path)
     assert Checkpoint.load(path).iteration == 3

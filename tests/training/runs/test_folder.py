@@ -7,7 +7,14 @@ from trait_models import save_driver
 
 from hmi_marl.files import sha256_of
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.runs.folder import check_same, run_settings
+from hmi_marl.training.runs.folder import (
+    check_same,
+    read_curve,
+    read_settings,
+    run_settings,
+    seconds_of,
+    settings_digest,
+)
 
 
 def about(settings: TwoStage) -> dict:
@@ -36,3 +43,43 @@ def test_the_same_driver_elsewhere_goes_on_and_another_is_refused(tmp_path: Path
         check_same(before, about(other), tmp_path)
     with pytest.raises(FileNotFoundError, match="no policy for the seat of driver"):
         run_settings(replace(settings, driver_policy=str(tmp_path / "nowhere")))
+
+
+def test_the_digest_is_that_of_what_binds_a_run(tmp_path: Path) -> None:
+    one = about(TwoStage())
+    assert settings_digest(one) == settings_digest(json.loads(json.dumps(one)) | {"command": "x"})
+    assert settings_digest(one) == settings_digest(about(TwoStage(checkpoint_every=7.0)))
+    assert settings_digest(one) != settings_digest(about(TwoStage(seed=1)))
+    assert settings_digest(one) != settings_digest(one | {"version": "2"})
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{}", "curve is a list"),
+        ("[]", "it has no rows"),
+        ("[3]", r"curve\[0\] is a mapping"),
+        ('[{"loss": [1]}]', r"curve\[0\].loss is a whole number or"),
+        ('[{"loss": NaN}]', "NaN is no number in JSON"),
+        ("[", "no JSON file"),
+    ],
+)
+def test_a_curve_is_rows_of_numbers(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "curve.json").write_text(content)
+    with pytest.raises(ValueError, match=rf"curve\.json .*{message}"):
+        read_curve(tmp_path)
+
+
+def test_a_curve_without_durations_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "curve.json").write_text('[{"seconds": 1.5}]')
+    assert seconds_of([tmp_path]) == {tmp_path.name: 1.5}
+    (tmp_path / "curve.json").write_text('[{"seconds": "long"}]')
+    with pytest.raises(ValueError, match=r"curve\.json .* its last row has no seconds"):
+        seconds_of([tmp_path])
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", '{"settings": 3}'])
+def test_settings_are_those_of_a_run(tmp_path: Path, content: str) -> None:
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(ValueError, match=r"run\.json does not contain the settings of a run"):
+        read_settings(tmp_path / "run.json")

@@ -86,7 +86,7 @@ def test_other_files_are_no_preferences(text, tmp_path):
     with pytest.raises(ValueError, match="does not contain"):
         read_preferences(path)
     path.write_bytes(b"\xff{")
-    with pytest.raises(ValueError, match="is not a JSON file"):
+    with pytest.raises(ValueError, match="is no JSON file"):
         read_preferences(path)
 
 

@@ -21,7 +21,7 @@ from hmi_marl.demonstrations.parquet import (
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TRAIT_NAMES
 from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.runs.run import Checkpoint
+from hmi_marl.training.runs.checkpoint import Checkpoint
 from hmi_marl.training.traits import run
 from hmi_marl.training.traits.run import learn_traits
 from hmi_marl.training.traits.settings import TraitSettings
