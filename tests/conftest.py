@@ -19,21 +19,28 @@ settings.load_profile("patient")
 
 
 COMPILE = """
+from standing_world import standing_teams
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.worlds import make_world
-make_world("batched", TeamConfig().scene, 1)
+from hmi_marl.envs.teaming import Teaming
+
+for teams in (Teaming(TeamConfig(), 16, "batched"), standing_teams(16)):
+    teams.reset(range(16))
+    teams.observe("driver")
+    teams.turn([1] * 16, [0] * 16)
 """
+"""Compiles the world, its whole step of teams, and the loops over teams in any other world."""
 _compiling: list[subprocess.Popen[bytes]] = []
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the batched world, once, while workers collect tests.
+    """Compile the loops, once, while workers collect tests and run those that need none.
 
     They wait for it where they need it. Compiling takes half as long again in a process whose
     lines are counted.
     """
     if getattr(config.option, "dist", "no") != "no" and not hasattr(config, "workerinput"):
         surroundings = {k: v for k, v in os.environ.items() if not k.startswith("COVERAGE_")}
+        surroundings["PYTHONPATH"] = str(ROOT / "tests")
         command = [sys.executable, "-c", COMPILE]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         _compiling.append(subprocess.Popen(command, cwd=ROOT, env=surroundings, **quiet))
