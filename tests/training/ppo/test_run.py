@@ -220,7 +220,10 @@ train({name}, Path(sys.argv[1]), quiet=True)
 @pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize(
     ("name", "batches", "before"),
-    [("TWO_STAGE", 4, (1, 1)), ("ALTERNATING", 6, (2, 1))],
+    [
+        ("TWO_STAGE", 4, (1, 1)),
+        pytest.param("ALTERNATING", 6, (2, 1), marks=pytest.mark.slow),
+    ],
 )
 def test_a_run_that_was_killed_goes_on_to_the_same_bytes(name, batches, before, tmp_path):
     settings = globals()[name]

@@ -88,7 +88,7 @@ def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Pat
     overview, own, _, wrong = commands(
         "train --help",
         "train reversed --help",
-        f"train reversed --hmi-steps 1 --driver-steps 1 --device cpu {SIZE}",
+        f"train reversed --hmi-steps 1 --driver-steps 1 --device cpu --processes 1 {SIZE}",
         "train revesed",
         last=2,
     )
