@@ -46,6 +46,22 @@ def pytest_configure(config: pytest.Config) -> None:
         _compiling.append(subprocess.Popen(command, cwd=ROOT, env=surroundings, **quiet))
 
 
+BEFORE = ("exact", "paper", "experiments/latent_traits", "training/traits")
+"""Folders of tests most of which need no compiled loop."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let both halves begin with tests that run while the loops are compiled."""
+    folders = tuple(ROOT / "tests" / folder for folder in BEFORE)
+    first: list[pytest.Item] = []
+    others: list[pytest.Item] = []
+    for item in items:
+        within = any(folder in item.path.parents for folder in folders)
+        (first if within else others).append(item)
+    halves = [(some[: len(some) // 2], some[len(some) // 2 :]) for some in (first, others)]
+    items[:] = [item for half in zip(*halves, strict=True) for some in half for item in some]
+
+
 def pytest_unconfigure() -> None:
     """Leave no process behind."""
     for process in _compiling:

@@ -154,7 +154,7 @@ def test_the_benchmark_of_training_shows_where_time_goes(tmp_path):
     assert plain["ratio"] == 1
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_the_benchmark_of_startup_prints_ratios_to_numpy(tmp_path):
     run_benchmark("startup", "--rounds 1 --only version watch", tmp_path)
     written = json.loads((tmp_path / "runs" / "bench" / "startup.json").read_text())

@@ -62,7 +62,7 @@ CHEAP = {
     "oracle": "--horizon 3",
     "reproduce ship": None,  # needs a finished reproduction
     "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
-    "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2",
+    "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2 --no-clip",
     "watch": "--hmi trained:homer --policy trained:driver --duration 0.4 --out clip.gif",
 }
 """Runs of the commands that need no extra."""

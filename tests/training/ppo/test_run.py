@@ -155,7 +155,13 @@ class Killed(BaseException):
     """As if the machine had been switched off: nothing may catch it."""
 
 
-@pytest.mark.parametrize("settings", [TWO_STAGE, ALTERNATING], ids=["two stages", "rounds"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pytest.param(TWO_STAGE, id="two stages"),
+        pytest.param(ALTERNATING, id="rounds", marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_cut_off_at_any_checkpoint_ends_as_if_it_had_not_been(
     settings, tmp_path, monkeypatch
 ):

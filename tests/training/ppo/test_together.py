@@ -92,6 +92,7 @@ def test_a_killed_process_ends_the_run_which_goes_on_with_another_number(alone, 
     assert learned(folder) == learned(alone / "two-stage")
 
 
+@pytest.mark.slow
 def test_train_starts_processes_which_go_on_with_what_one_learned(alone, tmp_path, monkeypatch):
     settings, folder = PROTOCOLS["two-stage"], tmp_path / "run"
     save = Checkpoint.save
