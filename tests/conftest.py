@@ -46,20 +46,41 @@ def pytest_configure(config: pytest.Config) -> None:
         _compiling.append(subprocess.Popen(command, cwd=ROOT, env=surroundings, **quiet))
 
 
-BEFORE = ("exact", "paper", "experiments/latent_traits", "training/traits")
-"""Folders of tests most of which need no compiled loop."""
+BEFORE = (
+    "experiments/latent_traits/test_probes_regression.py",
+    "training/traits/test_airl.py",
+    "experiments/protocols/test_experiment.py",
+    "envs/test_render.py",
+    "experiments/latent_traits/test_assessment.py",
+    "exact/test_identify.py",
+    "experiments/latent_traits/test_assessment_identification.py",
+    "agents/test_graded_oracle.py",
+    "envs/worlds/test_highway.py",
+    "envs/worlds/test_lidar.py",
+    "exact/test_oracle.py",
+    "experiments/latent_traits/test_report.py",
+    "experiments/latent_traits/test_reward.py",
+    "experiments/adaptation/test_experiment_report.py",
+    "training/traits/test_discriminator.py",
+    "training/traits/test_losses.py",
+    "envs/test_merge_v0.py",
+    "reproduction",
+)
+"""Tests that need no compiled loop and take long, those that take longest first."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Let both halves begin with tests that run while the loops are compiled."""
-    folders = tuple(ROOT / "tests" / folder for folder in BEFORE)
-    first: list[pytest.Item] = []
-    others: list[pytest.Item] = []
-    for item in items:
-        within = any(folder in item.path.parents for folder in folders)
-        (first if within else others).append(item)
-    halves = [(some[: len(some) // 2], some[len(some) // 2 :]) for some in (first, others)]
-    items[:] = [item for half in zip(*halves, strict=True) for some in half for item in some]
+    halves: tuple[list[pytest.Item], list[pytest.Item]] = ([], [])
+    others = items.copy()
+    for number, place in enumerate(BEFORE):
+        path = ROOT / "tests" / place
+        here = [item for item in others if path in (item.path, *item.path.parents)]
+        halves[number % 2].extend(here)
+        taken = set(here)
+        others = [item for item in others if item not in taken]
+    middle = len(others) // 2
+    items[:] = [*halves[0], *others[:middle], *halves[1], *others[middle:]]
 
 
 def pytest_unconfigure() -> None:

@@ -25,7 +25,7 @@ def test_weights_are_those_of_one_process_however_many_workers_there_are(tmp_pat
     assert weights[0] != weights[1]
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_spare_workers_join_a_run_and_change_neither_weights_nor_this_process(
     tmp_path, monkeypatch
 ):

@@ -217,40 +217,19 @@ NO_THREADS = (
 )
 
 
-@pytest.fixture(scope="module")
-def printed():
-    """What is printed by each of these, which need a process without threads to begin in."""
-    codes = {
-        "two threads": TWO_THREADS,
-        "threads started": THREADS_STARTED,
-        "interrupted": INTERRUPTED,
-        "raised": RAISED,
-        "no threads": NO_THREADS,
-    }
-    return dict(zip(codes, run_each(*codes.values()), strict=True))
-
-
-def test_two_threads_step_two_worlds(printed):
-    assert printed["two threads"] == "True"
-
-
-def test_one_world_and_one_thread_start_no_threads_and_many_no_openmp(printed):
-    alone, many, openmp = printed["threads started"].split()
+def test_threads_are_helpers_that_start_end_and_fail_without_harm():
+    """Each in a process that has no threads yet."""
+    together, started, interrupted, raised, without = run_each(
+        TWO_THREADS, THREADS_STARTED, INTERRUPTED, RAISED, NO_THREADS
+    )
+    assert together == "True", "two threads step two worlds"
+    alone, many, openmp = started.split()
     assert alone == "1"
     assert int(many) == min(available(), 32)  # 512 teams are worth no more
     assert openmp == "False"
-
-
-def test_an_interrupt_leaves_no_helper_at_work(printed):
-    assert printed["interrupted"] == "True 0"
-
-
-def test_what_a_loop_raises_in_a_helper_reaches_the_caller(printed):
-    assert printed["raised"].splitlines() == ["in a helper"] * 2
-
-
-def test_where_no_thread_can_be_started_the_caller_drives_alone(printed):
-    assert printed["no threads"] == "True"
+    assert interrupted == "True 0", "an interrupt leaves a helper at work"
+    assert raised.splitlines() == ["in a helper"] * 2, "what a helper raises reaches the caller"
+    assert without == "True", "where no thread can be started the caller drives alone"
 
 
 COUNTS = (
