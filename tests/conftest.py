@@ -19,24 +19,68 @@ settings.load_profile("patient")
 
 
 COMPILE = """
+from standing_world import standing_teams
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.worlds import make_world
-make_world("batched", TeamConfig().scene, 1)
+from hmi_marl.envs.teaming import Teaming
+
+for teams in (Teaming(TeamConfig(), 16, "batched"), standing_teams(16)):
+    teams.reset(range(16))
+    teams.observe("driver")
+    teams.turn([1] * 16, [0] * 16)
 """
+"""Compiles the world, its whole step of teams, and the loops over teams in any other world."""
 _compiling: list[subprocess.Popen[bytes]] = []
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the batched world, once, while workers collect tests.
+    """Compile the loops, once, while workers collect tests and run those that need none.
 
     They wait for it where they need it. Compiling takes half as long again in a process whose
     lines are counted.
     """
     if getattr(config.option, "dist", "no") != "no" and not hasattr(config, "workerinput"):
         surroundings = {k: v for k, v in os.environ.items() if not k.startswith("COVERAGE_")}
+        surroundings["PYTHONPATH"] = str(ROOT / "tests")
         command = [sys.executable, "-c", COMPILE]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         _compiling.append(subprocess.Popen(command, cwd=ROOT, env=surroundings, **quiet))
+
+
+BEFORE = (
+    "experiments/latent_traits/test_probes_regression.py",
+    "training/traits/test_airl.py",
+    "experiments/protocols/test_experiment.py",
+    "envs/test_render.py",
+    "experiments/latent_traits/test_assessment.py",
+    "exact/test_identify.py",
+    "experiments/latent_traits/test_assessment_identification.py",
+    "agents/test_graded_oracle.py",
+    "envs/worlds/test_highway.py",
+    "envs/worlds/test_lidar.py",
+    "exact/test_oracle.py",
+    "experiments/latent_traits/test_report.py",
+    "experiments/latent_traits/test_reward.py",
+    "experiments/adaptation/test_experiment_report.py",
+    "training/traits/test_discriminator.py",
+    "training/traits/test_losses.py",
+    "envs/test_merge_v0.py",
+    "reproduction",
+)
+"""Tests that need no compiled loop and take long, those that take longest first."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let both halves begin with tests that run while the loops are compiled."""
+    halves: tuple[list[pytest.Item], list[pytest.Item]] = ([], [])
+    others = items.copy()
+    for number, place in enumerate(BEFORE):
+        path = ROOT / "tests" / place
+        here = [item for item in others if path in (item.path, *item.path.parents)]
+        halves[number % 2].extend(here)
+        taken = set(here)
+        others = [item for item in others if item not in taken]
+    middle = len(others) // 2
+    items[:] = [*halves[0], *others[:middle], *halves[1], *others[middle:]]
 
 
 def pytest_unconfigure() -> None:

@@ -60,24 +60,49 @@ def drive_many():
 
 
 _EACH = """
-import json, runpy, sys
-for script, arguments in json.loads(sys.argv.pop()):
+import json, os, runpy, sys, traceback
+
+def run(script, arguments):
     sys.argv[:] = [script, *arguments]
     try:
         runpy.run_path(script, run_name="__main__")
     except SystemExit as stop:
         assert not stop.code, stop
+
+def run_in_a_fork(*program):
+    if child := os.fork():
+        assert os.waitpid(child, 0)[1] == 0, program
+        return
+    status = 1
+    try:
+        run(*program)
+        sys.stdout.flush()
+        status = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(status)
+
+forked = json.loads(sys.argv.pop())
+if forked:
+    import highway_env, matplotlib.pyplot, numba, torch
+for program in json.loads(sys.argv.pop()):
+    (run_in_a_fork if forked else run)(*program)
     print(END, flush=True)
 """
 _END = "\f"
 
 
-def run_each(*programs: tuple[Path, list[str]], **environment: str) -> list[str]:
+def run_each(
+    *programs: tuple[Path, list[str]], forked: bool = False, **environment: str
+) -> list[str]:
     """What scripts print with their arguments, one after the other in one process.
 
-    Imports torch and highway-env once, which takes longer than what most of them do.
+    Imports torch and highway-env once, which takes longer than what most of them do. ``forked``
+    runs each in a fork of that process, where it finds nothing of those before it.
     """
     listed = json.dumps([(str(script), arguments) for script, arguments in programs])
-    printed = run("-c", _EACH.replace("END", repr(_END)), listed, **environment).split(f"{_END}\n")
+    code = _EACH.replace("END", repr(_END))
+    printed = run("-c", code, listed, json.dumps(forked), **environment).split(f"{_END}\n")
     assert len(printed) == len(programs) + 1
     return printed[:-1]

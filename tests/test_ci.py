@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PARTS = ["run", "test", "test-slow", "lint", "wheel"]
+PARTS = ["run", "test", "coverage", "test-slow", "lint", "wheel"]
 MAKE = """#!/bin/sh
 # make -C FOLDER VENV=.venv PART
 { echo "$4 $3"; cd "$2"; pwd -P; ls -A; cat file; env | grep -c '^PYTHONPATH='; } >> "$LOG"

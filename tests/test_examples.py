@@ -41,7 +41,7 @@ def run_example(name, arguments, folder):
     return run
 
 
-def printed_by_each(arguments, folder):
+def printed_by_each(arguments, folder, forked=False):
     """What examples print with their arguments, all in one process; one that fails is named.
 
     ``make wheel`` runs each in a process of its own.
@@ -50,30 +50,30 @@ def printed_by_each(arguments, folder):
         patch.chdir(folder)
         patch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
         every = [(ROOT / "examples" / f"{name}.py", words) for name, words in arguments.items()]
-        return dict(zip(arguments, run_each(*every), strict=True))
+        return dict(zip(arguments, run_each(*every, forked=forked), strict=True))
 
 
-ALONE = ("new_experiment", "new_hmi", "new_protocol")
-"""Each registers what it brings, so it is the only one in its process."""
+REGISTERING = ("new_experiment", "new_hmi", "new_protocol")
+"""Each registers what it brings, so it runs where nothing of the others is registered. What they
+show is tested in make test by ``tests/**/test_extending.py``."""
 
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory):
-    apart = (SB3, *ALONE)
-    sizes = {name: arguments for name, (arguments, _) in TINY.items() if name not in apart}
+    sizes = {name: given for name, (given, _) in TINY.items() if name not in REGISTERING}
     return printed_by_each(sizes, tmp_path_factory.mktemp("examples"))
 
 
-@pytest.mark.parametrize("name", [name for name in TINY if name not in (SB3, *ALONE)])
+@pytest.mark.parametrize("name", [name for name in TINY if name not in REGISTERING])
 def test_an_example_runs(name, outputs):
     assert TINY[name][1] in outputs[name]
 
 
-@pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize("name", ALONE)
-def test_an_example_that_registers_something_runs(name, tmp_path):
-    arguments, printed = TINY[name]
-    assert printed in run_example(name, arguments, tmp_path).stdout
+@pytest.mark.slow
+def test_each_example_that_registers_something_runs(tmp_path):
+    sizes = {name: TINY[name][0] for name in REGISTERING}
+    for name, printed in printed_by_each(sizes, tmp_path, forked=True).items():
+        assert TINY[name][1] in printed
 
 
 @pytest.fixture(scope="module")
@@ -97,12 +97,13 @@ def test_the_help_of_an_example_explains_every_option(name, helps):
         assert re.search(r"\s{2,}\S", option), f"{option} is not explained"
 
 
-@pytest.mark.usefixtures("unmeasured")
-def test_the_example_for_sb3_shows_how_far_it_is_and_compares(tmp_path):
-    run = run_example(SB3, TINY[SB3][0], tmp_path)
-    assert "64/64" in run.stderr
-    lines = run.stdout.splitlines()[2:]
-    rows = [re.split(r"\s{2,}", line) for line in lines]
+@pytest.mark.slow
+def test_the_example_for_sb3_shows_how_far_it_is(tmp_path):
+    assert "64/64" in run_example(SB3, TINY[SB3][0], tmp_path).stderr
+
+
+def test_the_example_for_sb3_compares(outputs):
+    rows = [re.split(r"\s{2,}", line) for line in outputs[SB3].splitlines()[2:]]
     assert [row[0] for row in rows] == [
         "untrained",
         "learned",
@@ -134,7 +135,7 @@ def test_the_benchmark_of_the_highway_world_runs(tmp_path):
     assert (tmp_path / "runs" / "benchmarks" / "highway_world.json").exists()
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_the_benchmark_of_training_shows_where_time_goes(tmp_path):
     ours = "--rounds 1 --steps 2 --num-teams 32 --vehicles 2"
     others = "--processes 2 --shards 1 --sb3-steps 4 --sb3-batch 4"
@@ -159,7 +160,7 @@ def test_the_benchmark_of_training_shows_where_time_goes(tmp_path):
     assert plain["ratio"] == 1
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_the_benchmark_of_startup_prints_ratios_to_numpy(tmp_path):
     run_benchmark("startup", "--rounds 1 --only version watch", tmp_path)
     written = json.loads((tmp_path / "runs" / "bench" / "startup.json").read_text())
@@ -173,7 +174,7 @@ def test_the_benchmark_of_startup_prints_ratios_to_numpy(tmp_path):
     assert all(row["seconds"] > 0 and row["ratio"] > 0 for row in written["rows"])
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_the_walk_from_a_demonstrations_file_to_its_figure_is_counted_and_short(tmp_path):
     lines = run_benchmark("walk", "--list", tmp_path).stdout.splitlines()
     stops, files, returns = map(int, re.findall(r"\d+", lines[-1]))

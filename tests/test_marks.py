@@ -168,13 +168,12 @@ NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": "", "SDL_VIDEODRIVER": ""}
 pytestmark = pytest.mark.usefixtures("unmeasured")
 
 
-def test_environments_of_every_kind_leave_no_mark() -> None:
+def test_environments_tables_figures_clips_datasets_and_learning_leave_no_mark(
+    tmp_path: Path,
+) -> None:
     worlds = [f"WORLD = {world!r}\n{ENVIRONMENTS}" for world in ("highway", "batched")]
-    run("-c", MARKS + "".join(worlds), **NO_DISPLAY)
-
-
-def test_tables_figures_clips_datasets_and_learning_leave_no_mark(tmp_path: Path) -> None:
-    run("-c", MARKS + PAGES + LEARNING, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
+    code = "".join([MARKS, *worlds, PAGES, LEARNING])
+    run("-c", code, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
 
 
 def test_highway_envs_own_pictures_are_the_same_before_between_and_after_ours() -> None:

@@ -73,6 +73,7 @@ def test_an_id_that_names_the_module_resolves_in_a_fresh_process():
 
 
 @pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_ids_resolve_in_spawned_workers(tmp_path):
     script = tmp_path / "workers.py"
     script.write_text(

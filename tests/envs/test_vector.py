@@ -136,7 +136,7 @@ def test_highway_episodes_are_those_of_merge_v0_across_autoresets(seat):
 
 
 @pytest.mark.parametrize("seat", SEATS)
-@pytest.mark.parametrize("end_at_crash", [True, False])
+@pytest.mark.parametrize("end_at_crash", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_episodes_that_crash_are_those_of_merge_v0_too(seat, end_at_crash):
     settings = {"driver": TraitDistributions(), "duration": 1.0, "end_at_crash": end_at_crash}
     config = TeamConfig(**settings)

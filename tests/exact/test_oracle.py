@@ -121,7 +121,13 @@ def test_a_very_long_window_is_as_good_as_one_that_never_ends():
 
 
 @pytest.mark.parametrize("rule", ["optimal", "when-distracted", 0.0, 1.0, 0.3], ids=str)
-@pytest.mark.parametrize("name", PAPER_DRIVERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bart",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in PAPER_DRIVERS if name != "bart"),
+    ],
+)
 def test_simulated_returns_are_within_4_standard_errors_of_the_exact_ones(name, rule):
     window, horizon, count = 7, 100, 20_000
     probability = {

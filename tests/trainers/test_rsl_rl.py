@@ -56,9 +56,9 @@ def group(seat: str) -> str:
     ("seat", "memory"),
     [
         ("driver", False),
-        ("vehicle_ai", True),
-        ("team", False),
         ("team", True),
+        pytest.param("vehicle_ai", True, marks=pytest.mark.slow),
+        pytest.param("team", False, marks=pytest.mark.slow),
         pytest.param("driver", True, marks=pytest.mark.slow),
         pytest.param("vehicle_ai", False, marks=pytest.mark.slow),
     ],

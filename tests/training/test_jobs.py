@@ -13,7 +13,7 @@ from hmi_marl.training.runs.folder import read_curve
 TINY = {"num_teams": 16, "duration": 1.0}
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_weights_are_those_of_one_process_however_many_workers_there_are(tmp_path):
     jobs = [Job(Joint(steps=1, seed=seed, **TINY), tmp_path / f"{seed}") for seed in (0, 1)]
     train_all(jobs, 2, quiet=True)
@@ -25,22 +25,26 @@ def test_weights_are_those_of_one_process_however_many_workers_there_are(tmp_pat
     assert weights[0] != weights[1]
 
 
-@pytest.mark.usefixtures("unmeasured")
-def test_spare_workers_join_a_run_and_do_not_change_the_weights(tmp_path):
+@pytest.mark.slow
+def test_spare_workers_join_a_run_and_change_neither_weights_nor_this_process(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     ppo = PPOSettings(num_learning_epochs=1, num_mini_batches=2)
     settings = Joint(steps=1, num_teams=8, duration=1.0, ppo=ppo, device="cpu")
-    weights = []
-    for workers in (1, 2):
-        job = Job(settings, tmp_path / str(workers))
-        train_all([job], workers, quiet=True)
-        weights.append((job.folder / "driver.safetensors").read_bytes())
+    train_all([Job(settings, tmp_path / "two")], 2, quiet=True)
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+    train(replace(settings, threads=1), tmp_path / "one", quiet=True)
+    weights = [(tmp_path / each / "driver.safetensors").read_bytes() for each in ("one", "two")]
     assert weights[0] == weights[1]
-    waited = [read_curve(tmp_path / each)[0]["share_of_time_waiting"] for each in ("1", "2")]
+    waited = [read_curve(tmp_path / each)[0]["share_of_time_waiting"] for each in ("one", "two")]
     assert waited[0] == 0 < waited[1]
 
 
-@pytest.mark.usefixtures("unmeasured")
-def test_the_environment_of_this_process_is_left_as_it_was(tmp_path, monkeypatch):
+@pytest.mark.slow
+def test_what_a_worker_raises_is_raised_and_this_process_is_left_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     lost = TwoStage(driver_policy=str(tmp_path / "nowhere"), hmi_steps=1, **TINY)

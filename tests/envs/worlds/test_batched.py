@@ -15,14 +15,19 @@ def seeds(count, first=0):
 
 
 @pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize(("inflation", "driver"), [(1.0, "rule"), (3.0, "random"), (9.0, "rule")])
+@pytest.mark.parametrize(
+    ("inflation", "driver"),
+    [pytest.param(1.0, "rule", marks=pytest.mark.slow), (3.0, "random"), (9.0, "rule")],
+)
 def test_it_follows_highway_env(inflation, driver):
     steps, _ = assert_parity(Scene(), seeds(2, int(inflation)), inflation=inflation, driver=driver)
     assert steps > 40
 
 
 @pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize(
+    "number", [0, 2, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 3))]
+)
 def test_it_follows_highway_env_in_any_scene(number):
     rng = np.random.default_rng(number)
     assert_parity(random_scene(rng), seeds(2), 8.0, float(rng.uniform(1, 9)), "random")

@@ -1,8 +1,9 @@
-"""The batched world among forks, pools and other libraries' threads, each in a fresh process.
+"""The batched world among forks, pools and other libraries' threads, in fresh processes.
 
 Gymnasium's, SuperSuit's and Stable-Baselines3's processes are in ``tests/trainers``.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -55,6 +56,48 @@ def run(code, **env):
     return ended.stdout.strip()
 
 
+EACH_IN_A_FORK = """
+import contextlib, io, json, os, sys, traceback
+
+def printed_in_a_fork(code):
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                exec(code, globals())
+            os.write(write, out.getvalue().encode())
+            status = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+    os.close(write)
+    with open(read) as told:
+        printed = told.read().strip()
+    assert os.waitpid(child, 0)[1] == 0, code
+    return printed
+
+print(json.dumps([printed_in_a_fork(code) for code in json.loads(sys.stdin.read())]))
+"""
+
+
+def run_each(*codes, imports="", **env):
+    """What each code prints, in a fork of a process that has imported, but has done nothing yet."""
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", MANY + imports + EACH_IN_A_FORK],
+        env=environment(env),
+        input=json.dumps(codes),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT,
+    )
+    assert ended.returncode == 0, ended.stderr
+    return json.loads(ended.stdout)
+
+
 def run_file(code, folder, **env):
     """The same from a file, as pools that start their workers afresh need it."""
     path = folder / "program.py"
@@ -78,7 +121,8 @@ def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(tmp_path):
         "    import multiprocessing\n"
         "    alone = drive(256)\n"
         "    for method in ('fork', 'spawn', 'forkserver'):\n"
-        "        with multiprocessing.get_context(method).Pool(2) as pool:\n"
+        "        several = 2 if method == 'fork' else 1\n"  # others import everything again
+        "        with multiprocessing.get_context(method).Pool(several) as pool:\n"
         "            same = pool.map(drive, [256, 256]) == [alone, alone]\n"
         "        print(method, same, drive(256) == alone)",
         tmp_path,
@@ -87,7 +131,7 @@ def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(tmp_path):
     assert printed.splitlines() == told
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_joblib_of_any_kind_and_with_worlds_that_are_large(tmp_path):
     pytest.importorskip("joblib")
     printed = run_file(
@@ -111,72 +155,118 @@ def test_joblib_of_any_kind_and_with_worlds_that_are_large(tmp_path):
     assert printed.splitlines() == [f"{kind} True" for kind in kinds]
 
 
-@pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize(
-    "layer", ["omp", "default", pytest.param("workqueue", marks=pytest.mark.slow)]
+TWO_THREADS = (
+    "from concurrent.futures import ThreadPoolExecutor\n"
+    "alone = drive(128)\n"
+    "with ThreadPoolExecutor(4) as pool:\n"
+    "    print(list(pool.map(lambda _: drive(128, 10), range(8))) == [drive(128, 10)] * 8)"
 )
-def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
-    printed = run(
-        "from concurrent.futures import ThreadPoolExecutor\n"
-        "alone = drive(128)\n"
-        "with ThreadPoolExecutor(4) as pool:\n"
-        "    print(list(pool.map(lambda _: drive(128, 10), range(8))) == [drive(128, 10)] * 8)",
-        NUMBA_THREADING_LAYER=layer,
-    )
-    assert printed == "True"
 
 
 @pytest.mark.usefixtures("unmeasured")
-def test_thread_counts_of_numba_and_torch_stay_as_they_were():
-    pytest.importorskip("torch")
-    printed = run(
-        "import numba, torch\n"
-        "counts = lambda: (numba.get_num_threads(), torch.get_num_threads(),\n"
-        "    torch.get_num_interop_threads())\n"
-        "torch.set_num_threads(1); numba.set_num_threads(1)\n"
-        "few = counts(); drive(512); drive(8); drive(512, threads=1); print(counts() == few)\n"
-        "most = numba.config.NUMBA_NUM_THREADS\n"
-        "torch.set_num_threads(3); numba.set_num_threads(most)\n"
-        "many = counts(); drive(512); drive(512, threads=1); print(counts() == many)"
-    )
-    assert printed.split() == ["True", "True"]
+@pytest.mark.parametrize("layer", ["omp", pytest.param("workqueue", marks=pytest.mark.slow)])
+def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
+    assert run(TWO_THREADS, NUMBA_THREADING_LAYER=layer) == "True"
 
 
-def test_one_world_and_one_thread_start_no_threads_and_many_no_openmp():
-    printed = run(
-        "import sys, threading\n"
-        "drive(1); drive(512, threads=1); print(threading.active_count())\n"
-        "drive(512); print(threading.active_count())\n"
-        "maps = open('/proc/self/maps').read() if sys.platform.startswith('linux') else ''\n"
-        "print('gomp' in maps or 'omppool' in maps or 'workqueue' in maps)"
+THREADS_STARTED = (
+    "import sys, threading\n"
+    "drive(1); drive(512, threads=1); print(threading.active_count())\n"
+    "drive(512); print(threading.active_count())\n"
+    "maps = open('/proc/self/maps').read() if sys.platform.startswith('linux') else ''\n"
+    "print('gomp' in maps or 'omppool' in maps or 'workqueue' in maps)"
+)
+INTERRUPTED = (
+    "import signal, time\n"
+    "def interrupt(*_): raise KeyboardInterrupt\n"
+    "signal.signal(signal.SIGALRM, interrupt)\n"
+    "config = TeamConfig(duration=20.0)\n"
+    "world = make_world('batched', config.scene, 4096)\n"
+    "everywhere, keep, changed, interrupted = np.ones(4096, bool), np.ones(4096, int), 0, 0\n"
+    "for k in range(30):\n"
+    "    try:\n"
+    "        signal.setitimer(signal.ITIMER_REAL, 0.001 + 0.0004 * k)\n"
+    "        for _ in range(20): world.step(keep, everywhere)\n"
+    "    except KeyboardInterrupt: interrupted += 1\n"
+    "    before = world._floats.copy(); time.sleep(0.02)\n"
+    "    changed += not np.array_equal(before, world._floats, equal_nan=True)\n"
+    "print(interrupted > 15, changed)"
+)
+RAISED = (
+    "import threading\n"
+    "from hmi_marl.envs.worlds.batched.threads import share, take\n"
+    "main = threading.current_thread()\n"
+    "ready = threading.Event()\n"
+    "def loop(progress):\n"
+    "    if threading.current_thread() is not main:\n"
+    "        take(progress, 0, 64); ready.set(); raise MemoryError('in a helper')\n"
+    "    ready.wait()\n"
+    "    first, last = take(progress, 0, 64)\n"
+    "    while first < last: first, last = take(progress, last - first, 64)\n"
+    "for _ in range(2):\n"
+    "    ready.clear()\n"
+    "    try: share(loop, 64, 2)\n"
+    "    except MemoryError as error: print(error)"
+)
+NO_THREADS = (
+    "import threading\n"
+    "alone = drive(256, threads=1)\n"
+    'def start(self): raise RuntimeError("can\'t start new thread")\n'
+    "threading.Thread.start = start\n"
+    "print(drive(256) == alone)"
+)
+
+
+def test_threads_are_helpers_that_start_end_and_fail_without_harm():
+    """Each in a process that has no threads yet."""
+    together, started, interrupted, raised, without = run_each(
+        TWO_THREADS, THREADS_STARTED, INTERRUPTED, RAISED, NO_THREADS
     )
-    alone, many, openmp = printed.split()
+    assert together == "True", "two threads step two worlds"
+    alone, many, openmp = started.split()
     assert alone == "1"
     assert int(many) == min(available(), 32)  # 512 teams are worth no more
     assert openmp == "False"
+    assert interrupted == "True 0", "an interrupt leaves a helper at work"
+    assert raised.splitlines() == ["in a helper"] * 2, "what a helper raises reaches the caller"
+    assert without == "True", "where no thread can be started the caller drives alone"
+
+
+COUNTS = (
+    "import numba\n"
+    "counts = lambda: (numba.get_num_threads(), torch.get_num_threads(),\n"
+    "    torch.get_num_interop_threads())\n"
+    "torch.set_num_threads(1); numba.set_num_threads(1)\n"
+    "few = counts(); drive(512); drive(8); drive(512, threads=1); print(counts() == few)\n"
+    "most = numba.config.NUMBA_NUM_THREADS\n"
+    "torch.set_num_threads(3); numba.set_num_threads(most)\n"
+    "many = counts(); drive(512); drive(512, threads=1); print(counts() == many)"
+)
+ON_ONE_THREAD = (
+    "from pathlib import Path\n"
+    "from hmi_marl.training.ppo.learner import PPOLearner\n"
+    "from hmi_marl.training.ppo.run import train\n"
+    "from hmi_marl.training.protocols.two_stage import TwoStage\n"
+    "torch.set_num_threads(4)\n"
+    "seen, learn = set(), PPOLearner.learn\n"
+    "def watched(self, *args):\n"
+    "    seen.add(torch.get_num_threads())\n"
+    "    return learn(self, *args)\n"
+    "PPOLearner.learn = watched\n"
+    "size = {'num_teams': 32, 'duration': 2.0, 'threads': 1}\n"
+    "settings = TwoStage(driver_steps=320, hmi_steps=320, **size)\n"
+    "train(settings, Path('run'), quiet=True)\n"
+    "print(seen, torch.get_num_threads())"
+)
 
 
 @pytest.mark.usefixtures("unmeasured")
-def test_training_with_one_thread_learns_on_one_thread_in_a_cold_process(tmp_path):
+def test_thread_counts_stay_and_training_with_one_thread_learns_on_one_thread(tmp_path):
     pytest.importorskip("rsl_rl")
-    printed = run(
-        "import torch\n"
-        "from pathlib import Path\n"
-        "from hmi_marl.training.ppo.learner import PPOLearner\n"
-        "from hmi_marl.training.ppo.run import train\n"
-        "from hmi_marl.training.protocols.two_stage import TwoStage\n"
-        "torch.set_num_threads(4)\n"
-        "seen, learn = set(), PPOLearner.learn\n"
-        "def watched(self, *args):\n"
-        "    seen.add(torch.get_num_threads())\n"
-        "    return learn(self, *args)\n"
-        "PPOLearner.learn = watched\n"
-        "size = {'num_teams': 32, 'duration': 2.0, 'threads': 1}\n"
-        "settings = TwoStage(driver_steps=320, hmi_steps=320, **size)\n"
-        "train(settings, Path('run'), quiet=True)\n"
-        "print(seen, torch.get_num_threads())".replace("'run'", repr(str(tmp_path / "run")))
-    )
-    assert printed == "{1} 4"
+    training = ON_ONE_THREAD.replace("'run'", repr(str(tmp_path / "run")))
+    counts, on_one_thread = run_each(COUNTS, training, imports="import torch\n")
+    assert counts.split() == ["True", "True"]
+    assert on_one_thread == "{1} 4"
 
 
 def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
@@ -201,54 +291,3 @@ def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
         NUMBA_NUM_THREADS="1",
     )
     assert after == before
-
-
-def test_an_interrupt_leaves_no_helper_at_work():
-    printed = run(
-        "import signal, time\n"
-        "def interrupt(*_): raise KeyboardInterrupt\n"
-        "signal.signal(signal.SIGALRM, interrupt)\n"
-        "config = TeamConfig(duration=20.0)\n"
-        "world = make_world('batched', config.scene, 4096)\n"
-        "everywhere, keep, changed, interrupted = np.ones(4096, bool), np.ones(4096, int), 0, 0\n"
-        "for k in range(30):\n"
-        "    signal.setitimer(signal.ITIMER_REAL, 0.001 + 0.0004 * k)\n"
-        "    try:\n"
-        "        for _ in range(20): world.step(keep, everywhere)\n"
-        "    except KeyboardInterrupt: interrupted += 1\n"
-        "    before = world._floats.copy(); time.sleep(0.02)\n"
-        "    changed += not np.array_equal(before, world._floats, equal_nan=True)\n"
-        "print(interrupted > 15, changed)"
-    )
-    assert printed == "True 0"
-
-
-def test_what_a_loop_raises_in_a_helper_reaches_the_caller():
-    printed = run(
-        "import threading\n"
-        "from hmi_marl.envs.worlds.batched.threads import share, take\n"
-        "main = threading.current_thread()\n"
-        "ready = threading.Event()\n"
-        "def loop(progress):\n"
-        "    if threading.current_thread() is not main:\n"
-        "        take(progress, 0, 64); ready.set(); raise MemoryError('in a helper')\n"
-        "    ready.wait()\n"
-        "    first, last = take(progress, 0, 64)\n"
-        "    while first < last: first, last = take(progress, last - first, 64)\n"
-        "for _ in range(2):\n"
-        "    ready.clear()\n"
-        "    try: share(loop, 64, 2)\n"
-        "    except MemoryError as error: print(error)"
-    )
-    assert printed.splitlines() == ["in a helper"] * 2
-
-
-def test_where_no_thread_can_be_started_the_caller_drives_alone():
-    printed = run(
-        "import threading\n"
-        "alone = drive(256, threads=1)\n"
-        'def start(self): raise RuntimeError("can\'t start new thread")\n'
-        "threading.Thread.start = start\n"
-        "print(drive(256) == alone)"
-    )
-    assert printed == "True"

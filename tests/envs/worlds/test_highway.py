@@ -57,7 +57,7 @@ SCENES = [
 
 @pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("scene", SCENES, ids=str)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_it_follows_an_unmodified_merge_generic_v1_exactly(scene, seed):
     scene = scene.fitted(5.0)
     world = HighwayWorld(scene, 1)

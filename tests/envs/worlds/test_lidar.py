@@ -34,7 +34,15 @@ def surrounded(observer, others):
 
 
 @pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize("inflation", [1.0, 3.0, 6.0, 9.0])
+@pytest.mark.parametrize(
+    "inflation",
+    [
+        pytest.param(1.0, marks=pytest.mark.slow),
+        3.0,
+        pytest.param(6.0, marks=pytest.mark.slow),
+        9.0,
+    ],
+)
 def test_inflated_lidar_is_highway_envs_on_a_road_of_really_larger_objects(inflation):
     scene = Scene(vehicles=(3, 20)).fitted(10.0)
     outside = inside = 0

@@ -242,6 +242,7 @@ def test_a_swapped_pair_plays_as_anybody_would_play_it(folder: Path) -> None:
     assert sums.alerts == episodes.alerts.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
 def test_results_do_not_depend_on_the_workers(folder: Path) -> None:
     few = replace(TINY, protocols=("two-stage",), seeds=1, crash_check=False)

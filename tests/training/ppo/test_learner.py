@@ -329,7 +329,7 @@ def rule_of(policy, env):
     return policy.act(seen).reshape(config.horizon, 2, 2, window)
 
 
-@pytest.mark.parametrize("name", ["marge", "homer"])
+@pytest.mark.parametrize("name", ["marge", pytest.param("homer", marks=pytest.mark.slow)])
 def test_ppo_learns_the_exact_optimum_of_alerting(name):
     env = env_for("vehicle_ai", 64, world=StandingWorld, driver=name, duration=2.0)
     card = card_for(env, "vehicle_ai", NetworkConfig((16,)))

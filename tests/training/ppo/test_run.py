@@ -155,7 +155,13 @@ class Killed(BaseException):
     """As if the machine had been switched off: nothing may catch it."""
 
 
-@pytest.mark.parametrize("settings", [TWO_STAGE, ALTERNATING], ids=["two stages", "rounds"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pytest.param(TWO_STAGE, id="two stages"),
+        pytest.param(ALTERNATING, id="rounds", marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_cut_off_at_any_checkpoint_ends_as_if_it_had_not_been(
     settings, tmp_path, monkeypatch
 ):
@@ -220,7 +226,10 @@ train({name}, Path(sys.argv[1]), quiet=True)
 @pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize(
     ("name", "batches", "before"),
-    [("TWO_STAGE", 4, (1, 1)), ("ALTERNATING", 6, (2, 1))],
+    [
+        ("TWO_STAGE", 4, (1, 1)),
+        pytest.param("ALTERNATING", 6, (2, 1), marks=pytest.mark.slow),
+    ],
 )
 def test_a_run_that_was_killed_goes_on_to_the_same_bytes(name, batches, before, tmp_path):
     settings = globals()[name]

@@ -69,7 +69,7 @@ def alone(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_weights_optimizers_and_curves_do_not_depend_on_the_number_of_processes(
     count, alone, tmp_path
 ):
@@ -81,6 +81,7 @@ def test_weights_optimizers_and_curves_do_not_depend_on_the_number_of_processes(
     assert all(0 < row["share_of_time_waiting"] < 1 for row in curve)
 
 
+@pytest.mark.slow
 def test_a_killed_process_ends_the_run_which_goes_on_with_another_number(alone, tmp_path):
     settings, folder = PROTOCOLS["two-stage"], tmp_path / "run"
     with pytest.raises(ChildProcessError, match=r"process 0 .* ended by SIGKILL; the same command"):
@@ -91,6 +92,7 @@ def test_a_killed_process_ends_the_run_which_goes_on_with_another_number(alone, 
     assert learned(folder) == learned(alone / "two-stage")
 
 
+@pytest.mark.slow
 def test_train_starts_processes_which_go_on_with_what_one_learned(alone, tmp_path, monkeypatch):
     settings, folder = PROTOCOLS["two-stage"], tmp_path / "run"
     save = Checkpoint.save
@@ -133,6 +135,7 @@ def test_processes_know_each_other_by_memory_and_by_torch(tmp_path):
             }
 
 
+@pytest.mark.slow
 def test_torchrun_learns_the_same(alone, tmp_path):
     settings = ["--steps", "80", "--num-teams", "8", "--duration", "1", "--vehicles", "1", "3"]
     settings += ["--network.hidden-dims", "8", "--ppo.num-learning-epochs", "2"]

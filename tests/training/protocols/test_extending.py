@@ -88,7 +88,7 @@ def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Pat
     overview, own, _, wrong = commands(
         "train --help",
         "train reversed --help",
-        f"train reversed --hmi-steps 1 --driver-steps 1 --device cpu {SIZE}",
+        f"train reversed --hmi-steps 1 --driver-steps 1 --device cpu --processes 1 {SIZE}",
         "train revesed",
         last=2,
     )
@@ -104,7 +104,7 @@ def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Pat
     assert (folder / "vehicle_ai.json").is_file()
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_it_is_compared_with_the_others(commands, tmp_path: Path) -> None:
     words = f"compare --protocols two-stage reversed --steps 160 --rounds 1 --seeds 1 {SIZE}"
     for printed in commands(

@@ -131,7 +131,7 @@ def centred(values: Array) -> Array:
     return values - values.mean(axis=-1, keepdims=True)
 
 
-@pytest.mark.parametrize("slip", [0.0, 0.2])
+@pytest.mark.parametrize("slip", [pytest.param(0.0, marks=pytest.mark.slow), 0.2])
 def test_a_free_f_becomes_the_experts_log_policy(slip: float) -> None:
     dynamics = ring(slip=slip)
     expert = soft_optimal(by_action(TRUTH), dynamics)

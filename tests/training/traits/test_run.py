@@ -200,7 +200,7 @@ def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(
     assert rows(tmp_path / "cut") == rows(tmp_path / "whole")
 
 
-@pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_a_killed_run_goes_on(dataset, tmp_path):
     settings = replace(TINY, steps=200)
     whole = learned(tmp_path / "whole", dataset, settings)
