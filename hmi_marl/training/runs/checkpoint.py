@@ -20,7 +20,7 @@ import torch
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
-from hmi_marl.checks import Checked, CountOrZero, PositiveOrZero
+from hmi_marl.checks import Checked, CountOrZero, Seconds, StepsOrZero
 from hmi_marl.files import write_bytes
 from hmi_marl.reading import MOST_STATE_VALUES, parse_json, parse_tensors, read_bytes
 from hmi_marl.text import one_line
@@ -129,9 +129,9 @@ class _Header(Checked):
     sha256: str
     settings: str
     phase: CountOrZero
-    iteration: CountOrZero
-    steps: CountOrZero
-    seconds: PositiveOrZero
+    iteration: StepsOrZero
+    steps: StepsOrZero
+    seconds: Seconds
     curve: list[Row]
 
 
