@@ -73,13 +73,13 @@ class Checkpoint:
         write_bytes(path, content[: found.start(1)] + digest + content[found.end(1) :])
 
     @classmethod
-    def load(cls, path: Path, settings: str = "", phases: int | None = None) -> Checkpoint:
+    def load(cls, path: Path, settings: str | None = None, phases: int | None = None) -> Checkpoint:
         """Read a state.
 
         Args:
             path: file that :meth:`save` wrote.
-            settings: digest of the settings of the run that is to be resumed.
-            phases: number of its phases.
+            settings: digest of the settings of the run that is to be resumed; None for any run.
+            phases: number of its phases; None for any number.
 
         Raises:
             OSError: the file cannot be read.
@@ -97,7 +97,7 @@ class Checkpoint:
                 f"{path} is not a checkpoint that can be read here; remove its folder, and run "
                 "again, or resume it by the version of hmi-marl that wrote it"
             )
-        if header.settings != settings:
+        if settings is not None and header.settings != settings:
             raise ValueError(
                 f"{path} is the checkpoint of a run with other settings than the run.json beside "
                 "it; remove the folder, and run again"
