@@ -15,7 +15,7 @@ help:
 	@echo "make wheel      install the wheel with each extra alone, and run everything it promises"
 	@echo "make trainers   test RLlib, TorchRL, Tianshou and AgileRL, each in an environment of its own"
 	@echo "make parity     compare the batched world with highway-env, for hundreds of seeds"
-	@echo "make soak       ten million random team steps over random configurations"
+	@echo "make soak       ten million random team steps over any settings, 200 episodes in both worlds"
 	@echo "make docs       the documentation site, in site/"
 	@echo "make lint       ruff, mypy and the contracts for imports"
 	@echo "make format     format the code with ruff"

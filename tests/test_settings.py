@@ -12,7 +12,18 @@ import numpy as np
 import pytest
 
 import hmi_marl
+from hmi_marl import Driver, RewardWeights, TeamConfig, make_vec
+from hmi_marl.agents.adaptive.hmis import make_adaptive
+from hmi_marl.agents.hmis import RandomAlert
 from hmi_marl.checks import Checked, allowed
+from hmi_marl.envs.scene import Scene
+from hmi_marl.envs.streams import check_seed
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.envs.worlds import make_world
+from hmi_marl.exact import oracle
+from hmi_marl.exact.bayes_filter import BayesFilter
+from hmi_marl.exact.hidden_attention import solve_belief
+from hmi_marl.workers import check_workers
 
 UNBOUNDED = {
     "PolicyCard.reads": "sizes of parts, which are compared with the layout",
@@ -159,3 +170,56 @@ def test_odd_values_are_refused_in_one_line_or_work(kind):
                     assert type(number) in (int, float), (field, value)
                     assert abs(number) < 2**64
     assert outcomes in ({"refused", "kept"}, {"refused"}, set())
+
+
+HIDDEN = TeamConfig(ai_sees_attention=False)
+SMALL = {"world": "highway", "duration": 0.2, "scene": Scene(vehicles=1)}
+CALLS = {
+    "num_teams": [lambda v: make_vec(v, **SMALL), lambda v: Teaming(TeamConfig(), v)],
+    "num_worlds": [lambda v: make_world("highway", TeamConfig().scene, v)],
+    "seed": [lambda v: make_vec(1, seed=v, **SMALL), check_seed],
+    "threads": [lambda v: make_world("highway", TeamConfig().scene, 1, 1 if v is None else v)],
+    "workers": [lambda v: check_workers(1 if v is None else v)],
+    "window": [
+        lambda v: oracle.solve_alerts("lisa", v, 2),
+        lambda v: oracle.reachable("lisa", window=v, horizon=2),
+        lambda v: solve_belief("lisa", v, 2, RewardWeights()),
+        lambda v: BayesFilter([Driver("a", 0.1, 0.2, 0.3, 4)], v, 1),
+    ],
+    "horizon": [
+        lambda v: oracle.evaluate(0.5, "lisa", 2, v),
+        lambda v: oracle.alert_losses("lisa", 2, v),
+        lambda v: solve_belief("lisa", 2, v, RewardWeights()),
+    ],
+    "alert": [
+        lambda v: oracle.evaluate(v, "lisa", 2, 2),
+        lambda v: oracle.solve_alerts("lisa", strengths=(v,), window=2, horizon=2),
+    ],
+    "revealing": [lambda v: solve_belief("lisa", 2, 2, RewardWeights(), v)],
+    "count": [lambda v: BayesFilter(["lisa"], 2, v)],
+    "rate": [RandomAlert],
+    "caution": [lambda v: make_adaptive("expected", HIDDEN, exact=True, caution=v)],
+    "change_rate": [lambda v: make_adaptive("expected", HIDDEN, exact=True, change_rate=v)],
+}
+"""Calls of public functions with one number, by a part of its name."""
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_odd_arguments_are_refused_in_one_line_or_work(name):
+    for call in CALLS[name]:
+        outcomes = [outcome(call, value) for value in ODD]
+        refused = [text for text in outcomes if text is not None]
+        assert len(refused) > 10
+        for text in refused:
+            assert name in text
+            assert "\n" not in text
+            assert len(text) < 300
+
+
+def outcome(call, value) -> str | None:
+    """Text of the error, or None."""
+    try:
+        call(value)
+    except (ValueError, TypeError) as error:
+        return str(error)
+    return None

@@ -95,7 +95,6 @@ def predict(
     return belief * stays + (1.0 - belief) * becomes
 
 
-@lru_cache(maxsize=64)
 def solve_belief(
     driver: str | Driver,
     window: int,
@@ -116,6 +115,19 @@ def solve_belief(
     driver, window, horizon = get_driver(driver), check_window(window), check_horizon(horizon)
     revealing = SHARE("revealing", revealing)
     check_size(horizon, 2, GRID, 2, window)
+    return _solved(driver, window, horizon, weights, revealing, bool(sequential))
+
+
+@lru_cache(maxsize=64)
+def _solved(
+    driver: Driver,
+    window: int,
+    horizon: int,
+    weights: RewardWeights,
+    revealing: float,
+    sequential: bool,
+) -> BeliefSolution:
+    """The same for checked arguments; equal ones share a solution."""
     belief, accepted, counter = np.meshgrid(
         np.linspace(0.0, 1.0, GRID), np.arange(2), np.arange(window), indexing="ij"
     )

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from parity import assert_parity, random_scene
 
-from hmi_marl import Driver, Scene, merge_v0
+from hmi_marl import Scene, merge_v0
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.scene import draw_start
 from hmi_marl.envs.teaming import Teaming
@@ -173,56 +173,6 @@ def test_the_memory_of_a_team_is_small_and_constant():
 def test_more_threads_than_there_are_are_refused(threads):
     with pytest.raises(ValueError, match="threads lies in 1 to"):
         make_world("batched", Scene().fitted(2.0), 1, threads)
-
-
-def soak(team_steps, configurations, seed):
-    """Random teams in random scenes; the invariants hold in every step."""
-    rng = np.random.default_rng(seed)
-    done, share = 0, team_steps // configurations
-    for _ in range(configurations):
-        drivers = [Driver(f"d{k}", *rng.random(3), rng.uniform(1, 9)) for k in range(4)]
-        window = int(rng.integers(1, 12))
-        config = TeamConfig(
-            driver=drivers,
-            scene=random_scene(rng),
-            alert_window=window,
-            duration=10.0,
-            end_at_crash=bool(rng.random() < 0.7),
-        )
-        count = int(rng.integers(200, 3000))
-        teams, episode = Teaming(config, count, "batched"), 0
-        teams.reset(seeds(count))
-        goal = done + share
-        while done < goal:
-            before = teams.applied
-            teams.intend(rng.integers(0, 5, count))
-            result = teams.step(rng.integers(0, 2, count))
-            done += count
-            ego, attention = teams.ego, teams.attention
-            assert np.isfinite(teams.state()).all()
-            assert all(np.isfinite(values).all() for values in result.terms.values())
-            assert (np.abs(ego.speed) <= 41).all()
-            assert (ego.x > 0).all()
-            assert (ego.x < config.scene.length + 100).all()
-            assert (np.abs(ego.y - 10) < 60).all()
-            assert np.isin(attention.distracted, (0, 1)).all()
-            assert np.isin(attention.accepted, (0, 1)).all()
-            assert ((attention.counter >= 0) & (attention.counter < window)).all()
-            repeats = (attention.distracted == 1) & (before >= 0)
-            assert (teams.applied == before)[repeats].all()
-            if teams.over.any():
-                episode += 1
-                teams.reset(seeds(count, episode * 10_000), teams.over.copy())
-    return done
-
-
-def test_a_soak():
-    assert soak(60_000, 3, seed=1) >= 60_000
-
-
-@pytest.mark.long
-def test_ten_million_team_steps():
-    assert soak(10_000_000, 40, seed=2) >= 10_000_000
 
 
 def test_other_eyes_see_otherwise_whether_or_not_they_looked_before():
