@@ -176,6 +176,7 @@ def test_environments_tables_figures_clips_datasets_and_learning_leave_no_mark(
     run("-c", code, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
 
 
+@pytest.mark.slow
 def test_highway_envs_own_pictures_are_the_same_before_between_and_after_ours() -> None:
     pictures = {
         run("-c", OTHER_PICTURE + program, **NO_DISPLAY).split()[-1]

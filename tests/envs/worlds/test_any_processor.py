@@ -78,6 +78,7 @@ print(digest.hexdigest())
 
 @only_x86
 @pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_the_elementary_functions_are_the_same_compiled_without_fused_multiply_add(
     monkeypatch, capsys
 ):

@@ -164,7 +164,8 @@ TWO_THREADS = (
 
 
 @pytest.mark.usefixtures("unmeasured")
-@pytest.mark.parametrize("layer", ["omp", pytest.param("workqueue", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("layer", ["omp", "workqueue"])
 def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
     assert run(TWO_THREADS, NUMBA_THREADING_LAYER=layer) == "True"
 
@@ -269,6 +270,7 @@ def test_thread_counts_stay_and_training_with_one_thread_learns_on_one_thread(tm
     assert on_one_thread == "{1} 4"
 
 
+@pytest.mark.slow
 def test_a_pickled_world_loads_where_fewer_threads_are_allowed(tmp_path):
     path = str(tmp_path / "env.pickle")
     if available() < 2:

@@ -252,6 +252,7 @@ def test_parts_of_files_that_killed_processes_left_are_removed_when_old(run_here
 
 
 @pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_processes_that_start_together_compile_once(made, tmp_path):
     processes = [start(made[0], tmp_path) for _ in range(2)]
     ended = [process.communicate(timeout=120) for process in processes]

@@ -127,6 +127,7 @@ def test_the_default_table_is_the_papers() -> None:
 
 
 @pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_number_of_workers(
     config: TableConfig, cells: list[Cell]
 ) -> None:

@@ -84,6 +84,7 @@ def commands(tmp_path: Path):
 
 
 @pytest.mark.usefixtures("unmeasured")
+@pytest.mark.slow
 def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Path) -> None:
     overview, own, _, wrong = commands(
         "train --help",
