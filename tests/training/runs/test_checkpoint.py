@@ -16,7 +16,7 @@ def some():
     return Checkpoint(
         phase=1,
         iteration=3,
-        steps=2**40,
+        steps=2**39,
         seconds=1.5,
         tensors={
             "driver": {"actor.mlp.0.weight": torch.randn(3, 2), "optimizer.0.step": torch.ones(())},
@@ -122,12 +122,12 @@ def test_a_header_of_right_fields_is_taken(tmp_path):
     ("change", "message"),
     [
         ({"mood": "good"}, r"unknown fields: \['mood'\]"),
-        ({"phase": -1}, "phase is at least 0, but got -1"),
+        ({"phase": -1}, "phase lies in 0 to 1000000, but got -1"),
         ({"phase": 1.0}, "phase is a whole number, not 1.0"),
         ({"iteration": True}, "iteration is a whole number, not True"),
         ({"steps": "many"}, "steps is a whole number, not 'many'"),
         ({"steps": 10**30}, "a whole number of more than 20 digits"),
-        ({"seconds": -0.5}, "seconds is a number of at least 0, but got -0.5"),
+        ({"seconds": -0.5}, "seconds lies in .0, 1e.09., but got -0.5"),
         ({"seconds": float("inf")}, "Infinity is no number in JSON"),
         ({"curve": {}}, "curve is a list, not {}"),
         ({"curve": [3]}, r"curve\[0\] is a mapping, not 3"),
