@@ -25,7 +25,8 @@ from hmi_marl.experiments.latent_traits.assessment import (
 from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import check_fits
 from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
-from hmi_marl.files import json_value, make_folder, sha256_of
+from hmi_marl.files import json_value, sha256_of
+from hmi_marl.ownership import owned
 from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
@@ -249,8 +250,11 @@ class LatentTraits(TraitReport):
                         f"{driver_run}; choose another --out, or remove the folder"
                     )
                 continue
-            make_folder(folder / name)
-            with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:
+            total = dataset.total_steps
+            with (
+                owned(folder / name),
+                tqdm(total=total, unit=" steps", unit_scale=True, desc=name) as bar,
+            ):
                 write_demonstrations(folder / name, collect(dataset, bar.update))
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
         split = assessment.Split.of(demonstrations, learn.held_out, self.evaluation.windows)

@@ -28,6 +28,7 @@ from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value
+from hmi_marl.ownership import check_free
 from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phase, TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.start import (
@@ -84,6 +85,7 @@ def train(
             among so many processes.
     """
     shown = {"command_line": command_line, "quiet": quiet, "line": line}
+    check_free(folder)
     if processes == 1:
         train_rank(settings, folder, context, shown)
         return

@@ -12,7 +12,7 @@ import json
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -25,7 +25,8 @@ from tqdm import tqdm
 
 import hmi_marl
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.files import make_folder, write_bytes, write_json
+from hmi_marl.files import write_bytes, write_json
+from hmi_marl.ownership import owned
 from hmi_marl.training.runs.folder import (
     CHECKPOINT,
     CURVE,
@@ -262,14 +263,18 @@ class Run(ABC):
         check_same(before, self.about, self.folder)
 
     def go(self) -> None:
-        """Learn what is not learned yet.
+        """Learn what is not learned yet, and save models whose files are gone again.
 
         Raises:
+            FloatingPointError: learning has diverged; the last checkpoint is sound.
+            FolderInUseError: another process writes into the folder.
             OSError: the folder cannot be written to.
             ValueError: the folder holds another run, or a damaged one.
         """
-        if self.processes.is_first:
-            make_folder(self.folder)
+        with owned(self.folder) if self.processes.is_first else nullcontext():
+            self._go()
+
+    def _go(self) -> None:
         settings, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
         if checkpoint.is_file():  # otherwise nothing was learned that could be lost
             self.check(read_settings(settings))

@@ -16,7 +16,13 @@ from typing import Any
 from hmi_marl.checks import check_count
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
-from hmi_marl.workers import begin_worker, cores, environment, threads_each
+from hmi_marl.workers import (
+    begin_worker,
+    cores,
+    environment,
+    threads_each,
+    without_interrupts,
+)
 
 _GPU_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")
 """Devices of the drivers that torch.cuda works with, on Linux: NVIDIA's, AMD's, Windows'."""
@@ -91,10 +97,11 @@ def start_together(
         ChildProcessError: a process was killed.
         Exception: what ``function`` raised in one of them.
     """
-    context, memory = get_context("spawn"), SharedMemory(count)
+    context = get_context("spawn")
     processes: list[tuple[BaseProcess, Connection]] = []
     try:
-        with environment(threads_each(threads)):
+        with environment(threads_each(threads)), without_interrupts():
+            memory = SharedMemory(count)
             for rank in range(count):
                 reader, writer = context.Pipe(duplex=False)
                 call = (function, (*arguments, memory, rank), writer)
