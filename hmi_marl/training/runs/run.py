@@ -27,6 +27,7 @@ import hmi_marl
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.files import write_bytes, write_json
 from hmi_marl.ownership import owned
+from hmi_marl.training.runs.divergence import are_finite
 from hmi_marl.training.runs.folder import (
     CHECKPOINT,
     CURVE,
@@ -258,6 +259,10 @@ class Run(ABC):
     def restore(self, tensors: Tensors) -> None:
         """Restore what :meth:`tensors` returned when the run was interrupted."""
 
+    @abstractmethod
+    def save_lost(self) -> None:
+        """Save again the models of finished phases whose files are gone, from what was restored."""
+
     def check(self, before: dict[str, Any]) -> None:
         """Raise ``ValueError`` unless the run in the folder, begun with ``before``, is this one."""
         check_same(before, self.about, self.folder)
@@ -280,12 +285,33 @@ class Run(ABC):
             self.check(read_settings(settings))
             self.state = Checkpoint.load(checkpoint)
             self.restore(self.state.tensors)
+            if self.processes.is_first:
+                self.save_lost()
+                if not (self.folder / CURVE).is_file():
+                    write_json(self.folder / CURVE, self.state.curve)
         elif self.processes.is_first:
             write_json(settings, self.about | {"command": self.command_line})
         self.processes.wait()
         if self.state.phase < self.phases:
             self.learn()
             self.processes.wait()  # until the last checkpoint is written
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Say in which batch learning diverged, and what to do, if it does within the block.
+
+        Raises:
+            FloatingPointError: it did. Nothing of the batch has been saved.
+        """
+        try:
+            yield
+        except FloatingPointError as error:
+            kept = self.folder / CHECKPOINT
+            there = f" ({kept} is from before)" if kept.is_file() else ""
+            raise FloatingPointError(
+                f"learning diverged in batch {self.state.iteration + 1} of phase "
+                f"{self.state.phase + 1}: {error}, and choose another --out{there}"
+            ) from None
 
     def finish_phase(self) -> None:
         """Save, and begin the next phase."""
@@ -319,11 +345,22 @@ class Run(ABC):
             self.save()
 
     def save(self) -> None:
-        """Write a checkpoint, and the curve up to it."""
+        """Write a checkpoint, and the curve up to it.
+
+        Raises:
+            FloatingPointError: learning has diverged; the checkpoint before stays.
+        """
         self._saved_at = time.monotonic()
         if not self.processes.is_first:
             return
-        self.state.tensors |= self.tensors()
+        tensors = self.tensors()
+        with self.watched():
+            for learner, named in tensors.items():
+                if not are_finite(named.values()):
+                    raise FloatingPointError(
+                        f"weights of {learner} not finite; lower learning_rate"
+                    )
+        self.state.tensors |= tensors
         write_json(self.folder / CURVE, self.state.curve)  # first: a kill in between loses none
         self.state.save(self.folder / CHECKPOINT)
 

@@ -73,7 +73,9 @@ def test_processes_that_cannot_share_the_shards_are_refused():
 
 
 def test_a_killed_one_ends_the_others_and_is_named():
-    with pytest.raises(ChildProcessError, match=r"process 1 of those .* ended by SIGKILL; the same"):
+    with pytest.raises(
+        ChildProcessError, match=r"process 1 of those .* ended by SIGKILL; the same"
+    ):
         start_together(2, together.kill_second)
 
 
