@@ -7,6 +7,7 @@ the checks in its annotations, such as :data:`Count` or :data:`Share`.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
@@ -82,6 +83,17 @@ def check_threads(name: str, value: int | None) -> int | None:
     return None if value is None else check_count(name, value)
 
 
+def check_device(name: str, value: str) -> str:
+    """Return auto, cpu, cuda, or cuda:N.
+
+    Raises:
+        ValueError: it is none of them. Whether there is such a device is known when a run starts.
+    """
+    if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", value):
+        raise ValueError(f"{name} is auto, cpu, cuda or cuda:N, not {value!r}")
+    return value
+
+
 def check_mini_batches(num_mini_batches: int, num_teams: int) -> None:
     """Check that the teams of a batch can be split into mini-batches.
 
@@ -104,6 +116,7 @@ class Check:
 
 
 Count = Annotated[int, Check(check_count)]
+Device = Annotated[str, Check(check_device)]
 PowerOfTwo = Annotated[int, Check(check_power_of_two)]
 CountOrZero = Annotated[int, Check(partial(check_count, least=0))]
 Positive = Annotated[float, Check(check_positive)]

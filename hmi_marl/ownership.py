@@ -80,13 +80,18 @@ def _holding(folder: Path, place: Path, thread: int) -> Iterator[None]:
 
 
 def check_free(folder: Path) -> None:
-    """Check that no other process owns ``folder`` now; makes and writes nothing.
+    """Check that no other process owns ``folder`` now, and that it could be written to.
 
-    This refuses early. Only :func:`owned` keeps others away.
+    This refuses early, and makes and writes nothing. Only :func:`owned` keeps others away.
 
     Raises:
-        FolderInUseError: one does; the message names it.
+        FolderInUseError: it has an owner, which the message names.
+        OSError: it cannot be written to.
     """
+    there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        reason = "no permission" if there.is_dir() else f"{there} is not a folder"
+        raise OSError(f"cannot write to {folder}: {reason}")
     try:
         file = os.open(folder / OWNER, os.O_RDWR)
     except OSError:

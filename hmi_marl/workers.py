@@ -40,6 +40,17 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+def check_threads_here(threads: int | None) -> None:
+    """Check that this machine has a core for each of so many threads.
+
+    Raises:
+        ValueError: it has not.
+    """
+    most = max(os.cpu_count() or 1, cores())
+    if threads is not None and threads > most:
+        raise ValueError(f"threads is at most {most}, the cores of this machine, but got {threads}")
+
+
 def check_workers(workers: int | None) -> int:
     """Return the number of workers, by default that of the cores, or raise if there are none."""
     if workers is None:

@@ -134,3 +134,23 @@ def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OSError, match="cannot write to"), owned(tmp_path):
         pass
+    with pytest.raises(OSError, match="cannot write to"):
+        check_free(tmp_path / "below")
+
+
+def test_a_file_in_the_way_is_refused_early(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="cannot write to .*file is not a folder"):
+        check_free(tmp_path / "file" / "run")
+    check_free(tmp_path / "new" / "run")
+    assert not (tmp_path / "new").exists()
+
+
+def test_folders_made_for_a_block_that_fails_are_removed(tmp_path):
+    with pytest.raises(ValueError, match="no"), owned(tmp_path / "a" / "b"):
+        raise ValueError("no")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ValueError, match="no"), owned(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "b" / "kept").touch()
+        raise ValueError("no")
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["kept"]

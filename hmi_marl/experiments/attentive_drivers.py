@@ -61,7 +61,7 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
     """Number of points on the way at which the policy is evaluated."""
     episodes: Count = 2000
     """Episodes of each driver at each point."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
     """Seed of the training."""

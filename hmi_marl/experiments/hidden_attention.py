@@ -97,7 +97,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
     """Units of the HMIs' recurrent layer."""
     episodes: Count = 2000
     """Episodes of each driver with each HMI."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
     """Seed of all training."""

@@ -19,7 +19,12 @@ from hmi_marl.ownership import check_free
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.folder import read_curve
-from hmi_marl.training.runs.start import check_processes, default_processes, start_together
+from hmi_marl.training.runs.start import (
+    check_processes,
+    check_start,
+    default_processes,
+    start_together,
+)
 from hmi_marl.workers import calls, without_interrupts
 
 
@@ -47,6 +52,8 @@ def train_all(
         ValueError: what :func:`hmi_marl.training.ppo.run.train` refuses.
     """
     need_training()
+    for job in jobs:
+        check_start(job.settings)
     each = max(1, workers // max(1, len(jobs)))
     side_by_side(_train, [(job, command_line, quiet, each) for job in jobs], workers)
 
@@ -60,6 +67,7 @@ def train_together(settings: TrainSettings, folder: Path, processes: int, **show
     """
     check_processes(processes, settings)
     check_free(folder)
+    check_start(settings)
     start_together(processes, _train_rank, settings, folder, shown)
 
 

@@ -10,9 +10,11 @@ from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.checks import Count
 from hmi_marl.demonstrations.recording import CollectSettings
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
@@ -60,6 +62,13 @@ class TraitEvaluation(TraitReport):
     def quick(cls) -> TraitEvaluation:
         """Raise ``ValueError``: there are no default runs."""
         raise ValueError("an evaluation of trait models names the runs to evaluate")
+
+    def check(self, place: Place) -> None:
+        """See :meth:`Experiment.check`; what the runs learned from is checked in the run."""
+        for run in self.runs:
+            load_traits(run)
+        if self.driver_policy is not None:
+            make_driver_policy(self.driver_policy, TeamConfig())
 
     def run(self, place: Place) -> TraitResults:
         """Judge the runs on what they held out.

@@ -64,7 +64,7 @@ class MetricsTable(Experiment[list[PaperTable]]):
     """Environment steps in which each HMI learns."""
     episodes: Count = 2000
     """Episodes in each cell."""
-    num_teams: int = 512
+    num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
     """Seed of all training."""

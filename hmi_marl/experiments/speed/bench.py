@@ -11,6 +11,7 @@ actions in the same episodes, traces the lidars that the environment reads, and 
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -62,8 +63,8 @@ class BenchConfig:
     def check(self) -> None:
         """Raise ValueError where a number is not positive."""
         numbers = (*self.teams, *self.threads, self.vehicles, *self.scaling, *self.vector_teams)
-        if min(*numbers, self.seconds, self.rounds) <= 0 or not self.teams:
-            raise ValueError("everything that a bench counts is positive")
+        if min(*numbers, self.rounds) <= 0 or not self.teams or not 0 < self.seconds < math.inf:
+            raise ValueError("everything that a bench counts is positive and finite")
 
 
 @dataclass(frozen=True)

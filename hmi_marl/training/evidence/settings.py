@@ -66,7 +66,7 @@ class EvidenceSettings(Checked):
     """Random seed. The same seed gives the same weights (on one machine)."""
     threads: Count = 1
     """Threads of the world and of the learner. Does not change the episodes."""
-    checkpoint_every: float = 60.0
+    checkpoint_every: PositiveOrZero = 60.0
     """Least time between checkpoints [s]. Does not change results."""
 
     def __post_init__(self) -> None:

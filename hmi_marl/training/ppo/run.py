@@ -34,6 +34,7 @@ from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phas
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.start import (
     check_processes,
+    check_start,
     default_threads,
     learns_on_gpu,
     start_together,
@@ -94,6 +95,7 @@ def train(
     """
     shown = {"command_line": command_line, "quiet": quiet, "line": line}
     check_free(folder)
+    check_start(settings)
     if processes == 1:
         train_rank(settings, folder, context, shown)
         return

@@ -37,6 +37,7 @@ from hmi_marl.training.runs.folder import (
     run_settings,
 )
 from hmi_marl.training.runs.processes import ALONE, Processes
+from hmi_marl.workers import check_threads_here
 
 OPTIMIZER = "optimizer"
 FORMAT = "hmi-marl checkpoint 1"
@@ -367,7 +368,12 @@ class Run(ABC):
 
 @contextmanager
 def own_torch_state(threads: int) -> Iterator[None]:
-    """Run a block with its own random state and number of threads in torch."""
+    """Run a block with its own random state and number of threads in torch.
+
+    Raises:
+        ValueError: this machine has not so many cores.
+    """
+    check_threads_here(threads)
     before = torch.get_num_threads()
     with torch.random.fork_rng():
         torch.set_num_threads(threads)

@@ -13,11 +13,14 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.checks import check_count
-from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.envs.config import DRIVER
+from hmi_marl.training.protocols.settings import LEARNED, TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.workers import (
     begin_worker,
+    check_threads_here,
     cores,
     environment,
     threads_each,
@@ -80,6 +83,23 @@ def check_processes(count: int, settings: TrainSettings) -> int:
             "raise --shards, and --num-teams with it, for more"
         )
     return count
+
+
+def check_start(settings: TrainSettings) -> None:
+    """Check that a run can start, before anything is made: its device, threads and partners.
+
+    Raises:
+        FileNotFoundError, ValueError: it cannot; the message says what to use instead.
+    """
+    check_threads_here(settings.threads)
+    if settings.device.startswith("cuda"):
+        from hmi_marl.training.runs.processes import ALONE  # imports torch, which takes seconds
+
+        ALONE.device(settings.device)
+    for phase in settings.phases():
+        if phase.partner not in (None, LEARNED):
+            make = make_hmi if phase.seat == DRIVER else make_driver_policy
+            make(phase.partner, phase.team)
 
 
 def start_together(

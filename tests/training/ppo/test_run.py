@@ -497,8 +497,8 @@ def test_learning_that_diverges_is_told_with_the_batch_and_what_to_change(name, 
     sound = PROTOCOLS[name]
     wild = replace(sound.ppo, learning_rate=1e30, final_learning_rate=1e30)
     told = (
-        r"^learning diverged in batch 1 of phase 1: .* not finite with ppo.learning_rate at 1e\+30; "
-        r"lower ppo.learning_rate, and choose another --out$"
+        r"^learning diverged in batch 1 of phase 1: .* not finite with ppo.learning_rate at "
+        r"1e\+30; lower ppo.learning_rate, and choose another --out$"
     )
     with pytest.raises(FloatingPointError, match=told):
         train(replace(sound, ppo=wild), tmp_path, quiet=True)
