@@ -43,10 +43,9 @@ class Counts:
     def note(self, what: str, *reasons: str) -> None:
         """Note one try, with reasons if something was wrong."""
         self.tried += 1
-        print(
-            f"{self.name}, {what} {'; '.join(filter(None, reasons))}", file=sys.stderr, flush=True
-        )
-        if found := "; ".join(reason for reason in reasons if reason):
+        found = "; ".join(reason for reason in reasons if reason)
+        print(f"{self.name}, {what}: {found or 'right'}", file=sys.stderr, flush=True)
+        if found:
             self.wrong.append(f"{self.name}, {what}: {found}")
 
 
@@ -142,7 +141,9 @@ def owners(bench: Bench, options: Options, rng: random.Random) -> list[Counts]:
         out = bench.fresh()
         second: list[Outcome] = []
 
-        def start_second(pid: int, out: Path = out, command: str = command) -> None:
+        def start_second(
+            pid: int, out: Path = out, command: str = command, second: list[Outcome] = second
+        ) -> None:
             while not (out / ".owner").exists() and os.waitpid(pid, os.WNOHANG) == (0, 0):
                 time.sleep(0.005)
             os.killpg(pid, signal.SIGSTOP)  # so that it is still there, however fast it is

@@ -135,7 +135,8 @@ def _become(command: str, cwd: Path, errors: Path, prepare: Callable[[], object]
         os.chdir(cwd)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.dup2(os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
-        sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+        sys.stderr = os.fdopen(2, "w", closefd=False)
         interrupts.is_command = lambda: True
         prepare()
         try:
