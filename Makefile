@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 # The variables constrain what pip installs for the build itself, older and newer pips; -c does not.
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test coverage test-slow test-long wheel trainers parity soak docs lint format clean
+.PHONY: help run test coverage test-slow test-long wheel trainers parity soak torture docs lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
@@ -16,6 +16,7 @@ help:
 	@echo "make trainers   test RLlib, TorchRL, Tianshou and AgileRL, each in an environment of its own"
 	@echo "make parity     compare the batched world with highway-env, for hundreds of seeds"
 	@echo "make soak       ten million random team steps over any settings, 200 episodes in both worlds"
+	@echo "make torture    kill, interrupt and starve commands at random moments, and compare what they leave"
 	@echo "make docs       the documentation site, in site/"
 	@echo "make lint       ruff, mypy and the contracts for imports"
 	@echo "make format     format the code with ruff"
@@ -49,6 +50,9 @@ parity: $(VENV)/.for-test
 
 soak: $(VENV)/.for-test
 	$(BIN)/python -m pytest -n 0 -m long -k ten_million tests/envs/worlds
+
+torture: $(VENV)/.for-test
+	OMP_NUM_THREADS=1 $(BIN)/python tests/torture $(TORTURE)
 
 docs: $(VENV)/.for-docs
 	$(BIN)/mkdocs build --strict

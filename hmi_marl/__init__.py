@@ -13,8 +13,12 @@ they are first used.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-import pettingzoo
-from gymnasium.envs import registration
+from hmi_marl import interrupts
+
+interrupts.end_at_once()  # in the command alone; what is imported below takes a while
+
+import pettingzoo  # noqa: E402
+from gymnasium.envs import registration  # noqa: E402
 
 if TYPE_CHECKING:
     from hmi_marl.agents.catalogue import make_driver_policy, make_hmi

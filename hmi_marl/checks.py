@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import math
 import numbers
+import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields, is_dataclass
 from types import NoneType, UnionType
@@ -174,6 +175,20 @@ def check_power_of_two(name: str, value: int) -> int:
 
 
 PowerOfTwo = Annotated[int, Check(check_power_of_two, "a power of two, 1 to 1024")]
+
+
+def check_device(name: str, value: str) -> str:
+    """Return auto, cpu, cuda, or cuda:N.
+
+    Raises:
+        ValueError: it is none of them. Whether there is such a device is known when a run starts.
+    """
+    if not isinstance(value, str) or not re.fullmatch(r"auto|cpu|cuda(:\d+)?", value):
+        raise ValueError(f"{name} is auto, cpu, cuda or cuda:N, not {shown(value)}")
+    return value
+
+
+Device = Annotated[str, Check(check_device, "auto, cpu, cuda or cuda:N")]
 
 
 def check_mini_batches(num_mini_batches: int, num_teams: int) -> None:

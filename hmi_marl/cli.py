@@ -13,12 +13,13 @@ from dataclasses import make_dataclass
 from typing import Annotated, Any, NoReturn, Union
 
 import hmi_marl
+from hmi_marl import interrupts
 from hmi_marl.commands.registry import BY_NAME, SUBCOMMANDS
 from hmi_marl.registry import unknown
 from hmi_marl.text import one_line
 
-BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
-"""Exit statuses; the last two are those of a shell after SIGINT and SIGPIPE."""
+BAD_INPUT, BROKEN_PIPE = 2, 141
+"""Exit statuses; the last is that of a shell after SIGPIPE. For signals: :mod:`interrupts`."""
 ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
 """Errors that are printed in one line. Any other is a bug and shows its traceback."""
 _WIDE = "10000"
@@ -30,16 +31,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # file names may be no text
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        _run(list(sys.argv[1:] if arguments is None else arguments))
+        with interrupts.raised():
+            _run(list(sys.argv[1:] if arguments is None else arguments))
+    except KeyboardInterrupt:
+        return interrupts.report()
     except BrokenPipeError:  # as in `hmi-marl oracle | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or exit reports it
         return BROKEN_PIPE
     except ERRORS as error:
+        if interrupts.was_stopped():  # some extensions turn what interrupts their import into this
+            return interrupts.report()
         print(f"hmi-marl: {one_line(str(error)) or type(error).__name__}", file=sys.stderr)
         return BAD_INPUT
-    except KeyboardInterrupt:
-        print("hmi-marl: interrupted", file=sys.stderr)
-        return INTERRUPTED
     return 0
 
 

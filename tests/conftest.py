@@ -3,9 +3,8 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -106,13 +105,11 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         counting.start()
 
 
-class _Here:
-    """A pool of workers that is this process."""
-
-    def submit(self, function: Callable[..., None], *arguments: Any) -> Future[None]:
-        done: Future[None] = Future()
-        done.set_result(function(*arguments))
-        return done
+def _calls_here(
+    function: Callable[..., None], tasks: Sequence[tuple[Any, ...]], *_: Any
+) -> Iterator[None]:
+    """Make the calls of worker processes in this process."""
+    return (function(*task) for task in tasks)
 
 
 @contextmanager
@@ -120,7 +117,7 @@ def _training_here() -> Iterator[None]:
     from hmi_marl.training import jobs
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jobs, "pool", lambda *_: nullcontext(_Here()))
+        patch.setattr(jobs, "calls", _calls_here)
         yield
 
 

@@ -1,8 +1,11 @@
 import os
+import signal
+import sys
+import time
 
 import pytest
 
-from hmi_marl.workers import pool, results
+from hmi_marl.workers import calls, pool, results
 
 
 def threads_here(_):
@@ -62,3 +65,28 @@ def test_results_come_in_the_order_of_their_tasks():
     apart = list(results(process_of, [3, 1, 2], workers=2))
     assert [number for number, _ in apart] == [3, 1, 2]
     assert os.getpid() not in {process for _, process in apart}
+
+
+def die_or_wait(number):
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(600)
+
+
+def fail_or_wait(number):
+    if number == 1:
+        raise ValueError("the second one fails")
+    time.sleep(600)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
+def test_a_killed_worker_ends_the_others_and_is_reported():
+    with pytest.raises(ChildProcessError, match=r"a worker process was killed.*fewer --workers"):
+        list(results(die_or_wait, [0, 1], workers=2))
+
+
+def test_an_error_ends_those_before_it_at_once():
+    began = time.monotonic()
+    with pytest.raises(ValueError, match="the second one fails"):
+        list(calls(fail_or_wait, [(0,), (1,)], 2))
+    assert time.monotonic() - began < 300  # the first would go on for 600 s

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -57,7 +58,27 @@ def fail(memory, rank):
     time.sleep(600)
 
 
+def kill_second(memory, rank):
+    """Kill the second process, while the first would go on for long."""
+    if rank == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(600)
+
+
 def wait_for_long(folder, memory, rank):
     """Tell who this is, and go on for long."""
     Path(folder, str(rank)).write_text(str(os.getpid()))
     time.sleep(600)
+
+
+def wait_for_long_watching(folder, memory, rank):
+    """The same, as where the system does not kill it with its parent: a thread watches that."""
+    import ctypes
+    import threading
+
+    from hmi_marl import workers
+
+    if sys.platform.startswith("linux"):
+        assert ctypes.CDLL(None).prctl(workers._PR_SET_PDEATHSIG, 0) == 0
+        threading.Thread(target=workers._end_with_parent, daemon=True).start()
+    wait_for_long(folder, memory, rank)

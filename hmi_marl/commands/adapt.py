@@ -10,6 +10,7 @@ import tyro
 from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.adaptation.evaluation import QUICK, AdaptSettings
+from hmi_marl.ownership import owned
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
 
@@ -51,8 +52,11 @@ class Adapt:
         workers = check_workers(self.workers)
         out = self.out or Path("runs") / ("adapt-quick" if self.quick else "adapt")
         place = Place(out, Path(self.driver_policy), workers, command_line)
-        print(conduct(AdaptEvaluation(size, self.trained), place).text)
-        if self.clip:
-            record_change(out / "adapt.gif", self.driver_policy, self.trained, size)
-            print(f"\nthe clip: {out / 'adapt.gif'}")
+        evaluation = AdaptEvaluation(size, self.trained)
+        evaluation.check(place)
+        with owned(out):
+            print(conduct(evaluation, place).text)
+            if self.clip:
+                record_change(out / "adapt.gif", self.driver_policy, self.trained, size)
+                print(f"\nthe clip: {out / 'adapt.gif'}")
         print_page(out / PAGE)

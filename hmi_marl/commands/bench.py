@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.experiments.speed import BenchConfig, bench, make_report, measurements
-from hmi_marl.files import make_folder
+from hmi_marl.ownership import owned
 from hmi_marl.reporting.blocks import as_text
 
 
@@ -28,11 +28,11 @@ class Bench:
         """Measure, write and print."""
         from tqdm import tqdm
 
-        make_folder(self.out)
-        with tqdm(total=measurements(self.bench), unit=" turns", desc="bench") as bar:
-            rows = bench(self.bench, bar.update)
-        report = make_report(self.bench, rows, command_line)
-        report.write_results(self.out)
-        print(as_text(report.blocks))
-        report.write(self.out)
+        with owned(self.out):
+            with tqdm(total=measurements(self.bench), unit=" turns", desc="bench") as bar:
+                rows = bench(self.bench, bar.update)
+            report = make_report(self.bench, rows, command_line)
+            report.write_results(self.out)
+            print(as_text(report.blocks))
+            report.write(self.out)
         print(f"\nwritten: {self.out / 'bench.json'}")

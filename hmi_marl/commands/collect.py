@@ -8,7 +8,8 @@ from pathlib import Path
 import tyro
 
 from hmi_marl.demonstrations.recording import CollectSettings, Summary, collect
-from hmi_marl.files import make_folder, write_json
+from hmi_marl.files import write_json
+from hmi_marl.ownership import owned
 
 
 @dataclass(frozen=True)
@@ -44,18 +45,17 @@ class Collect:
             from hmi_marl.demonstrations.minari import export_minari, minari_place
 
             minari_place(self.out)  # better known now than after the work
-        # No such driver is refused here, before the bar begins.
+        # No such driver is refused here, before the folder is made.
         chunks = collect(self.record, lambda steps: bar.update(steps), command_line)
-        summary = Summary(self.record)
-        with tqdm(total=self.record.total_steps, unit=" steps", unit_scale=True) as bar:
-            bar.set_description("collect")
-            make_folder(self.out)
-            write_demonstrations(self.out, summary.counting(chunks))
-        write_json(
-            self.out / "summary.json", {"command": command_line, "drivers": summary.as_json()}
-        )
-        print(summary.as_text())
-        written = [self.out / name for name in (OBSERVED, TRUTH, "summary.json")]
-        if self.minari:
-            written.append(export_minari(read_observed(self.out), self.out))
+        summary, total = Summary(self.record), self.record.total_steps
+        with owned(self.out):
+            with tqdm(total=total, unit=" steps", unit_scale=True, desc="collect") as bar:
+                write_demonstrations(self.out, summary.counting(chunks))
+            write_json(
+                self.out / "summary.json", {"command": command_line, "drivers": summary.as_json()}
+            )
+            print(summary.as_text())
+            written = [self.out / name for name in (OBSERVED, TRUTH, "summary.json")]
+            if self.minari:
+                written.append(export_minari(read_observed(self.out), self.out))
         print("written: " + ", ".join(str(path) for path in written))

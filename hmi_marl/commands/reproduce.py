@@ -14,7 +14,8 @@ import tyro
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.experiment import Experiment, Place, coarse, conduct
 from hmi_marl.experiments.registry import EXPERIMENTS
-from hmi_marl.files import make_folder, write_bytes
+from hmi_marl.files import write_bytes
+from hmi_marl.ownership import owned
 from hmi_marl.reading import read_bytes
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
@@ -52,8 +53,10 @@ class ReproduceAll:
         # The report names the command without what does not change results.
         again = ["hmi-marl", "reproduce", *["--quick"] * self.quick]
         again += ["--seed", str(self.seed)] if self.seed else []
-        records = run_suite(suite, out, shared_driver(suite, out), workers, command_line)
-        print_page(full_report(records, shlex.join(again)).write(out))
+        with owned(out):
+            records = run_suite(suite, out, shared_driver(suite, out), workers, command_line)
+            page = full_report(records, shlex.join(again)).write(out)
+        print_page(page)
 
 
 @dataclass(frozen=True)
@@ -78,10 +81,13 @@ class ReproduceOne:
             experiment = coarse(experiment, experiment.quick())
         out = self.out or RUNS / (experiment.name + "-quick" * self.quick)
         driver_run = self.driver_run
-        if driver_run is None and experiment.uses_driver:
-            driver_run = _learn_driver(experiment, out, command_line)
-        place = Place(out, driver_run or out, workers, command_line)
-        print(conduct(experiment, place).text)
+        if driver_run is not None:
+            experiment.check(Place(out, driver_run))
+        with owned(out):
+            if driver_run is None and experiment.uses_driver:
+                driver_run = _learn_driver(experiment, out, command_line)
+            place = Place(out, driver_run or out, workers, command_line)
+            print(conduct(experiment, place).text)
         print_page(out / PAGE)
 
 
@@ -177,6 +183,5 @@ def _learn_driver(experiment: Experiment[Any], folder: Path, command_line: str) 
     job = experiment.driver_job(folder)
     if job is None:
         return SHIPPED_DRIVER
-    make_folder(job.folder)
     Place(folder, job.folder, 1, command_line).train([job])
     return job.folder

@@ -10,7 +10,7 @@ import tyro
 
 from hmi_marl.commands.watch import CLIP_FRAMES_PER_STEP
 from hmi_marl.experiments.metrics_table.table import TableConfig, TableSettings, make_table
-from hmi_marl.files import make_folder
+from hmi_marl.ownership import owned
 from hmi_marl.reporting.blocks import Clip, Text, as_text
 from hmi_marl.reporting.report import print_page
 from hmi_marl.workers import check_workers
@@ -51,15 +51,15 @@ class TableCommand:
         )
 
         config, workers = TableConfig(**vars(self.table)), check_workers(self.workers)
-        make_folder(self.out)
         total = config.episodes * len(config.drivers) * len(config.hmis)
-        with tqdm(total=total, unit=" episodes", desc="table") as bar:
-            cells = make_table(config, workers, bar.update)
-        write_results(self.out, config, cells, command_line)  # before anything is drawn
-        remarks = in_short(config, cells)
-        print(as_text([*metric_tables(config, cells), Text(NOTE), *remarks]))
-        clip = _record(config, self.out) if self.clip else None
-        page = write_report(self.out, config, cells, command_line, clip)
+        with owned(self.out):
+            with tqdm(total=total, unit=" episodes", desc="table") as bar:
+                cells = make_table(config, workers, bar.update)
+            write_results(self.out, config, cells, command_line)  # before anything is drawn
+            remarks = in_short(config, cells)
+            print(as_text([*metric_tables(config, cells), Text(NOTE), *remarks]))
+            clip = _record(config, self.out) if self.clip else None
+            page = write_report(self.out, config, cells, command_line, clip)
         print_page(page)
         if clip:
             print(f"the clip: {self.out / 'clip.gif'}\n  {clip.caption}")

@@ -22,7 +22,8 @@ from hmi_marl.checks import Checked
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.streams import check_seed
-from hmi_marl.files import json_value, make_folder
+from hmi_marl.files import json_value
+from hmi_marl.ownership import owned
 from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
@@ -125,6 +126,15 @@ class Experiment(Checked, ABC, Generic[R]):
         """Training of the shared driver policy, below ``folder``; None if it learns none."""
         return None
 
+    def check(self, place: Place) -> None:
+        """Check that there is what it starts from, before anything is made.
+
+        Raises:
+            FileNotFoundError, ValueError: there is not, such as no driver policy.
+        """
+        if self.uses_driver:
+            driver_weights(place)
+
     @abstractmethod
     def run(self, place: Place) -> R:
         """Learn and play what is not done yet, and return the results."""
@@ -155,8 +165,18 @@ class Experiment(Checked, ABC, Generic[R]):
 
 
 def conduct(experiment: Experiment[Any], place: Place) -> Report:
-    """Run an experiment, judge it, and write its report into its folder."""
-    make_folder(place.folder)
+    """Check an experiment, run and judge it, and write its report into its folder.
+
+    Raises:
+        FolderInUseError: another process writes into the folder.
+        FileNotFoundError, ValueError: it lacks what it starts from; see :meth:`Experiment.check`.
+    """
+    experiment.check(place)
+    with owned(place.folder):
+        return _conduct(experiment, place)
+
+
+def _conduct(experiment: Experiment[Any], place: Place) -> Report:
     results = experiment.run(place)
     verdicts = experiment.judge(results)
     judged = [Verdicts(verdicts)] if verdicts else []

@@ -27,7 +27,8 @@ import hmi_marl
 from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, MOST_WEIGHTS, shipped_agents
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, conduct, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS
-from hmi_marl.files import make_folder, sha256, sha256_of, write_bytes, write_json
+from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
+from hmi_marl.ownership import check_free, owned
 from hmi_marl.reading import read_bytes, read_json
 from hmi_marl.reporting.blocks import Block, block_from
 from hmi_marl.training.runs.folder import check_same
@@ -88,11 +89,26 @@ def run_suite(
         line: receives a line about each experiment; by default it is printed to stderr.
 
     Raises:
+        FolderInUseError: another process writes into the folder.
         ValueError: an experiment was run there with other settings or by another version; nothing
             is run then.
     """
-    say = line or (lambda text: print(text, file=sys.stderr))
-    make_folder(folder / STAGES)
+    with owned(folder):
+        return _run_suite(suite, folder, driver_run, workers, command_line, line or _print)
+
+
+def _print(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _run_suite(
+    suite: Suite,
+    folder: Path,
+    driver_run: Path,
+    workers: int,
+    command_line: str,
+    say: Callable[[str], object],
+) -> list[Record]:
     timings = _read_timings(folder / TIMINGS)
     for experiment in suite:
         before = _read(_record_of(experiment, folder))
@@ -231,6 +247,7 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
                 f"stage {experiment.name} of {run} is not finished; run it to its end first"
             )
         agents += experiment.agents(place)
+    check_free(run)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
         folder = Path(made) / out.name

@@ -15,11 +15,17 @@ from typing import Any
 from tqdm import tqdm
 
 from hmi_marl.extras import TRAINING, need
+from hmi_marl.ownership import check_free
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.folder import read_curve
-from hmi_marl.training.runs.start import check_processes, default_processes, start_together
-from hmi_marl.workers import pool
+from hmi_marl.training.runs.start import (
+    check_processes,
+    check_start,
+    default_processes,
+    start_together,
+)
+from hmi_marl.workers import calls, without_interrupts
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,8 @@ def train_all(
         ValueError: what :func:`hmi_marl.training.ppo.run.train` refuses.
     """
     need_training()
+    for job in jobs:
+        check_start(job.settings)
     each = max(1, workers // max(1, len(jobs)))
     side_by_side(_train, [(job, command_line, quiet, each) for job in jobs], workers)
 
@@ -58,17 +66,22 @@ def train_together(settings: TrainSettings, folder: Path, processes: int, **show
         shown: ``quiet``, ``command_line``, ``line``: see :class:`hmi_marl.training.runs.run.Run`.
     """
     check_processes(processes, settings)
+    check_free(folder)
+    check_start(settings)
     start_together(processes, _train_rank, settings, folder, shown)
 
 
 def side_by_side(
     learn: Callable[..., None], tasks: Sequence[tuple[Any, ...]], workers: int
 ) -> None:
-    """Call ``learn`` with each task's arguments, ``workers`` of them at a time."""
-    lock = get_context("spawn").RLock()
-    with pool(max(1, min(workers, len(tasks))), tqdm.set_lock, lock) as workshop:
-        for future in [workshop.submit(learn, *task) for task in tasks]:
-            future.result()
+    """Call ``learn`` with each task's arguments, ``workers`` of them at a time.
+
+    The first error of any ends the others.
+    """
+    with without_interrupts():
+        lock = get_context("spawn").RLock()
+    for _ in calls(learn, tasks, workers, tqdm.set_lock, lock):
+        pass
 
 
 def own_line() -> int:

@@ -255,6 +255,11 @@ class CardFormat(Generic[C]):
             raise ValueError(f"{path} is a damaged {self.model} card: {error}") from None
 
 
+def is_saved(card: Path) -> bool:
+    """Whether there are a card and the weights next to it."""
+    return card.is_file() and card.with_suffix(".safetensors").is_file()
+
+
 def checked_reads(reads: Iterable[tuple[str, int]], model: str) -> tuple[tuple[str, int], ...]:
     """Return names and sizes of the parts that a model reads.
 

@@ -130,6 +130,21 @@ def part_of(weights: Weights, part: str) -> Weights:
     return {n.removeprefix(start): values for n, values in weights.items() if n.startswith(start)}
 
 
+def below_zero(logits: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return logits, shape (N, K), less their maximum in each row.
+
+    Raises:
+        FloatingPointError: they are not finite, so no action follows from them.
+    """
+    highest = logits.max(axis=1, keepdims=True)
+    if not np.isfinite(highest).all():
+        raise FloatingPointError(
+            "the logits of a learned policy are not finite: its learning has diverged, or what it "
+            "observes is not finite; train it again with a lower learning rate"
+        )
+    return logits - highest
+
+
 def sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return 1 / (1 + e^-x) without overflow."""
     return 0.5 + 0.5 * np.tanh(0.5 * x)

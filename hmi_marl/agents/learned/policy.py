@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.learned.cards import CardFormat, find_card
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, below_zero
 from hmi_marl.agents.memory import Draws
 from hmi_marl.checks import Checked, UnitsOrZero, check_choice
 from hmi_marl.envs.alerts import FULL, Strengths
@@ -239,6 +239,7 @@ class LearnedPolicy:
         """Return π(a | observation), shape (N, actions), and update the recurrent state.
 
         Raises:
+            FloatingPointError: the logits are not finite, so no action follows from them.
             RuntimeError: the policy is conditioned on z, and none has been set.
         """
         inputs = observations[:, self._columns]
@@ -252,8 +253,7 @@ class LearnedPolicy:
             intent = self._layout.get(observations, INTENT)  # one-hot; zeros (equal odds) if none
             logits = logits.reshape(len(logits), INTENTS, -1)
             logits = (logits * intent[:, :, None]).sum(axis=1)
-        logits = logits - logits.max(axis=1, keepdims=True)
-        odds = np.exp(logits)
+        odds = np.exp(below_zero(logits))
         return odds / odds.sum(axis=1, keepdims=True)
 
 

@@ -25,7 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, sigmoid
+from hmi_marl.agents.learned.network import (
+    Network,
+    NetworkConfig,
+    Weights,
+    below_zero,
+    part_of,
+    sigmoid,
+)
 from hmi_marl.checks import Checked, Count, Share, Units
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
@@ -271,7 +278,7 @@ class TraitModel:
     def policy(self, x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return log π(a | s, z), shape (N, 5), in situations (N, D + EXTRA)."""
         logits = self._networks["policy"](_with_z(self.standardise(x), z))
-        logits = logits - logits.max(axis=1, keepdims=True)
+        logits = below_zero(logits)
         return logits - np.log(np.exp(logits).sum(axis=1, keepdims=True))
 
     def base_reward(

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hmi_marl.agents.adaptive.evidence_model import NAME
+from hmi_marl.agents.adaptive.evidence_model import NAME, load_evidence
 from hmi_marl.agents.adaptive.hmis import Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.agents.learned.policy import find_policy, load_policy
 from hmi_marl.agents.rollout import begin
 from hmi_marl.checks import Count, Steps, Units
 from hmi_marl.envs.config import VEHICLE_AI
@@ -148,6 +148,14 @@ class AdaptEvaluation(_Judged):
         """See :meth:`Experiment.quick`."""
         return cls(QUICK)
 
+    def check(self, place: Place) -> None:
+        """See :meth:`Experiment.check`; loads every model once."""
+        make_driver_policy(str(place.driver_run), TEAM)
+        load_evidence(self.trained.evidence)
+        load_policy(self.trained.conditioned, VEHICLE_AI, TEAM)
+        for model in MODELS:
+            self.trained.hidden_hmi(model, TEAM)
+
     def run(self, place: Place) -> list[Result]:
         """See :meth:`Experiment.run`."""
         plays = evaluation.tasks(self.size, str(place.driver_run), self.trained)
@@ -209,6 +217,13 @@ class Adaptation(_Judged):
         return conditioned_hmi(
             str(driver_run), self.hmi_steps, self.rnn_hidden_dim, self.num_teams, self.seed
         )
+
+    def check(self, place: Place) -> None:
+        """See :meth:`Experiment.check`."""
+        super().check(place)
+        trained = Trained(hidden=self._hidden(place))
+        for model in MODELS:
+            trained.hidden_hmi(model, TEAM)
 
     def run(self, place: Place) -> list[Result]:
         """See :meth:`Experiment.run`."""

@@ -10,9 +10,11 @@ from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.checks import Count, Steps
 from hmi_marl.demonstrations.recording import CollectSettings
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
 from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
@@ -24,7 +26,8 @@ from hmi_marl.experiments.latent_traits.assessment import (
 )
 from hmi_marl.experiments.latent_traits.imitation import check_fits
 from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
-from hmi_marl.files import json_value, make_folder, sha256_of
+from hmi_marl.files import json_value, sha256_of
+from hmi_marl.ownership import owned
 from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
@@ -58,6 +61,13 @@ class TraitEvaluation(TraitReport):
     def quick(cls) -> TraitEvaluation:
         """Raise ``ValueError``: there are no default runs."""
         raise ValueError("an evaluation of trait models names the runs to evaluate")
+
+    def check(self, place: Place) -> None:
+        """See :meth:`Experiment.check`; what the runs learned from is checked in the run."""
+        for run in self.runs:
+            load_traits(run)
+        if self.driver_policy is not None:
+            make_driver_policy(self.driver_policy, TeamConfig())
 
     def run(self, place: Place) -> TraitResults:
         """Judge the runs on what they held out.
@@ -244,8 +254,11 @@ class LatentTraits(TraitReport):
                         f"{driver_run}; choose another --out, or remove the folder"
                     )
                 continue
-            make_folder(folder / name)
-            with tqdm(total=dataset.total_steps, unit=" steps", unit_scale=True, desc=name) as bar:
+            total = dataset.total_steps
+            with (
+                owned(folder / name),
+                tqdm(total=total, unit=" steps", unit_scale=True, desc=name) as bar,
+            ):
                 write_demonstrations(folder / name, collect(dataset, bar.update))
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
         split = assessment.Split.of(demonstrations, learn.held_out, self.evaluation.windows)

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.adaptive.evidence_model import Turns, save_evidence
+from hmi_marl.agents.adaptive.evidence_model import NAME, Turns, save_evidence
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.learned.cards import is_saved
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, DriverList, TraitDistributions, Traits
@@ -33,6 +34,7 @@ with needing("training"):
     import torch
 
     from hmi_marl.training.evidence.model import EvidenceNetwork
+    from hmi_marl.training.runs.divergence import check_finite
     from hmi_marl.training.runs.run import (
         Progress,
         Run,
@@ -128,6 +130,8 @@ class _Recorder(Observer):
         self.turns.append(self._reader.read(observations, self.driving[-1]))
 
 
+_SETTLED = "settled"
+"""Name in a checkpoint of what is calibrated after the learning."""
 _ROW_EVERY = 50
 """Updates between two rows of the curve."""
 _LAST_RATE = 0.05
@@ -156,6 +160,8 @@ class _Run(Run):
     def __init__(self, settings: EvidenceSettings, folder: Path, **shown: Any) -> None:
         super().__init__(settings, folder, {"protocol": "evidence"}, **shown)
         self._settings = settings
+        self._calibrated: float | None = None
+        """Softmax temperature, once everything is learned."""
         torch.manual_seed(self.draw(Stream.LEARNING, 0))
         self._model = EvidenceNetwork(settings.card(settings.team))
         self._optimizer = torch.optim.AdamW(
@@ -173,21 +179,34 @@ class _Run(Run):
             self._take_units(drives)
         with self.progress(name, settings.updates, state.iteration, "updates") as progress:
             self._update(drives, progress)
-        temperature = self._temperature(drives)
-        self._model.settle(temperature, self._shown(drives))
-        training = self.about | {"temperature": temperature, "command": self.command_line}
+        self._calibrated = self._temperature(drives)
+        self._model.settle(self._calibrated, self._shown(drives))
+        self._save_model()
+        self.finish_phase()
+
+    def save_lost(self) -> None:
+        """See :meth:`Run.save_lost`."""
+        if self.state.phase == self.phases and not is_saved(self.folder / NAME):
+            self._save_model()
+
+    def _save_model(self) -> None:
+        training = self.about | {"temperature": self._calibrated, "command": self.command_line}
         model = self._model
         save_evidence(self.folder, replace(model.card, training=training), model.weights())
-        self.finish_phase()
 
     def tensors(self) -> Tensors:
         """See :meth:`Run.tensors`."""
         moments = flat_moments(self._optimizer.state_dict())
-        return {"model": dict(self._model.state_dict()), "learner": moments}
+        tensors = {"model": dict(self._model.state_dict()), "learner": moments}
+        if self._calibrated is not None:
+            tensors[_SETTLED] = {"temperature": torch.tensor(self._calibrated)}
+        return tensors
 
     def restore(self, tensors: Tensors) -> None:
         """See :meth:`Run.restore`."""
         self._model.load_state_dict(tensors["model"])
+        if _SETTLED in tensors:
+            self._calibrated = float(tensors[_SETTLED]["temperature"])
         moments = with_moments(self._optimizer.state_dict(), tensors["learner"])
         self._optimizer.load_state_dict(moments)
 
@@ -209,10 +228,13 @@ class _Run(Run):
             loss = self._model.loss(turns, driving, shown[which])
             self._optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(self._model.parameters(), 1.0)
+            norm = torch.nn.utils.clip_grad_norm_(self._model.parameters(), 1.0)
+            recent.append(loss.item())
+            with self.watched():
+                numbers = {"loss": recent[-1], "gradient": norm.item()}
+                check_finite(numbers, settings.learning_rate * rate, "learning_rate")
             self._optimizer.step()
             seconds = self.count(began)
-            recent.append(loss.item())
             row = {}
             if state.iteration % _ROW_EVERY == 0 or state.iteration == settings.updates:
                 with torch.no_grad():

@@ -6,6 +6,7 @@ team, played, recorded and averaged, shard by shard (:mod:`hmi_marl.training.ppo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
@@ -19,11 +20,13 @@ from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.models import IntentShown, View
 from hmi_marl.training.ppo.shards import MiniBatch, Rollout, Shard, Shards, flat
 from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.runs.run import OPTIMIZER, flat_moments, with_moments
+from hmi_marl.training.runs.divergence import are_finite, check_finite
+from hmi_marl.training.runs.run import flat_moments, with_moments
 
 Extras = Mapping[str, Any]
 Generators = Sequence[torch.Generator | None]
 ONE_SHARD = Shards()
+_RATE = "ppo.learning_rate"
 TORCHS_OWN: Generators = (None,)
 """Torch's own generator, for a single shard."""
 
@@ -149,7 +152,14 @@ class PPOLearner:
 
         ``rewards``, shape (T, N), replace the recorded ones if they are only known after the batch,
         as in adversarial IRL.
+
+        Raises:
+            FloatingPointError: learning diverges: logits that the batch was played by, losses or
+                weights are not finite.
         """
+        rate = self.optimizer.param_groups[0]["lr"]
+        if not are_finite([self.rollout.logits]):
+            check_finite({"logits": math.nan}, rate, _RATE)  # its actions mean nothing
         if rewards is not None:
             scaled = self._by_shard((rewards * self.settings.reward_scale).T)
             self.rollout.rewards.copy_(scaled.transpose(1, 2))
@@ -166,10 +176,10 @@ class PPOLearner:
         ]
         own = [torch.stack(of_shard).double().mean(0) for of_shard in zip(*losses, strict=True)]
         means = self._shards.mean(own).tolist()
-        rate = self.optimizer.param_groups[0]["lr"]
-        return dict(zip(("value", "surrogate", "entropy"), means, strict=True)) | {
-            "learning_rate": rate
-        }
+        found = dict(zip(("value", "surrogate", "entropy"), means, strict=True))
+        weights = 0.0 if are_finite([self._weights]) else math.nan
+        check_finite(found | {"weights": weights}, rate, _RATE)
+        return found | {"learning_rate": rate}
 
     def _normalise_advantages(self) -> None:
         """Give the advantages of the whole batch mean 0 and standard deviation 1."""
@@ -219,14 +229,15 @@ class PPOLearner:
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what :meth:`tensors` returned; RuntimeError if it is of other networks."""
-        weights: dict[str, dict[str, torch.Tensor]] = {"actor": {}, "critic": {}}
-        for full_name, value in tensors.items():
-            kind, name = full_name.split(".", 1)
-            if kind != OPTIMIZER:
-                weights[kind][name] = value
-        self.actor.load_state_dict(weights["actor"])
-        self.critic.load_state_dict(weights["critic"])
+        self.actor.load_state_dict(weights_among(tensors, "actor"))
+        self.critic.load_state_dict(weights_among(tensors, "critic"))
         self.optimizer.load_state_dict(with_moments(self.optimizer.state_dict(), tensors))
+
+
+def weights_among(tensors: Mapping[str, torch.Tensor], model: str) -> dict[str, torch.Tensor]:
+    """Return the weights of "actor" or "critic" among what :meth:`PPOLearner.tensors` returned."""
+    start = f"{model}."
+    return {n.removeprefix(start): values for n, values in tensors.items() if n.startswith(start)}
 
 
 class TwoLearners:

@@ -8,12 +8,13 @@ policies, ``driver.json`` and ``vehicle_ai.json`` with their weights; on request
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.learned.cards import is_saved
 from hmi_marl.agents.learned.network import NetworkConfig, Weights
 from hmi_marl.agents.learned.policy import (
     CONTEXT_OF,
@@ -23,16 +24,18 @@ from hmi_marl.agents.learned.policy import (
     save_policy,
 )
 from hmi_marl.agents.partners import make_vec
-from hmi_marl.envs.config import DRIVER
+from hmi_marl.envs.config import AGENTS, DRIVER
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value
+from hmi_marl.ownership import check_free
 from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phase, TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.folder import CHECKPOINT
 from hmi_marl.training.runs.start import (
     check_processes,
+    check_start,
     default_threads,
     learns_on_gpu,
     start_together,
@@ -40,9 +43,16 @@ from hmi_marl.training.runs.start import (
 
 with needing("training"):
     import torch
+    from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 
     from hmi_marl.envs.vector import TeamVecEnv
-    from hmi_marl.training.ppo.learner import Learner, PPOLearner, TwoLearners, play_batch
+    from hmi_marl.training.ppo.learner import (
+        Learner,
+        PPOLearner,
+        TwoLearners,
+        play_batch,
+        weights_among,
+    )
     from hmi_marl.training.ppo.models import (
         Context,
         IntentShown,
@@ -86,6 +96,8 @@ def train(
             among so many processes.
     """
     shown = {"command_line": command_line, "quiet": quiet, "line": line}
+    check_free(folder)
+    check_start(settings)
     if processes == 1:
         train_rank(settings, folder, context, shown)
         return
@@ -158,6 +170,25 @@ class _Run(Run):
         """See :meth:`Run.restore`; a learner is made and restored when its phase begins."""
         self._restored = tensors
 
+    def save_lost(self) -> None:
+        """See :meth:`Run.save_lost`; of each seat, the policy of the last phase that it learned in.
+
+        Also policies of other runs that were copied here.
+        """
+        steps, last = 0, dict[str, tuple[Phase, int]]()
+        for phase in self._phases[: self.state.phase]:
+            steps += self._steps(phase) * self._iterations(phase)
+            last |= {card.seat: (phase, steps) for card in phase.cards}
+            other = OTHER_SEAT.get(phase.seat)
+            if other and other not in last and not is_saved(self.folder / f"{other}.json"):
+                self._partner(phase)
+        now = self._phases[self.state.phase : self.state.phase + 1]
+        learning = {card.seat for phase in now for card in phase.cards}
+        for seat in last.keys() - learning:  # those will be saved when they have learned
+            phase, steps = last[seat]
+            if not is_saved(self.folder / f"{seat}.json"):
+                self._write_policies(phase, self.folder, steps, (seat,))
+
     def _iterations(self, phase: Phase) -> int:
         return phase.iterations(self._settings.num_teams)
 
@@ -176,7 +207,8 @@ class _Run(Run):
             learner.begin(start + (end - start) * state.iteration / iterations, generators)
             row = play_batch(env, learner, seed, self._shards)
             played = time.monotonic()
-            row |= learner.learn(env.get_observations())
+            with self.watched():
+                row |= learner.learn(env.get_observations())
             learning = time.monotonic() - played
             row |= self.count(began, steps)
             waiting = self.processes.seconds_waited - waited
@@ -232,7 +264,7 @@ class _Run(Run):
         self._groups[name] = view.groups
         critic = NetworkConfig(settings.network.hidden_dims, settings.network.activation)
         learner = PPOLearner(
-            make_joint_actor(*cards) if len(cards) == 2 else make_actor(*cards),
+            _new_actor(cards),
             make_critic(view.critic_inputs, critic),
             view,
             env.get_observations(),
@@ -260,20 +292,37 @@ class _Run(Run):
 
     def _save_policies(self, phase: Phase, folder: Path) -> None:
         """Save the policies that learn in this phase."""
-        if not self.processes.is_first:
-            self.processes.wait()
-            return
-        training = self.about | {"team": json_value(phase.team), "steps": self.state.steps}
+        if self.processes.is_first:
+            self._write_policies(phase, folder, self.state.steps)
+        self.processes.wait()
+
+    def _write_policies(
+        self, phase: Phase, folder: Path, steps: int, seats: Collection[str] = AGENTS
+    ) -> None:
+        training = self.about | {"team": json_value(phase.team), "steps": steps}
         training["command"] = self.command_line
         for card, weights in self._learned(phase):
-            save_policy(folder, replace(card, training=training), weights)
-        self.processes.wait()
+            if card.seat in seats:
+                save_policy(folder, replace(card, training=training), weights)
 
     def _learned(self, phase: Phase) -> Iterable[tuple[PolicyCard, Weights]]:
         if phase.joint:
-            actor = self._learners[TEAM].actor
+            actor = self._actor(TEAM, phase.cards)
             return zip(phase.cards, weights_of_both(actor), strict=True)
-        return [(card, weights_of(self._learners[card.seat].actor)) for card in phase.cards]
+        return [(card, weights_of(self._actor(card.seat, (card,)))) for card in phase.cards]
+
+    def _actor(self, name: str, cards: tuple[PolicyCard, ...]) -> MLPModel:
+        """Policy of the learner of this name, or the one restored."""
+        if name in self._learners:
+            return self._learners[name].actor
+        actor = _new_actor(cards)
+        actor.load_state_dict(weights_among(self._restored[name], "actor"))
+        return actor
+
+
+def _new_actor(cards: tuple[PolicyCard, ...]) -> MLPModel:
+    """Policy of one seat, or of both, with new weights."""
+    return make_joint_actor(*cards) if len(cards) == 2 else make_actor(*cards)
 
 
 def _in_context(phase: Phase, context: Context | None) -> Phase:

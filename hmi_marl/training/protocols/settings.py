@@ -13,6 +13,7 @@ from hmi_marl.checks import (
     Checked,
     Count,
     CountOrZero,
+    Device,
     Factor,
     LearningRate,
     PowerOfTwo,
@@ -159,7 +160,7 @@ class TrainSettings(Checked, TeamSettings):
     """Network of each policy and each critic; critics are never recurrent."""
     ppo: PPOSettings = field(default_factory=PPOSettings)
     """Settings of PPO."""
-    device: str = "auto"
+    device: Device = "auto"
     """Device of the learner: cpu, cuda, or auto for a GPU if there is one. The world runs on the
     CPU."""
     threads: Threads | None = None

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, Self
@@ -21,8 +21,10 @@ from tqdm import tqdm
 
 import hmi_marl
 from hmi_marl.envs.streams import Stream, mix
-from hmi_marl.files import make_folder, write_json
+from hmi_marl.files import write_json
+from hmi_marl.ownership import owned
 from hmi_marl.training.runs.checkpoint import Checkpoint, fitting
+from hmi_marl.training.runs.divergence import are_finite
 from hmi_marl.training.runs.folder import (
     CHECKPOINT,
     CURVE,
@@ -33,6 +35,7 @@ from hmi_marl.training.runs.folder import (
     settings_digest,
 )
 from hmi_marl.training.runs.processes import ALONE, Processes
+from hmi_marl.workers import check_threads_here
 
 OPTIMIZER = "optimizer"
 
@@ -195,19 +198,27 @@ class Run(ABC):
     def restore(self, tensors: Tensors) -> None:
         """Restore what :meth:`tensors` returned when the run was interrupted."""
 
+    @abstractmethod
+    def save_lost(self) -> None:
+        """Save again the models of finished phases whose files are gone, from what was restored."""
+
     def check(self, before: dict[str, Any]) -> None:
         """Raise ``ValueError`` unless the run in the folder, begun with ``before``, is this one."""
         check_same(before, self.about, self.folder)
 
     def go(self) -> None:
-        """Learn what is not learned yet.
+        """Learn what is not learned yet, and save models whose files are gone again.
 
         Raises:
+            FloatingPointError: learning has diverged; the last checkpoint is sound.
+            FolderInUseError: another process writes into the folder.
             OSError: the folder cannot be written to.
             ValueError: the folder holds another run, or a damaged one.
         """
-        if self.processes.is_first:
-            make_folder(self.folder)
+        with owned(self.folder) if self.processes.is_first else nullcontext():
+            self._go()
+
+    def _go(self) -> None:
         settings, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
         if checkpoint.is_file():  # otherwise nothing was learned that could be lost
             before = read_settings(settings)
@@ -215,12 +226,33 @@ class Run(ABC):
             self.state = Checkpoint.load(checkpoint, settings_digest(before), self.phases)
             with fitting(checkpoint):
                 self.restore(self.state.tensors)
+            if self.processes.is_first:
+                self.save_lost()
+                if not (self.folder / CURVE).is_file():
+                    write_json(self.folder / CURVE, self.state.curve)
         elif self.processes.is_first:
             write_json(settings, self.about | {"command": self.command_line})
         self.processes.wait()
         if self.state.phase < self.phases:
             self.learn()
             self.processes.wait()  # until the last checkpoint is written
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Say in which batch learning diverged, and what to do, if it does within the block.
+
+        Raises:
+            FloatingPointError: it did. Nothing of the batch has been saved.
+        """
+        try:
+            yield
+        except FloatingPointError as error:
+            kept = self.folder / CHECKPOINT
+            there = f" ({kept} is from before)" if kept.is_file() else ""
+            raise FloatingPointError(
+                f"learning diverged in batch {self.state.iteration + 1} of phase "
+                f"{self.state.phase + 1}: {error}, and choose another --out{there}"
+            ) from None
 
     def finish_phase(self) -> None:
         """Save, and begin the next phase."""
@@ -254,18 +286,34 @@ class Run(ABC):
             self.save()
 
     def save(self) -> None:
-        """Write a checkpoint, and the curve up to it."""
+        """Write a checkpoint, and the curve up to it.
+
+        Raises:
+            FloatingPointError: learning has diverged; the checkpoint before stays.
+        """
         self._saved_at = time.monotonic()
         if not self.processes.is_first:
             return
-        self.state.tensors |= self.tensors()
+        tensors = self.tensors()
+        with self.watched():
+            for learner, named in tensors.items():
+                if not are_finite(named.values()):
+                    raise FloatingPointError(
+                        f"weights of {learner} not finite; lower learning_rate"
+                    )
+        self.state.tensors |= tensors
         write_json(self.folder / CURVE, self.state.curve)  # first: a kill in between loses none
         self.state.save(self.folder / CHECKPOINT)
 
 
 @contextmanager
 def own_torch_state(threads: int) -> Iterator[None]:
-    """Run a block with its own random state and number of threads in torch."""
+    """Run a block with its own random state and number of threads in torch.
+
+    Raises:
+        ValueError: this machine has not so many cores.
+    """
+    check_threads_here(threads)
     before = torch.get_num_threads()
     with torch.random.fork_rng():
         torch.set_num_threads(threads)

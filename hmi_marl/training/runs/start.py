@@ -13,10 +13,19 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.checks import WORKERS
-from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.envs.config import DRIVER
+from hmi_marl.training.protocols.settings import LEARNED, TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
-from hmi_marl.workers import begin_worker, cores, environment, threads_each
+from hmi_marl.workers import (
+    begin_worker,
+    check_threads_here,
+    cores,
+    environment,
+    threads_each,
+    without_interrupts,
+)
 
 _GPU_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")
 """Devices of the drivers that torch.cuda works with, on Linux: NVIDIA's, AMD's, Windows'."""
@@ -76,6 +85,23 @@ def check_processes(count: int, settings: TrainSettings) -> int:
     return count
 
 
+def check_start(settings: TrainSettings) -> None:
+    """Check that a run can start, before anything is made: its device, threads and partners.
+
+    Raises:
+        FileNotFoundError, ValueError: it cannot; the message says what to use instead.
+    """
+    check_threads_here(settings.threads)
+    if settings.device.startswith("cuda"):
+        from hmi_marl.training.runs.processes import ALONE  # imports torch, which takes seconds
+
+        ALONE.device(settings.device)
+    for phase in settings.phases():
+        if phase.partner not in (None, LEARNED):
+            make = make_hmi if phase.seat == DRIVER else make_driver_policy
+            make(phase.partner, phase.team)
+
+
 def start_together(
     count: int, function: Callable[..., object], *arguments: Any, threads: int = 1
 ) -> None:
@@ -91,10 +117,11 @@ def start_together(
         ChildProcessError: a process was killed.
         Exception: what ``function`` raised in one of them.
     """
-    context, memory = get_context("spawn"), SharedMemory(count)
+    context = get_context("spawn")
     processes: list[tuple[BaseProcess, Connection]] = []
     try:
-        with environment(threads_each(threads)):
+        with environment(threads_each(threads)), without_interrupts():
+            memory = SharedMemory(count)
             for rank in range(count):
                 reader, writer = context.Pipe(duplex=False)
                 call = (function, (*arguments, memory, rank), writer)

@@ -10,6 +10,7 @@ import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 
 from hmi_marl.agents.learned.trait_model import TraitCard
+from hmi_marl.training.runs.divergence import check_finite
 from hmi_marl.training.runs.run import flat_moments, with_moments
 from hmi_marl.training.traits.losses import (
     adversarial_loss,
@@ -30,7 +31,7 @@ from hmi_marl.training.traits.settings import TraitSettings
 from hmi_marl.training.traits.windows import Batch, transitions
 
 LONGEST_GRADIENT = 10.0
-_MODEL = "model."
+_MODEL, _RATE = "model.", "learning_rate"
 
 
 class Labelled(NamedTuple):
@@ -96,15 +97,20 @@ class DiscriminatorLearner:
             Losses by name, each without its weight; the mean σ of z, and the σ that L2 uses
             (``width``); and the shares of demonstrated and of driven transitions that D recognises
             as such.
+
+        Raises:
+            FloatingPointError: learning diverges: one of these, or the gradient, is not finite.
         """
         losses, measures = self.losses(experts, labelled, driven, z)
         weights = self._settings.weights.by_loss()
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         self._optimizer.zero_grad()
         total.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.model.parameters(), LONGEST_GRADIENT)
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), LONGEST_GRADIENT)
+        found = {name: value.item() for name, value in (losses | measures).items()}
+        check_finite(found | {"gradient": norm.item()}, self._settings.learning_rate, _RATE)
         self._optimizer.step()
-        return {name: value.item() for name, value in (losses | measures).items()}
+        return found
 
     def losses(
         self,

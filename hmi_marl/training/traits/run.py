@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.agents.learned.cards import is_saved
+from hmi_marl.agents.learned.trait_model import NAME, save_traits
 from hmi_marl.demonstrations.dataset import Demonstrations, alert_rate, held_out
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_observed
@@ -138,15 +139,25 @@ class _Run(Run):
             progress.phase(name)
             while state.iteration < self._rounds:
                 began = time.monotonic()
-                row = self._round() | self.count(began, per_round)
+                with self.watched():
+                    row = self._round()
+                row |= self.count(began, per_round)
                 state.curve.append({"steps": state.steps} | row)
                 progress.advance(per_round, row)
                 self.save_if_due()
+        self._save_model()
+        self.finish_phase()
+
+    def save_lost(self) -> None:
+        """See :meth:`Run.save_lost`."""
+        if self.state.phase == self.phases and not is_saved(self.folder / NAME):
+            self._save_model()
+
+    def _save_model(self) -> None:
         weights = weights_of_model(self._discriminator.model, self._generator.policy, self._units)
         about = self.about | self._about_data
-        training = about | {"steps": state.steps, "command": self.command_line}
+        training = about | {"steps": self.state.steps, "command": self.command_line}
         save_traits(self.folder, replace(self._card, training=training), weights)
-        self.finish_phase()
 
     def _imitate(self, progress: Progress) -> None:
         state, updates = self.state, self._settings.imitation_updates
@@ -155,7 +166,8 @@ class _Run(Run):
                 progress.phase(f"{self.folder.name}: imitating {state.iteration}/{updates}")
             began = time.monotonic()
             rng = self._seed_update(2 * state.iteration)
-            row = self._discriminator.learn(*self._demonstrated(rng))
+            with self.watched():
+                row = self._discriminator.learn(*self._demonstrated(rng))
             state.curve.append({"steps": 0} | self.count(began) | row)
             self.save_if_due()
 

@@ -12,6 +12,7 @@ from hmi_marl.checks import (
     Checked,
     Count,
     CountOrZero,
+    Device,
     Factor,
     LearningRate,
     Real,
@@ -129,7 +130,7 @@ class TraitSettings(Checked):
     """Settings of the policy's PPO. Its reward f − log π already contains the entropy."""
     seed: Seed = 0
     """Random seed. The same seed and demonstrations give the same weights (on one machine)."""
-    device: str = "auto"
+    device: Device = "auto"
     """Device of the learner: cpu, cuda, or auto for a GPU if there is one."""
     threads: Threads = 1
     """Threads of the world and of the learner."""

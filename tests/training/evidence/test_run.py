@@ -253,3 +253,22 @@ def test_bart_is_told_from_marge(tmp_path, monkeypatch):
         long = theirs & (others.driving.sum(axis=1) > 40)
         assert long.sum() > 10
         assert (sign * odds[long] > 2).mean() > 0.9
+
+
+def test_a_model_that_was_lost_is_written_again_from_the_checkpoint(tmp_path):
+    before = learned(tmp_path)
+    for lost in (["evidence.json"], ["evidence.safetensors"], [*FILES, "curve.json"]):
+        for name in lost:
+            (tmp_path / name).unlink()
+        assert learned(tmp_path) == before
+    assert rows(tmp_path)[-1]["updates"] == 3
+
+
+def test_learning_that_diverges_is_told_with_the_batch_and_what_to_change(tmp_path):
+    wild = replace(TINY, learning_rate=1e30, updates=20)
+    told = r"diverged in batch \d+ of phase 1: .*not finite with learning_rate at .*; lower"
+    with pytest.raises(FloatingPointError, match=told):
+        learned(tmp_path, wild)
+    assert not (tmp_path / "evidence.json").exists()
+    sound = Checkpoint.load(tmp_path / "checkpoint.safetensors")
+    assert all(torch.isfinite(t).all() for part in sound.tensors.values() for t in part.values())

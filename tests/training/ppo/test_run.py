@@ -18,6 +18,7 @@ from hmi_marl.agents.learned.policy import load_policy, read_policy
 from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.scene import Scene
+from hmi_marl.training.ppo import learner
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.alternating import Alternating
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
@@ -454,3 +455,78 @@ def test_a_run_does_not_go_on_with_a_context_of_the_same_size_that_means_somethi
         ValueError, match="context_of = 'β and the inflation', now 'something else'"
     ):
         train(beside, tmp_path, context=other, quiet=True)
+
+
+@pytest.mark.parametrize("name", ["two-stage", "joint", "simultaneous", "hidden attention"])
+def test_policies_that_were_lost_are_written_again_from_the_checkpoint(name, tmp_path):
+    train(PROTOCOLS[name], tmp_path, quiet=True)
+    files = [f"{seat}.{suffix}" for seat in SEATS for suffix in ("json", "safetensors")]
+    before = {file: (tmp_path / file).read_bytes() for file in files}
+    for lost in (files[:1], files[3:], files):
+        for file in lost:
+            (tmp_path / file).unlink()
+        train(PROTOCOLS[name], tmp_path, quiet=True)
+        assert {file: (tmp_path / file).read_bytes() for file in files} == before
+
+
+def test_another_runs_policy_that_was_lost_is_copied_again(tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    train(replace(TWO_STAGE, hmi_steps=0), first, quiet=True)
+    settings = replace(TWO_STAGE, driver_policy=str(first))
+    train(settings, second, quiet=True)
+    before = (second / "driver.json").read_bytes()
+    (second / "driver.json").unlink()
+    train(settings, second, quiet=True)
+    assert (second / "driver.json").read_bytes() == before
+
+
+def test_the_learned_partner_of_an_interrupted_run_is_written_again(tmp_path, monkeypatch):
+    train(ALTERNATING, tmp_path / "whole", quiet=True)
+    cut = tmp_path / "cut"
+    save = Checkpoint.save
+
+    def stop(self, path):
+        save(self, path)
+        if self.phase == 2 and self.iteration == 1:
+            raise InterruptedError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "save", stop)
+        with pytest.raises(InterruptedError):
+            train(ALTERNATING, cut, quiet=True)
+    for seat in SEATS:
+        (cut / f"{seat}.json").unlink()
+    train(ALTERNATING, cut, quiet=True)
+    for name in (*WEIGHTS, "driver.json", "vehicle_ai.json"):
+        assert (cut / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("name", ["two-stage", "simultaneous"])
+def test_learning_that_diverges_is_told_with_the_batch_and_what_to_change(name, tmp_path):
+    sound = PROTOCOLS[name]
+    wild = replace(sound.ppo, learning_rate=1e30, final_learning_rate=1e30)
+    told = (
+        r"^learning diverged in batch 1 of phase 1: .* not finite with ppo.learning_rate at "
+        r"1e\+30; lower ppo.learning_rate, and choose another --out$"
+    )
+    with pytest.raises(FloatingPointError, match=told):
+        train(replace(sound, ppo=wild), tmp_path, quiet=True)
+    assert not (tmp_path / "driver.json").exists()
+    assert not (tmp_path / "checkpoint.safetensors").exists()
+
+
+def test_the_checkpoint_before_a_divergence_stays(tmp_path, monkeypatch):
+    learn = learner.PPOLearner.learn
+
+    def spoil_second_batch(self, *arguments):
+        rows = learn(self, *arguments)
+        if (tmp_path / "checkpoint.safetensors").is_file():
+            self.actor.get_parameter("mlp.0.bias").data[0] = torch.nan
+        return rows
+
+    monkeypatch.setattr(learner.PPOLearner, "learn", spoil_second_batch)
+    with pytest.raises(
+        FloatingPointError, match=r"batch 3 of phase 1: weights of driver not finite"
+    ):
+        train(TWO_STAGE, tmp_path, quiet=True)
+    assert Checkpoint.load(tmp_path / "checkpoint.safetensors").iteration == 1

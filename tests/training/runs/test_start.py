@@ -72,6 +72,13 @@ def test_processes_that_cannot_share_the_shards_are_refused():
         check_processes(0, SETTINGS)
 
 
+def test_a_killed_one_ends_the_others_and_is_named():
+    with pytest.raises(
+        ChildProcessError, match=r"process 1 of those .* ended by SIGKILL; the same"
+    ):
+        start_together(2, together.kill_second)
+
+
 def test_an_error_in_one_of_them_ends_the_others_and_is_raised():
     began = time.monotonic()
     with pytest.raises(FileNotFoundError, match="no such driver"):
@@ -85,17 +92,18 @@ import together
 from hmi_marl.training.runs.start import start_together
 
 if __name__ == "__main__":
-    start_together(2, together.wait_for_long, sys.argv[1])
+    start_together(2, getattr(together, sys.argv[2]), sys.argv[1])
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="asks for processes as POSIX does")
-def test_none_is_left_when_the_process_that_started_them_is_killed(tmp_path):
+@pytest.mark.parametrize("waiting", ["wait_for_long", "wait_for_long_watching"])
+def test_none_is_left_when_the_process_that_started_them_is_killed(waiting, tmp_path):
     program = tmp_path / "program.py"
     program.write_text(KILLED)
     path = os.pathsep.join([*sys.path, os.environ.get("PYTHONPATH", "")])
     env = os.environ | {"PYTHONPATH": path}
-    parent = subprocess.Popen([sys.executable, str(program), str(tmp_path)], env=env)
+    parent = subprocess.Popen([sys.executable, str(program), str(tmp_path), waiting], env=env)
     places = [tmp_path / "0", tmp_path / "1"]
     wait_until(lambda: all(place.is_file() and place.read_text() for place in places))
     pids = [int(place.read_text()) for place in places]

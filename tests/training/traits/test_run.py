@@ -276,3 +276,21 @@ def test_windows_that_end_at_a_crash_are_refused(tmp_path):
 def test_something_has_to_be_left_to_learn_from(dataset, tmp_path):
     with pytest.raises(ValueError, match="held_out leaves no window to learn from"):
         learn_traits(replace(TINY, held_out=0.99), dataset, tmp_path / "run", quiet=True)
+
+
+def test_a_model_that_was_lost_is_written_again_from_the_checkpoint(dataset, tmp_path):
+    before = learned(tmp_path, dataset)
+    for lost in FILES:
+        (tmp_path / lost).unlink()
+        assert learned(tmp_path, dataset) == before
+
+
+@pytest.mark.parametrize("wild", [{"learning_rate": 1e30}, {"imitation_rate": 1e30}])
+def test_learning_that_diverges_is_told_with_the_batch_and_what_to_change(wild, dataset, tmp_path):
+    told = r"diverged in batch \d+ of phase [12]: .*not finite.*lower"
+    with pytest.raises(FloatingPointError, match=told):
+        learned(tmp_path, dataset, replace(TINY, imitation_updates=20, **wild))
+    assert not (tmp_path / "traits.json").exists()
+    sound = Checkpoint.load(tmp_path / "checkpoint.safetensors")
+    parts = sound.tensors.values()
+    assert all(np.isfinite(np.asarray(t)).all() for part in parts for t in part.values())

@@ -1,0 +1,192 @@
+"""Ownership of folders: only one command at a time writes into a folder.
+
+The owner holds a lock of the operating system on the file ``.owner`` in the folder. The lock ends
+with its process, however that ends. The file says which process it is, and is removed when the
+owner is done; one that a kill left behind is free for the next owner.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from hmi_marl.files import make_folder
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+OWNER = ".owner"
+"""File in a folder that its owner locks."""
+_TAKEN = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
+"""Errors of a lock that another process has."""
+_FAR = 2**20
+"""Byte that is locked where locks are of bytes, so that the others can be read."""
+_held: dict[Path, tuple[int, int | None]] = {}
+"""Owned folders: the thread that owns each, and its open file; None where there are no locks."""
+
+
+class FolderInUseError(OSError):
+    """Another process, or another thread of this one, writes into a folder."""
+
+
+@contextmanager
+def owned(folder: Path) -> Iterator[None]:
+    """Own ``folder`` for a block, and make it if there is none.
+
+    Within the block the same thread may own it again, as when an experiment writes into the folder
+    that its command owns. Folders that were made for a block that fails, and are empty then, are
+    removed. Where the file system knows no locks, a line on stderr says so.
+
+    Raises:
+        FolderInUseError: it has another owner, which the message names.
+        OSError: it cannot be written to.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        make_folder(folder)
+        place, thread = folder.resolve(), threading.get_ident()
+        if place not in _held:
+            with _holding(folder, place, thread):
+                yield
+        elif _held[place][0] == thread:
+            yield
+        else:
+            raise _in_use(folder, f"another thread of process {os.getpid()}")
+    except BaseException:
+        with suppress(OSError):  # those that are not empty stay
+            for each in missing:
+                each.rmdir()
+        raise
+
+
+@contextmanager
+def _holding(folder: Path, place: Path, thread: int) -> Iterator[None]:
+    _held[place] = thread, _lock(folder)
+    try:
+        yield
+    finally:
+        _, file = _held.pop(place)
+        if file is not None:
+            _unlock(folder / OWNER, file)
+
+
+def check_free(folder: Path) -> None:
+    """Check that no other process owns ``folder`` now, and that it could be written to.
+
+    This refuses early, and makes and writes nothing. Only :func:`owned` keeps others away.
+
+    Raises:
+        FolderInUseError: it has an owner, which the message names.
+        OSError: it cannot be written to.
+    """
+    there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        reason = "no permission" if there.is_dir() else f"{there} is not a folder"
+        raise OSError(f"cannot write to {folder}: {reason}")
+    try:
+        file = os.open(folder / OWNER, os.O_RDWR)
+    except OSError:
+        return  # there is no owner, or what is wrong will be said when the folder is owned
+    try:
+        if folder.resolve() not in _held and not _take(file):
+            raise _in_use(folder, _read(file))
+    finally:
+        os.close(file)
+
+
+def _lock(folder: Path) -> int | None:
+    """Lock a folder; return its open file, or None if its file system knows no locks."""
+    path = folder / OWNER
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            if not _take(file):
+                raise _in_use(folder, _read(file))
+        except FolderInUseError:
+            os.close(file)
+            raise
+        except OSError as error:
+            os.close(file)
+            print(
+                f"hmi-marl: cannot lock {folder} ({error.strerror}); let no other command write "
+                "there at the same time",
+                file=sys.stderr,
+            )
+            return None
+        if _is_still_there(path, file):
+            break
+        os.close(file)  # its last owner removed it after it was opened here
+    about = f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
+    os.ftruncate(file, 0)
+    os.write(file, about.encode())
+    return file
+
+
+def _take(file: int) -> bool:
+    """Lock an open file; return whether it is locked now, or False if another process has it.
+
+    Raises:
+        OSError: the file system knows no locks.
+    """
+    try:
+        if sys.platform == "win32":
+            os.lseek(file, _FAR, os.SEEK_SET)
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+            os.lseek(file, 0, os.SEEK_SET)
+        else:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _TAKEN:
+            return False
+        raise
+    return True
+
+
+def _unlock(path: Path, file: int) -> None:
+    """End the lock, and remove its file while no other process can have locked it."""
+    with suppress(OSError):  # it stays, which does no harm; Windows removes no open file
+        if _is_still_there(path, file):
+            path.unlink()
+    os.close(file)
+    if sys.platform == "win32":
+        with suppress(OSError):
+            path.unlink()
+
+
+def _is_still_there(path: Path, file: int) -> bool:
+    try:
+        return os.path.samestat(path.stat(), os.fstat(file))
+    except FileNotFoundError:
+        return False
+
+
+def _read(file: int) -> str:
+    os.lseek(file, 0, os.SEEK_SET)
+    return os.read(file, 200).decode("utf-8", "replace").strip() or "another process"
+
+
+def _in_use(folder: Path, owner: str) -> FolderInUseError:
+    return FolderInUseError(
+        f"{folder} is in use by {owner}; wait until it has ended, or choose another --out"
+    )
+
+
+def _forget() -> None:
+    """Close the locks that a forked child got from its parent, whose they stay."""
+    for _, file in _held.values():
+        if file is not None:
+            os.close(file)
+    _held.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
