@@ -198,4 +198,4 @@ def test_the_benchmark_of_worlds_is_the_command():
     command = [sys.executable, str(ROOT / "benchmarks" / "worlds.py"), "--rounds", "0"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 2
-    assert "positive" in run.stdout + run.stderr
+    assert "rounds lies in 1 to" in run.stdout + run.stderr

@@ -43,7 +43,7 @@ def test_too_few_drivers_are_refused_before_anything_is_played(
         main(["adapt", *TINY, "--drivers", "1"])
     assert stop.value.code == 2
     error = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "an interval needs at least 2, but got drivers = 1" in error
+    assert "drivers lies in 2 to 1000000, but got 1" in error
     assert not Path("runs").exists()
 
 

@@ -7,13 +7,13 @@ from hmi_marl.experiments.adaptation.experiment import Adaptation
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"drivers": 1}, "an interval needs at least 2, but got drivers = 1"),
-        ({"population": 0}, "an interval needs at least 2, but got population = 0"),
-        ({"changes": 1}, "an interval needs at least 2, but got changes = 1"),
+        ({"drivers": 1}, "drivers lies in 2 to 1000000, but got 1"),
+        ({"population": 0}, "population lies in 2 to 1000000, but got 0"),
+        ({"changes": 1}, "changes lies in 2 to 1000000, but got 1"),
         ({"repeats": 0}, "repeats lies in 1 to"),
         ({"candidates": 0}, "candidates lies in 1 to"),
-        ({"revealing": 1.1}, r"revealing is a share in \[0, 1\], but got 1\.1"),
-        ({"revealing": float("nan")}, r"revealing is a share in \[0, 1\]"),
+        ({"revealing": 1.1}, r"revealing lies in \[0, 1\], but got 1\.1"),
+        ({"revealing": float("nan")}, r"revealing lies in \[0, 1\]"),
         ({"caution": -1.0}, "caution lies in .*, but got -1"),
         ({"seed": -1}, "a seed lies in"),
     ],
@@ -34,5 +34,5 @@ def test_what_is_learned_for_it_goes_by_the_driver_that_was_learned(tmp_path):
 
 @pytest.mark.parametrize("name", ["drives", "updates", "hmi_steps", "rnn_hidden_dim"])
 def test_learning_nothing_is_refused(name):
-    with pytest.raises(ValueError, match=f"{name} is at least 1, but got 0"):
+    with pytest.raises(ValueError, match=f"{name} lies in 1 to"):
         Adaptation(**{name: 0})

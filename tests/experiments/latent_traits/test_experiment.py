@@ -139,7 +139,7 @@ def test_the_population_shares_no_driver_and_no_episode_with_the_demonstrations(
 
 @pytest.mark.parametrize("name", ["driver_steps", "demonstrated", "population", "seeds"])
 def test_a_reproduction_of_nothing_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} is at least 1"):
+    with pytest.raises(ValueError, match=f"{name} lies in 1 to"):
         LatentTraits(**{name: 0})
 
 

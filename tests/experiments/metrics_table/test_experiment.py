@@ -75,7 +75,7 @@ def test_one_driver_policy_learns_with_everybody_who_drives(tmp_path):
 
 @pytest.mark.parametrize("name", ["driver_steps", "hmi_steps", "episodes"])
 def test_a_reproduction_of_nothing_is_refused(name):
-    with pytest.raises(ValueError, match=f"{name} is at least 1"):
+    with pytest.raises(ValueError, match=f"{name} lies in 1 to"):
         MetricsTable(**{name: 0})
 
 
