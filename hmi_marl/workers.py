@@ -106,6 +106,8 @@ def calls(
     with pool(max(1, min(workers, len(tasks))), begin, *arguments) as workshop:
         with without_interrupts():
             futures = [workshop.submit(function, *task) for task in tasks]
+            # A pool watches the processes that it had at the latest submission, so one more.
+            workshop.submit(_nothing)
         ended: SimpleQueue[Future[Result]] = SimpleQueue()
         for future in futures:
             future.add_done_callback(ended.put)
@@ -164,6 +166,10 @@ def begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not _is_killed_with_parent():
         threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _nothing() -> None:
+    pass
 
 
 def _begin(then: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
