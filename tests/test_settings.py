@@ -43,7 +43,7 @@ NO_SETTINGS = {
     "hmi_marl.training.protocols.settings.Budget": "the same",
     "hmi_marl.training.ppo.shards.Shards": "the same",
     "hmi_marl.training.runs.processes.Processes": "read from torchrun's environment",
-    "hmi_marl.training.runs.run.Checkpoint": "state of a run",
+    "hmi_marl.training.runs.checkpoint.Checkpoint": "state of a run",
     "hmi_marl.demonstrations.recording.Tally": "results",
     "hmi_marl.envs.render.TeamStatus": "results",
     "hmi_marl.experiments.metrics_table.table.Cell": "results",
@@ -59,6 +59,8 @@ EXAMPLES = {
     "TraitCard": {"reads": (("speed", 1),)},
     "EvidenceCard": {"reads": (("intended_action", 5),)},
     "TableConfig": {"hmis": ("never",)},
+    "_Header": dict.fromkeys(("format", "sha256", "settings"), "")
+    | {"phase": 0, "iteration": 0, "steps": 0, "seconds": 0.0, "curve": []},
     "TrainTraits": {},
 }
 """Arguments of settings that do not work by default, or are slow."""

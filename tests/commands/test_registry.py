@@ -121,7 +121,7 @@ def test_the_version_imports_no_parser_and_no_settings(tmp_path: Path) -> None:
         "print(*sorted(m for m in sys.modules if m == 'tyro' or m.startswith('hmi_marl.')))"
     )
     names = ("cli", "commands", "commands.registry", "experiments", "experiments.registry")
-    names += ("extras", "interrupts", "registry")
+    names += ("extras", "interrupts", "registry", "text")
     assert run(code, tmp_path).stdout.splitlines()[-1].split() == [
         f"hmi_marl.{name}" for name in names
     ]

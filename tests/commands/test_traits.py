@@ -94,7 +94,7 @@ def test_traits_are_learned_and_judged(capsys: pytest.CaptureFixture[str]) -> No
 def test_preferences_of_people_are_read_from_a_file(capsys: pytest.CaptureFixture[str]) -> None:
     preferred = ["traits", "train", "--supervision", "preference", *TINY, "--preferences", "asked"]
     for content, told in (
-        ("", "asked is not a JSON file"),
+        ("", "asked is no JSON file"),
         ('["lisa"]', 'asked does not contain {"name": number in [0, 1], ...}'),
         ('{"lisa": true, "homer": 1}', "asked does not contain"),
         ('{"lisa": 0.2}', "the preferences lack homer"),

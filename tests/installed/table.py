@@ -174,6 +174,7 @@ SITE_PAGES = tuple(
         "extending.md": (CORE,),
         "graded-alerts.md": (CORE,),
         "index.md": (CORE,),
+        "settings.md": (CORE,),
         "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),
     }.items()

@@ -102,9 +102,9 @@ def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> Non
         ValueError: something differs, other than settings of the machine.
     """
     old, new = _binding(before), _binding(now)
-    differing = [name for name in new if old.get(name) != new[name]]
+    differing = [pair for name in new for pair in _differing(name, old.get(name), new[name])]
     if differing:
-        details = ", ".join(f"{n} = {shown(old.get(n))}, now {shown(new[n])}" for n in differing)
+        details = ", ".join(f"{name} = {shown(a)}, now {shown(b)}" for name, a, b in differing)
         raise ValueError(
             f"{folder} holds another run ({details}); choose another --out, or remove the folder"
         )
@@ -114,6 +114,20 @@ def settings_digest(about: dict[str, Any]) -> str:
     """SHA-256 checksum of what must be the same when a run is resumed, of its ``run.json``."""
     content = json.loads(json.dumps(_binding(about)))  # keys become texts, which can be sorted
     return sha256(json.dumps(content, sort_keys=True).encode())
+
+
+def _differing(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
+    """Names, old and new values of what differs in a setting, within groups of them too."""
+    if old == new:
+        return []
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        return [(name, old, new)]
+    within = {**new, **old}
+    return [
+        pair
+        for each in within
+        for pair in _differing(f"{name}.{each}", old.get(each), new.get(each))
+    ]
 
 
 def _binding(about: dict[str, Any]) -> dict[str, Any]:

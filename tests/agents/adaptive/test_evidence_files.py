@@ -94,7 +94,7 @@ def test_weights_that_are_gone_are_reported(tmp_path):
         (b'{"format": "hmi-marl evidence 1"}', "is no evidence model .* 'hmi-marl evidence 1'"),
         (b'{"format": "hmi-marl policy 1"}', "is no evidence model .* 'hmi-marl policy 1'"),
         (b"[]", "format None"),
-        (b'{"format": "hmi-marl evidence 2"}', "is a damaged evidence model card: 'reads'"),
+        (b'{"format": "hmi-marl evidence 2"}', "is a damaged evidence model card: it lacks reads"),
     ],
     ids=str,
 )

@@ -148,14 +148,15 @@ def test_tables_are_whole():
 
 
 def test_the_figure_is_a_picture_that_shows_its_numbers():
-    one = figure(results()).content
+    one = figure(results()).drawn
     assert one.startswith(b"\x89PNG")
     other = replace(steady("lisa"), regret={hmi: [3.0] * 80 for hmi in HMIS})
-    assert figure(results(lisa=other)).content != one
+    assert figure(results(lisa=other)).drawn != one
 
 
 def test_a_report_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(AdaptEvaluation, "run", lambda self, place: results())
+    monkeypatch.setattr(AdaptEvaluation, "check", lambda self, place: None)
     monkeypatch.setattr(AdaptEvaluation, "settings", lambda self: {"drivers": 40})
     watch = Stopwatch()
     watch.seconds["playing"] = 12.0

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from unchecked import unchecked
 
 from hmi_marl.agents.adaptive.evidence_model import load_evidence
 from hmi_marl.agents.learned.network import NetworkConfig
@@ -265,7 +266,7 @@ def test_a_model_that_was_lost_is_written_again_from_the_checkpoint(tmp_path):
 
 
 def test_learning_that_diverges_is_told_with_the_batch_and_what_to_change(tmp_path):
-    wild = replace(TINY, learning_rate=1e30, updates=20)
+    wild = unchecked(replace(TINY, updates=20), learning_rate=1e30)
     told = r"diverged in batch \d+ of phase 1: .*not finite with learning_rate at .*; lower"
     with pytest.raises(FloatingPointError, match=told):
         learned(tmp_path, wild)

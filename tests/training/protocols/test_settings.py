@@ -61,7 +61,7 @@ def test_what_ppo_may_be_told_at_the_edges():
             ValueError,
             "set rnn_hidden_dim, not network.rnn_hidden_dim",
         ),
-        ({"rnn_hidden_dim": -1}, ValueError, "rnn_hidden_dim = -1"),
+        ({"rnn_hidden_dim": -1}, ValueError, "rnn_hidden_dim lies in 0 to .*, but got -1"),
         (
             {"num_teams": 4, "ppo": PPOSettings(num_mini_batches=5)},
             ValueError,
@@ -85,7 +85,7 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
     ("make", "told"),
     [
         (lambda: TwoStage(driver_steps=0), "driver_steps lies in 1 to .*, but got 0"),
-        (lambda: TwoStage(hmi_steps=-1), "hmi_steps lies in 1 to .*, but got -1"),
+        (lambda: TwoStage(hmi_steps=-1), "hmi_steps lies in 0 to .*, but got -1"),
         (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps lies in 1 to"),
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
         (lambda: Joint(steps=0), "steps lies in 1 to"),
