@@ -1,8 +1,6 @@
 """Attacks: each a function that returns what it tried and what was wrong.
 
-To add one, write ``attack(bench, options, rng) -> list[Counts]`` and add it to ``ATTACKS``. Attacks
-on the readers of files belong here too: ``options.mutations`` altered files for each reader, each
-either read as before or refused by an error of one line.
+To add one, write ``attack(bench, options, rng) -> list[Counts]`` and add it to ``ATTACKS``.
 """
 
 import os
@@ -14,6 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from file_cases import CASES
+from mutations import try_reader
 from targets import TARGETS, Bench, Outcome, content, difference, full_after
 
 
@@ -186,4 +188,17 @@ def read_only(bench: Bench, options: Options, rng: random.Random) -> list[Counts
     return [row]
 
 
-ATTACKS = [kills, signals, disks, owners, read_only]
+def readers(bench: Bench, options: Options, rng: random.Random) -> list[Counts]:
+    """Altered files, so many for each reader: read, or refused soon and in one line."""
+    rows = []
+    for name, make in CASES.items():
+        folder = bench.fresh()
+        folder.mkdir()
+        case, first = make(folder), rng.randrange(10**6)
+        seeds = range(first, first + options.mutations)
+        _, wrong = try_reader(case.read, case.mutate, seeds)
+        rows.append(Counts(f"altered files, {name}", len(seeds), wrong))
+    return rows
+
+
+ATTACKS = [kills, signals, disks, owners, read_only, readers]

@@ -1,0 +1,302 @@
+"""Files that the package reads, each with its reader and a way to alter it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import torch
+from demonstrations import made_up
+from evidence_models import untrained_evidence
+from mutations import hostile, hostile_json
+from trait_models import save_driver, untrained
+
+from hmi_marl.agents.adaptive.evidence_model import load_evidence, save_evidence
+from hmi_marl.agents.learned.cards import INDEX_FORMAT, find_shipped, shipped_agents
+from hmi_marl.agents.learned.policy import read_policy
+from hmi_marl.agents.learned.trait_model import load_traits, save_traits
+from hmi_marl.demonstrations.env import env_spec, team_of
+from hmi_marl.demonstrations.parquet import (
+    OBSERVED,
+    TRUTH,
+    read_demonstrations,
+    write_demonstrations,
+)
+from hmi_marl.reporting.blocks import Table, Text, Verdicts, block_from
+from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.reproduction import suite
+from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.runs.checkpoint import Checkpoint
+from hmi_marl.training.runs.folder import read_curve, read_settings, run_settings, settings_digest
+from hmi_marl.training.traits.windows import read_preferences
+
+
+@dataclass(frozen=True)
+class Case:
+    """A file with its reader."""
+
+    path: Path
+    read: Callable[[], object]
+    mutate: Callable[[int], object]
+
+
+def bytes_of(path: Path, read: Callable[[], object]) -> Case:
+    """Mutate the bytes of a file."""
+    content = path.read_bytes()
+    return Case(path, read, lambda seed: path.write_bytes(hostile(content, seed)))
+
+
+def json_of(path: Path, read: Callable[[], object]) -> Case:
+    """Mutate a JSON file, by its values or its bytes."""
+    content = path.read_bytes()
+    value = json.loads(content)
+
+    def mutate(seed: int) -> None:
+        text = hostile_json(value, seed).encode() if seed % 3 else hostile(content, seed)
+        path.write_bytes(text)
+
+    return Case(path, read, mutate)
+
+
+def signed_weights(card: Path, read: Callable[[], object]) -> Case:
+    """Mutate weights, with the right checksum of what they are now in the card."""
+    path, about = card.with_suffix(".safetensors"), json.loads(card.read_text())
+    content = path.read_bytes()
+
+    def mutate(seed: int) -> None:
+        changed = hostile(content, seed) if seed % 2 else hostile_header(content, seed)
+        path.write_bytes(changed)
+        card.write_text(json.dumps(about | {"sha256": hashlib.sha256(changed).hexdigest()}))
+
+    return Case(path, read, mutate)
+
+
+def hostile_header(content: bytes, seed: int, inner: str | None = None) -> bytes:
+    """Mutate the JSON header of a safetensors file, or JSON within its metadata."""
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    if inner is None:
+        text = hostile_json(header, seed).encode()
+    else:
+        within = hostile_json(json.loads(header["__metadata__"][inner]), seed)
+        header["__metadata__"][inner] = within
+        text = json.dumps(header, separators=(",", ":")).encode()
+    return len(text).to_bytes(8, "little") + text + content[8 + size :]
+
+
+def policy(folder: Path) -> Case:
+    save_driver(folder)
+    return json_of(folder / "driver.json", lambda: read_policy(folder / "driver.json"))
+
+
+def policy_weights(folder: Path) -> Case:
+    save_driver(folder)
+    return signed_weights(folder / "driver.json", lambda: read_policy(folder / "driver.json"))
+
+
+def traits(folder: Path) -> Case:
+    model = untrained(made_up([3]).observed.layout)
+    return json_of(save_traits(folder, model.card, model.weights), lambda: load_traits(folder))
+
+
+def evidence(folder: Path) -> Case:
+    model = untrained_evidence()
+    return json_of(save_evidence(folder, model.card, model.weights), lambda: load_evidence(folder))
+
+
+def index(folder: Path) -> Case:
+    save_driver(folder / "mine")
+    files = {
+        f"mine/{name}": hashlib.sha256((folder / "mine" / name).read_bytes()).hexdigest()
+        for name in ("driver.json", "driver.safetensors")
+    }
+    agents = {"mine": {"what": "a driver", "kind": "driver", "files": files}}
+    path = folder / "INDEX.json"
+    path.write_text(json.dumps({"format": INDEX_FORMAT, "version": "1", "agents": agents}))
+
+    def read() -> None:
+        for agent in shipped_agents(folder).values():
+            assert agent.card.endswith(".json")
+        find_shipped("trained:mine", "driver", folder)
+
+    return json_of(path, read)
+
+
+def checkpoint_file(folder: Path) -> tuple[Path, str]:
+    path, settings = folder / "checkpoint.safetensors", settings_digest({"settings": {"seed": 1}})
+    rows = [{"phase": "driver", "steps": 80, "return": 0.5}] * 3
+    tensors = {"driver": {"actor.weight": torch.ones(4, 3), "optimizer.0.step": torch.ones(())}}
+    Checkpoint(1, 2, 3, 4.0, tensors, rows, settings).save(path)
+    return path, settings
+
+
+def checkpoint(folder: Path) -> Case:
+    path, settings = checkpoint_file(folder)
+    return bytes_of(path, lambda: Checkpoint.load(path, settings, 2))
+
+
+def signed_checkpoint(folder: Path) -> Case:
+    """Mutate a checkpoint, with the right checksum of what it is now."""
+    path, settings = checkpoint_file(folder)
+    content = path.read_bytes()
+    at = content.index(b'sha256\\": \\"') + len(b'sha256\\": \\"')
+    digest = content[at : at + 64]
+
+    def mutate(seed: int) -> None:
+        way = seed % 3
+        changed = (
+            hostile(content, seed)
+            if way == 0
+            else hostile_header(content, seed, "hmi_marl" if way == 1 else None)
+        )
+        found = hashlib.sha256(changed.replace(digest, b"0" * 64, 1)).hexdigest().encode()
+        path.write_bytes(changed.replace(digest, found, 1))
+
+    return Case(path, lambda: Checkpoint.load(path, settings, 2), mutate)
+
+
+def settings_file(folder: Path) -> Case:
+    path = folder / "run.json"
+    about = {"version": "1", "settings": run_settings(TwoStage()), "command": "hmi-marl train"}
+    path.write_text(json.dumps(about))
+    return json_of(path, lambda: settings_digest(read_settings(path)))
+
+
+def curve(folder: Path) -> Case:
+    rows = [{"phase": "driver", "steps": 80 * k, "return": 0.5, "seconds": 1.0} for k in range(3)]
+    (folder / "curve.json").write_text(json.dumps(rows))
+    return json_of(folder / "curve.json", lambda: read_curve(folder))
+
+
+def preferences(folder: Path) -> Case:
+    path = folder / "answers.json"
+    path.write_text(json.dumps({"ada": 0.5, "bob": 1}))
+    return json_of(path, lambda: read_preferences(path))
+
+
+def block(folder: Path) -> Case:
+    path = folder / "report.json"
+    verdicts = Verdicts([Verdict("it holds", Outcome.SUPPORTED, "1 > 0", "2.1")])
+    blocks = [Text("a", "b"), Table("t", ["", "x"], [["y", "1"]]), verdicts]
+    path.write_text(json.dumps([each.as_json() for each in blocks]))
+
+    def read() -> None:
+        content = suite.read_json(path)
+        if not isinstance(content, list):
+            raise ValueError("no list of blocks")
+        for each in content:
+            read_block = block_from(each)
+            read_block.as_text()
+            read_block.as_html()
+
+    return json_of(path, read)
+
+
+def record(folder: Path) -> Case:
+    """Mutate a stage's record, every other one with the right checksum of what it is now."""
+    path = folder / "one.json"
+    content = {"stage": "one", "numbers": {"mean": 0.5}, "blocks": [Text("a").as_json()]}
+    suite._write(path, content)
+    whole = path.read_bytes()
+
+    def mutate(seed: int) -> None:
+        path.write_bytes(hostile(whole, seed))
+        if seed % 2:
+            text = hostile_json(content, seed)
+            try:
+                suite._write(path, json.loads(text))
+            except (ValueError, RecursionError, TypeError):
+                path.write_text(text)
+
+    return Case(path, lambda: suite._read(path), mutate)
+
+
+def dataset(folder: Path) -> Path:
+    made = made_up([4, 2, 3], crash_step=[-1, 1, 0], driver=[0, -1, 0])
+    about = {"team": {"scene": {"lidar_cells": 4}}, "hmi": "random:0.2"}
+    object.__setattr__(made.observed, "about", about)
+    write_demonstrations(folder, made)
+    return folder
+
+
+def use(folder: Path) -> None:
+    """Read a dataset, and what is made of its description."""
+    observed = read_demonstrations(folder).observed
+    env_spec(observed)
+    team_of(observed)
+
+
+def observed_file(folder: Path) -> Case:
+    return bytes_of(dataset(folder) / OBSERVED, lambda: use(folder))
+
+
+def truth_file(folder: Path) -> Case:
+    return bytes_of(dataset(folder) / TRUTH, lambda: use(folder))
+
+
+def stamp(folder: Path) -> Case:
+    """Mutate the description in a parquet file."""
+    path = dataset(folder) / OBSERVED
+    (folder / TRUTH).unlink()
+    table = pq.read_table(path)
+    value = json.loads(table.schema.metadata[b"hmi-marl"])
+
+    def mutate(seed: int) -> None:
+        text = hostile_json(value, seed)
+        pq.write_table(table.replace_schema_metadata({"hmi-marl": text}), path)
+
+    return Case(path, lambda: use(folder), mutate)
+
+
+def rows(folder: Path) -> Case:
+    """Mutate the numbers of a parquet file, which stays whole."""
+    path = dataset(folder) / OBSERVED
+    (folder / TRUTH).unlink()
+    table = pq.read_table(path)
+
+    def mutate(seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        name = str(rng.choice(table.column_names))
+        values: list[Any] = table[name].to_pylist()
+        at, field = int(rng.integers(len(values))), table.schema.field(name)
+        nasty = ["", "x" * 100_000, None] if name == "driver" else [0, 1, 7, 127, None]
+        values[at] = nasty[int(rng.integers(len(nasty)))]
+        if name == "crashed":
+            values[at] = bool(values[at])
+        kind = pa.string() if name == "driver" else field.type
+        made = pa.array(values, kind)
+        made = made.dictionary_encode() if name == "driver" else made
+        changed = table.set_column(table.column_names.index(name), field.with_nullable(True), made)
+        pq.write_table(changed, path)
+
+    return Case(path, lambda: use(folder), mutate)
+
+
+CASES = {
+    case.__name__: case
+    for case in (
+        policy,
+        policy_weights,
+        traits,
+        evidence,
+        index,
+        checkpoint,
+        signed_checkpoint,
+        settings_file,
+        curve,
+        preferences,
+        block,
+        record,
+        observed_file,
+        truth_file,
+        stamp,
+        rows,
+    )
+}
