@@ -71,7 +71,8 @@ def was_stopped() -> bool:
 def report() -> int:
     """Print the line for the signal that was raised, and return the exit status."""
     number = _received[0] if _received else signal.SIGINT
-    print(f"hmi-marl: {_REPORTS[number]}", file=sys.stderr)
+    begin = "\n" if sys.stderr.isatty() else ""  # below the bar of a process that was ended
+    print(f"{begin}hmi-marl: {_REPORTS[number]}", file=sys.stderr)
     return 128 + number
 
 

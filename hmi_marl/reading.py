@@ -28,6 +28,8 @@ MOST_VALUES = 2_000_000
 """Most values in JSON content by default: a few hundred MiB in Python."""
 MOST_STATE_VALUES = 20_000_000
 """Most values in the state of a run, whose curve has a row for each batch."""
+MOST_TOLD = 300
+"""Most characters of another library's message, which may quote the file."""
 _MOST_DEPTH = 64
 """Most levels of JSON content, so that code which descends into it needs no check of its own."""
 _MOST_DIGITS = 20
@@ -125,7 +127,7 @@ def parse_tensors(
         return metadata, load(content)
     except (SafetensorError, AttributeError, KeyError, TypeError) as error:
         # The last three: numbers of a type that NumPy or torch does not have.
-        raise ValueError(one_line(str(error))) from None
+        raise ValueError(one_line(str(error), MOST_TOLD)) from None
 
 
 _HEADER_AT = 8

@@ -19,7 +19,7 @@ from hmi_marl.demonstrations.dataset import MISSING
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.files import json_value
-from hmi_marl.reading import parse_json
+from hmi_marl.reading import MOST_TOLD, parse_json
 from hmi_marl.text import one_line
 from hmi_marl.typed_json import read_value, shown
 
@@ -97,7 +97,7 @@ class StepFile:
             found = self._parquet.schema_arrow
         except _UNREADABLE as error:
             raise ValueError(
-                f"{path} is no parquet file, or cut off: {one_line(str(error))}"
+                f"{path} is no parquet file, or cut off: {one_line(str(error), MOST_TOLD)}"
             ) from None
         metadata = self._parquet.metadata.metadata or {}
         self.belongs_to = metadata.get(BELONGS, b"").decode(errors="replace")
@@ -116,7 +116,7 @@ class StepFile:
         try:
             return self._read()
         except _UNREADABLE as error:
-            raise ValueError(f"{self.path} is damaged: {one_line(str(error))}") from None
+            raise ValueError(f"{self.path} is damaged: {one_line(str(error), MOST_TOLD)}") from None
 
     def _check_size(self, steps: int) -> None:
         size = 8 * steps * len(self._schema)  # numbers of 4 bytes, copied once

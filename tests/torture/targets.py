@@ -75,8 +75,9 @@ class Outcome:
 
     @property
     def line(self) -> str:
-        """Last line on stderr."""
-        return (self.errors.strip().replace("\r", "\n").splitlines() or [""])[-1]
+        """Last line on stderr, after a progress bar that may stand there."""
+        last = (self.errors.strip().replace("\r", "\n").splitlines() or [""])[-1]
+        return last[max(0, last.find("hmi-marl: ")) :]
 
 
 class Bench:

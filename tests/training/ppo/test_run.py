@@ -237,7 +237,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(name, batches, before, 
     settings = globals()[name]
     whole = learned(tmp_path / "whole", settings)
     folder = tmp_path / "killed"
-    path = os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")])
+    path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
     command = [sys.executable, "-c", KILLED.format(name=name, batches=batches), str(folder)]
     env = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
     killed = subprocess.run(command, env=env, check=False)

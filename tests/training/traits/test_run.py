@@ -213,7 +213,9 @@ def test_a_killed_run_goes_on(dataset, tmp_path):
     )
     folder = tmp_path / "killed"
     here = os.path.dirname(__file__)
-    process = subprocess.Popen([sys.executable, "-c", program, here, str(dataset), str(folder)])
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", program, here, str(dataset), str(folder)]
+    process = subprocess.Popen(command, env=env)
     deadline = time.monotonic() + 120
     while not (folder / "checkpoint.safetensors").is_file():
         assert time.monotonic() < deadline
