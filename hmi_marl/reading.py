@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from safetensors import SafetensorError
 
-from hmi_marl.text import one_line
+from hmi_marl.text import MOST_TOLD, one_line
 
 T = TypeVar("T")
 JSON_BYTES = 16 * 2**20
@@ -28,8 +28,6 @@ MOST_VALUES = 2_000_000
 """Most values in JSON content by default: a few hundred MiB in Python."""
 MOST_STATE_VALUES = 20_000_000
 """Most values in the state of a run, whose curve has a row for each batch."""
-MOST_TOLD = 300
-"""Most characters of another library's message, which may quote the file."""
 _MOST_DEPTH = 64
 """Most levels of JSON content, so that code which descends into it needs no check of its own."""
 _MOST_DIGITS = 20

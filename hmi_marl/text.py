@@ -6,8 +6,11 @@ mathematics. Every text of others that is shown goes through one of these functi
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 
+MOST_TOLD = 300
+"""Most characters of what an error quotes: names of others, or another library's message."""
 _LABEL = 40
 """Most characters of a label in a figure."""
 
@@ -28,6 +31,11 @@ def printable(text: str, keep: str = "") -> str:
 def one_line(text: str, most: int = 2000) -> str:
     """Write a text on one line of at most so many characters; the middle of a longer one is cut."""
     return _shortened(printable(" ".join(text.split())), most)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Write names on one line of bounded length, for an error."""
+    return one_line(", ".join(names), MOST_TOLD)
 
 
 def in_html(text: str) -> str:

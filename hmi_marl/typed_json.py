@@ -13,17 +13,11 @@ from base64 import b64decode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
-from reprlib import Repr
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from hmi_marl.checks import shown
+
 T = TypeVar("T")
-_SHORT = Repr()
-_SHORT.maxstring = _SHORT.maxother = 60
-
-
-def shown(value: Any) -> str:
-    """Write any value on one line of bounded length, for an error."""
-    return _SHORT.repr(value)
 
 
 def read_as(kind: type[T], content: Any) -> T:

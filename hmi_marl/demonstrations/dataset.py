@@ -47,6 +47,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Traits, check_traits
 from hmi_marl.envs.observations import Layout, vehicle_ai_layout
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.text import listed
 
 STATE_PARTS = ("lidar", "speed", "target_speed", "heading", "lateral", "lane", "position")
 """Parts of the vehicle AI's observation that make up an observed state."""
@@ -317,8 +318,8 @@ def _drive(
     """Return the recording's states (L, layout.size), actions and alerts (L,)."""
     where = f"recording {number}"
     if set(recording.parts) != set(layout.slices):
-        odd = ", ".join(sorted(set(recording.parts) ^ set(layout.slices)))
-        raise ValueError(f"{where} has not exactly the parts {', '.join(layout.slices)}: {odd}")
+        odd = listed(sorted(set(recording.parts) ^ set(layout.slices)))
+        raise ValueError(f"{where} has not exactly the parts {listed(layout.slices)}: {odd}")
     steps = len(np.atleast_1d(recording.actions))
     if steps == 0:
         raise ValueError(f"{where} has no steps")
@@ -346,7 +347,7 @@ def _check_layout(layout: Layout) -> None:
     if names != STATE_PARTS:
         raise ValueError(
             f"an observed state has the parts {', '.join(STATE_PARTS)}, in this order and no "
-            f"others, but got {', '.join(names)}"
+            f"others, but got {listed(names)}"
         )
 
 

@@ -15,13 +15,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import hmi_marl
+from hmi_marl.checks import shown
 from hmi_marl.demonstrations.dataset import MISSING
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.files import json_value
-from hmi_marl.reading import MOST_TOLD, parse_json
-from hmi_marl.text import one_line
-from hmi_marl.typed_json import read_value, shown
+from hmi_marl.reading import parse_json
+from hmi_marl.text import MOST_TOLD, listed, one_line
+from hmi_marl.typed_json import read_value
 
 FORMAT = "hmi-marl demonstrations 1"
 STAMP, BELONGS = b"hmi-marl", b"hmi-marl observed"
@@ -234,12 +235,14 @@ def _check_schema(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
     if found.names != expected.names:
         missing = [name for name in expected.names if name not in found.names]
         foreign = [name for name in found.names if name not in expected.names]
-        odd = f"missing: {', '.join(missing) or 'none'}; foreign: {', '.join(foreign) or 'none'}"
+        odd = f"missing: {listed(missing) or 'none'}; foreign: {listed(foreign) or 'none'}"
         raise ValueError(f"{path} has other columns than its stamp says ({odd})")
     for field in expected:
         column = found.field(field.name)
         if not column.equals(field):
-            raise ValueError(f"{path}: column {field.name} is {_type(column)}, not {_type(field)}")
+            raise ValueError(
+                f"{path}: column {listed([field.name])} is {_type(column)}, not {_type(field)}"
+            )
 
 
 def _type(field: pa.Field) -> str:

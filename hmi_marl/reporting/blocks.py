@@ -17,10 +17,11 @@ from functools import cached_property
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
+from hmi_marl.checks import shown
 from hmi_marl.files import json_value
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 from hmi_marl.text import in_html, printable
-from hmi_marl.typed_json import read_as, shown
+from hmi_marl.typed_json import read_as
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing

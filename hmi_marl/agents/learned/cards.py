@@ -21,11 +21,12 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.learned.network import Weights
+from hmi_marl.checks import shown
 from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
 from hmi_marl.reading import parse_tensors, read_bytes, read_json
 from hmi_marl.registry import HELP, suggest, unknown
-from hmi_marl.text import one_line
-from hmi_marl.typed_json import read_as, read_value, shown
+from hmi_marl.text import listed, one_line
+from hmi_marl.typed_json import read_as, read_value
 
 INDEX_FORMAT = "hmi-marl trained 1"
 PREFIX = "trained:"
@@ -198,7 +199,7 @@ class CardFormat(Generic[C]):
         shapes = card.shapes
         if set(weights) != set(shapes):
             odd = sorted(set(weights) ^ set(shapes))
-            raise ValueError(f"the weights do not fit the {self.model}'s card: {', '.join(odd)}")
+            raise ValueError(f"the weights do not fit the {self.model}'s card: {listed(odd)}")
         for name, shape in shapes.items():
             if weights[name].shape != shape:
                 raise ValueError(

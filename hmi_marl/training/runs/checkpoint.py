@@ -22,8 +22,8 @@ from safetensors.torch import save as save_tensors
 
 from hmi_marl.checks import Checked, CountOrZero, Seconds, StepsOrZero
 from hmi_marl.files import write_bytes
-from hmi_marl.reading import MOST_STATE_VALUES, MOST_TOLD, parse_json, parse_tensors, read_bytes
-from hmi_marl.text import one_line
+from hmi_marl.reading import MOST_STATE_VALUES, parse_json, parse_tensors, read_bytes
+from hmi_marl.text import MOST_TOLD, one_line
 from hmi_marl.training.runs.folder import Row
 from hmi_marl.typed_json import read_as
 

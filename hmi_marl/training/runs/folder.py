@@ -9,10 +9,11 @@ from typing import Any
 
 from hmi_marl.agents.catalogue import learned_file
 from hmi_marl.agents.learned.cards import is_shipped
+from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import json_value, sha256, sha256_of
 from hmi_marl.reading import MOST_STATE_VALUES, read_json
-from hmi_marl.typed_json import read_value, shown
+from hmi_marl.typed_json import read_value
 
 SETTINGS = "run.json"
 """Settings of the run."""
