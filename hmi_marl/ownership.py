@@ -8,6 +8,7 @@ owner is done; one that a kill left behind is free for the next owner.
 from __future__ import annotations
 
 import errno
+import json
 import os
 import platform
 import sys
@@ -15,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import parent_process
 from pathlib import Path
 
 from hmi_marl.files import make_folder
@@ -30,6 +32,8 @@ _TAKEN = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
 """Errors of a lock that another process has."""
 _FAR = 2**20
 """Byte that is locked where locks are of bytes, so that the others can be read."""
+_FOLDERS = "HMI_MARL_OWNED_FOLDERS"
+"""Environment variable that tells worker processes which folders those before them own."""
 _held: dict[Path, tuple[int, int | None]] = {}
 """Owned folders: the thread that owns each, and its open file; None where there are no locks."""
 
@@ -43,8 +47,9 @@ def owned(folder: Path) -> Iterator[None]:
     """Own ``folder`` for a block, and make it if there is none.
 
     Within the block the same thread may own it again, as when an experiment writes into the folder
-    that its command owns. Folders that were made for a block that fails, and are empty then, are
-    removed. Where the file system knows no locks, a line on stderr says so.
+    that its command owns, and so may its worker processes, which end with it. Folders that were
+    made for a block that fails, and are empty then, are removed. Where the file system knows no
+    locks, a line on stderr says so.
 
     Raises:
         FolderInUseError: it has another owner, which the message names.
@@ -54,7 +59,9 @@ def owned(folder: Path) -> Iterator[None]:
     try:
         make_folder(folder)
         place, thread = folder.resolve(), threading.get_ident()
-        if place not in _held:
+        if place not in _held and _is_an_ancestors(place):
+            yield
+        elif place not in _held:
             with _holding(folder, place, thread):
                 yield
         elif _held[place][0] == thread:
@@ -71,12 +78,28 @@ def owned(folder: Path) -> Iterator[None]:
 @contextmanager
 def _holding(folder: Path, place: Path, thread: int) -> Iterator[None]:
     _held[place] = thread, _lock(folder)
+    os.environ[_FOLDERS] = json.dumps([*_of_processes_before(), str(place)])
     try:
         yield
     finally:
+        left = [each for each in _of_processes_before() if each != str(place)]
+        if left:
+            os.environ[_FOLDERS] = json.dumps(left)
+        else:
+            os.environ.pop(_FOLDERS, None)
         _, file = _held.pop(place)
         if file is not None:
             _unlock(folder / OWNER, file)
+
+
+def _is_an_ancestors(place: Path) -> bool:
+    """Whether this is a worker of a process that owns a folder."""
+    return parent_process() is not None and str(place) in _of_processes_before()
+
+
+def _of_processes_before() -> list[str]:
+    folders: list[str] = json.loads(os.environ.get(_FOLDERS, "[]"))
+    return folders
 
 
 def check_free(folder: Path) -> None:
@@ -97,7 +120,8 @@ def check_free(folder: Path) -> None:
     except OSError:
         return  # there is no owner, or what is wrong will be said when the folder is owned
     try:
-        if folder.resolve() not in _held and not _take(file):
+        place = folder.resolve()
+        if place not in _held and not _is_an_ancestors(place) and not _take(file):
             raise _in_use(folder, _read(file))
     finally:
         os.close(file)

@@ -103,6 +103,30 @@ def test_a_forked_child_does_not_keep_the_folder(tmp_path):
         child.join()
 
 
+def own_in_a_worker(folder: Path, depth: int) -> None:
+    with owned(folder):
+        (folder / f"{depth}").touch()
+    check_free(folder)
+    if depth:
+        own_in_a_child(folder, depth - 1)
+
+
+def own_in_a_child(folder: Path, depth: int) -> int | None:
+    child = multiprocessing.get_context("spawn").Process(
+        target=own_in_a_worker, args=(folder, depth)
+    )
+    child.start()
+    child.join()
+    return child.exitcode
+
+
+def test_workers_write_into_the_folder_that_the_process_before_them_owns(tmp_path):
+    with owned(tmp_path):
+        assert own_in_a_child(tmp_path, 1) == 0
+        assert (tmp_path / OWNER).is_file()
+    assert {"0", "1"} == {path.name for path in tmp_path.iterdir()}
+
+
 def test_a_file_removed_by_its_last_owner_is_not_locked(tmp_path, monkeypatch):
     still_there, answers = ownership._is_still_there, [False]
 
