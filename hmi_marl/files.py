@@ -26,10 +26,8 @@ from typing import Any
 
 import numpy as np
 
+from hmi_marl.locks import lock
 from hmi_marl.reading import opened
-
-if sys.platform != "win32":
-    import fcntl
 
 _PART = ".part"
 """Mark of temporary files, before the suffix."""
@@ -103,7 +101,7 @@ def _named(target: Path, token: str) -> str:
 
 @contextmanager
 def _temporary(target: Path, mode: int) -> Iterator[Path]:
-    """Make an empty file beside ``target``, locked as long as this process works on it."""
+    """Make an empty file next to ``target``, locked as long as this process works on it."""
     while True:
         path = target.with_name(_named(target, secrets.token_hex(6)))
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, mode)
@@ -145,16 +143,16 @@ def _remove_left_over(target: Path) -> None:
 
 
 def _lock(handle: int, wait: bool) -> bool | None:
-    """Lock an open file, and return whether that was possible; None if there are no locks."""
+    """Lock an open file, and return whether that was possible; None if there are no locks.
+
+    On Windows there are none of files that are to be replaced.
+    """
     if sys.platform == "win32":
         return None
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except BlockingIOError:
-        return False
-    except OSError:  # a file system without locks
+        return lock(handle, wait)
+    except OSError:
         return None
-    return True
 
 
 def _keep(path: Path) -> None:

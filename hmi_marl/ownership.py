@@ -7,7 +7,6 @@ owner is done; one that a kill left behind is free for the next owner.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import platform
@@ -20,18 +19,10 @@ from multiprocessing import parent_process
 from pathlib import Path
 
 from hmi_marl.files import make_folder
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
+from hmi_marl.locks import lock
 
 OWNER = ".owner"
 """File in a folder that its owner locks."""
-_TAKEN = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
-"""Errors of a lock that another process has."""
-_FAR = 2**20
-"""Byte that is locked where locks are of bytes, so that the others can be read."""
 _FOLDERS = "HMI_MARL_OWNED_FOLDERS"
 """Environment variable that tells worker processes which folders those before them own."""
 _held: dict[Path, tuple[int, int | None]] = {}
@@ -121,7 +112,7 @@ def check_free(folder: Path) -> None:
         return  # there is no owner, or what is wrong will be said when the folder is owned
     try:
         place = folder.resolve()
-        if place not in _held and not _is_an_ancestors(place) and not _take(file):
+        if place not in _held and not _is_an_ancestors(place) and not lock(file):
             raise _in_use(folder, _read(file))
     finally:
         os.close(file)
@@ -133,7 +124,7 @@ def _lock(folder: Path) -> int | None:
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            if not _take(file):
+            if not lock(file):
                 raise _in_use(folder, _read(file))
         except FolderInUseError:
             os.close(file)
@@ -153,26 +144,6 @@ def _lock(folder: Path) -> int | None:
     os.ftruncate(file, 0)
     os.write(file, about.encode())
     return file
-
-
-def _take(file: int) -> bool:
-    """Lock an open file; return whether it is locked now, or False if another process has it.
-
-    Raises:
-        OSError: the file system knows no locks.
-    """
-    try:
-        if sys.platform == "win32":
-            os.lseek(file, _FAR, os.SEEK_SET)
-            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
-            os.lseek(file, 0, os.SEEK_SET)
-        else:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in _TAKEN:
-            return False
-        raise
-    return True
 
 
 def _unlock(path: Path, file: int) -> None:

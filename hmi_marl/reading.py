@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from safetensors import SafetensorError
 
-from hmi_marl.text import MOST_TOLD, one_line
+from hmi_marl.text import quoted
 
 T = TypeVar("T")
 JSON_BYTES = 16 * 2**20
@@ -125,7 +125,7 @@ def parse_tensors(
         return metadata, load(content)
     except (SafetensorError, AttributeError, KeyError, TypeError) as error:
         # The last three: numbers of a type that NumPy or torch does not have.
-        raise ValueError(one_line(str(error), MOST_TOLD)) from None
+        raise ValueError(quoted(error)) from None
 
 
 _HEADER_AT = 8

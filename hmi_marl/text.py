@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-MOST_TOLD = 300
+_MOST_QUOTED = 300
 """Most characters of what an error quotes: names of others, or another library's message."""
 _LABEL = 40
 """Most characters of a label in a figure."""
@@ -35,7 +35,12 @@ def one_line(text: str, most: int = 2000) -> str:
 
 def listed(names: Iterable[str]) -> str:
     """Write names on one line of bounded length, for an error."""
-    return one_line(", ".join(names), MOST_TOLD)
+    return one_line(", ".join(names), _MOST_QUOTED)
+
+
+def quoted(error: Exception) -> str:
+    """Write another library's message, which may quote the file, on one line of bounded length."""
+    return one_line(str(error), _MOST_QUOTED)
 
 
 def in_html(text: str) -> str:

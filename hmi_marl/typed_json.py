@@ -15,7 +15,7 @@ from dataclasses import fields, is_dataclass
 from enum import StrEnum
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from hmi_marl.checks import shown
+from hmi_marl.checks import check_choice, shown
 
 T = TypeVar("T")
 
@@ -48,16 +48,12 @@ def read_value(hint: Any, content: Any, name: str) -> Any:
     if hint is bytes:
         return _bytes(content, name)
     if isinstance(hint, type) and issubclass(hint, StrEnum):
-        if content not in list(hint):
-            raise _wrong(name, f"one of {', '.join(hint)}", content)
-        return hint(content)
+        return hint(check_choice(name, content, list(hint)))
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return _one_of(arguments, content, name)
     if origin is Literal:
-        if not isinstance(content, str) or content not in arguments:
-            raise _wrong(name, f"one of {', '.join(arguments)}", content)
-        return content
+        return check_choice(name, content, arguments)
     if origin in (tuple, list, Sequence):
         return _several(origin, arguments, content, name)
     if hint is dict or origin in (dict, Mapping):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from fresh import ROOT
+from process_groups import none_is_left
 
 from hmi_marl import interrupts
 
@@ -52,18 +53,6 @@ def wait_for(*places: Path) -> None:
     while not all(place.exists() for place in places):
         assert time.monotonic() < end
         time.sleep(0.02)
-
-
-def none_is_left(group: int) -> bool:
-    """Whether every process of a group has ended, within a while."""
-    end = time.monotonic() + 60
-    while time.monotonic() < end:
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.05)
-    return False
 
 
 @pytest.mark.parametrize(

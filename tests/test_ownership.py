@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hmi_marl import ownership
+from hmi_marl import locks, ownership
 from hmi_marl.ownership import OWNER, FolderInUseError, check_free, owned
 
 HOLD = """
@@ -145,7 +145,7 @@ def test_a_file_system_without_locks_is_told_in_one_line(tmp_path, monkeypatch, 
     def refuse(file: int, how: int) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(ownership.fcntl, "flock", refuse)
+    monkeypatch.setattr(locks.fcntl, "flock", refuse)
     with owned(tmp_path), owned(tmp_path):
         pass
     told = capsys.readouterr().err

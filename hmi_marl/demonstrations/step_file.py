@@ -21,7 +21,7 @@ from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.files import json_value
 from hmi_marl.reading import parse_json
-from hmi_marl.text import MOST_TOLD, listed, one_line
+from hmi_marl.text import listed, quoted
 from hmi_marl.typed_json import read_value
 
 FORMAT = "hmi-marl demonstrations 1"
@@ -97,9 +97,7 @@ class StepFile:
             self._parquet = pq.ParquetFile(path, page_checksum_verification=True)
             found = self._parquet.schema_arrow
         except _UNREADABLE as error:
-            raise ValueError(
-                f"{path} is no parquet file, or cut off: {one_line(str(error), MOST_TOLD)}"
-            ) from None
+            raise ValueError(f"{path} is no parquet file, or cut off: {quoted(error)}") from None
         metadata = self._parquet.metadata.metadata or {}
         self.belongs_to = metadata.get(BELONGS, b"").decode(errors="replace")
         self.stamp = _read_stamp(path, metadata.get(STAMP, b"{}"))
@@ -117,7 +115,7 @@ class StepFile:
         try:
             return self._read()
         except _UNREADABLE as error:
-            raise ValueError(f"{self.path} is damaged: {one_line(str(error), MOST_TOLD)}") from None
+            raise ValueError(f"{self.path} is damaged: {quoted(error)}") from None
 
     def _check_size(self, steps: int) -> None:
         size = 8 * steps * len(self._schema)  # numbers of 4 bytes, copied once

@@ -20,9 +20,9 @@ class Policy(Protocol):
 
     In a single-team environment pass ``observation[None]`` and take element 0 of the answer.
     A policy may remember what it saw of its teams: give each environment its own object, unless it
-    has an attribute ``memoryless`` that is true. It may
-    have an attribute ``reads``, the names of the parts of its observation that it reads; a partner
-    in an environment is then shown 0 in the others.
+    has an attribute ``memoryless`` that is true. It may have an attribute ``reads``, the names of
+    the parts of its observation that it reads; a partner in an environment is then shown 0 in the
+    others.
     """
 
     def reset(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:

@@ -266,13 +266,13 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         outcome = Outcome(self.num_envs, self._groups, self._rewarded)
         views = self._views_in(outcome.rows)
         then = Then(self._series, self._views)
-        traits = self._traits() if TRAITS in self._groups else None  # before episodes end
+        traits = None
+        if TRAITS in self._groups:  # before episodes end
+            traits = self.teaming.trait_table.astype(np.float32)
         if self._turns is None:
             result = self.teaming.turn(columns[0], columns[1], views=views, then=then)
-        elif self.seat == DRIVER:
-            result = self._turns.step(columns[0], views, then)
-        else:  # the partner drives before anything is observed
-            result = self._turns.step(columns[0], (), then)
+        else:  # a partner who drives acts before anything is observed
+            result = self._turns.step(columns[0], () if self.seat == VEHICLE_AI else views, then)
         outcome.fill(result)
         extras: dict[str, Any] = {"time_outs": outcome.time_outs}
         if self.seat == TEAM:
@@ -324,9 +324,6 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """Let a partner who drives act."""
         if self._turns is not None:
             self._turns.prepare()
-
-    def _traits(self) -> NDArray[np.float32]:
-        return self.teaming.trait_table.astype(np.float32)
 
     def _observed(self, groups: Mapping[str, int]) -> TensorDict:
         """The present observations, of groups with so many columns."""

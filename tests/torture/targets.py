@@ -16,6 +16,7 @@ from typing import Any
 # Everything that the commands import, once; every try is a fork of this process.
 import pyarrow.parquet  # noqa: F401
 import safetensors.torch
+from process_groups import none_is_left
 
 import hmi_marl.experiments.protocols.experiment
 import hmi_marl.training.ppo.run
@@ -152,13 +153,8 @@ def _become(command: str, cwd: Path, errors: Path, prepare: Callable[[], object]
 
 
 def _is_gone(group: int) -> bool:
-    end = time.monotonic() + 10
-    while time.monotonic() < end:
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.05)
+    if none_is_left(group, within=10.0):
+        return True
     os.killpg(group, signal.SIGKILL)
     return False
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive.evidence_model import NAME, Turns, save_evidence
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.cards import is_saved
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, DriverList, TraitDistributions, Traits
@@ -36,8 +35,8 @@ with needing("training"):
     from hmi_marl.training.evidence.model import EvidenceNetwork
     from hmi_marl.training.runs.divergence import check_finite
     from hmi_marl.training.runs.run import (
+        ModelRun,
         Progress,
-        Run,
         Tensors,
         flat_moments,
         own_torch_state,
@@ -156,7 +155,9 @@ def learn_evidence(
         _Run(settings, folder, command_line=command_line, quiet=quiet, line=line).go()
 
 
-class _Run(Run):
+class _Run(ModelRun):
+    card_name = NAME
+
     def __init__(self, settings: EvidenceSettings, folder: Path, **shown: Any) -> None:
         super().__init__(settings, folder, {"protocol": "evidence"}, **shown)
         self._settings = settings
@@ -181,15 +182,11 @@ class _Run(Run):
             self._update(drives, progress)
         self._calibrated = self._temperature(drives)
         self._model.settle(self._calibrated, self._shown(drives))
-        self._save_model()
+        self.save_model()
         self.finish_phase()
 
-    def save_lost(self) -> None:
-        """See :meth:`Run.save_lost`."""
-        if self.state.phase == self.phases and not is_saved(self.folder / NAME):
-            self._save_model()
-
-    def _save_model(self) -> None:
+    def save_model(self) -> None:
+        """See :meth:`ModelRun.save_model`."""
         training = self.about | {"temperature": self._calibrated, "command": self.command_line}
         model = self._model
         save_evidence(self.folder, replace(model.card, training=training), model.weights())

@@ -23,7 +23,7 @@ from safetensors.torch import save as save_tensors
 from hmi_marl.checks import Checked, CountOrZero, Seconds, StepsOrZero
 from hmi_marl.files import write_bytes
 from hmi_marl.reading import MOST_STATE_VALUES, parse_json, parse_tensors, read_bytes
-from hmi_marl.text import MOST_TOLD, one_line
+from hmi_marl.text import quoted
 from hmi_marl.training.runs.folder import Row
 from hmi_marl.typed_json import read_as
 
@@ -116,7 +116,7 @@ def fitting(path: Path) -> Iterator[None]:
     try:
         yield
     except (IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        reason = one_line(str(error), MOST_TOLD)
+        reason = quoted(error)
         raise ValueError(
             f"{path} is a damaged checkpoint, which does not fit this run: {reason}"
         ) from error

@@ -14,12 +14,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import torch
 from tqdm import tqdm
 
 import hmi_marl
+from hmi_marl.agents.learned.cards import is_saved
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.files import write_json
 from hmi_marl.ownership import owned
@@ -304,6 +305,22 @@ class Run(ABC):
         self.state.tensors |= tensors
         write_json(self.folder / CURVE, self.state.curve)  # first: a kill in between loses none
         self.state.save(self.folder / CHECKPOINT)
+
+
+class ModelRun(Run):
+    """A run that learns one model, and saves it when it is finished."""
+
+    card_name: ClassVar[str]
+    """File name of the model's card."""
+
+    @abstractmethod
+    def save_model(self) -> None:
+        """Write the model's card and weights."""
+
+    def save_lost(self) -> None:
+        """See :meth:`Run.save_lost`."""
+        if self.state.phase == self.phases and not is_saved(self.folder / self.card_name):
+            self.save_model()
 
 
 @contextmanager

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from hmi_marl.agents.learned.cards import is_saved
 from hmi_marl.agents.learned.trait_model import NAME, save_traits
 from hmi_marl.demonstrations.dataset import Demonstrations, alert_rate, held_out
 from hmi_marl.demonstrations.env import team_of
@@ -33,7 +32,7 @@ with needing("training"):
     import torch
 
     from hmi_marl.training.runs.processes import ALONE
-    from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
+    from hmi_marl.training.runs.run import ModelRun, Progress, Tensors, own_torch_state
     from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
@@ -79,7 +78,9 @@ def learn_traits(
         _Run(settings, demonstrations, folder, preferences, **shown).go()
 
 
-class _Run(Run):
+class _Run(ModelRun):
+    card_name = NAME
+
     phases = 2
 
     def __init__(
@@ -145,15 +146,11 @@ class _Run(Run):
                 state.curve.append({"steps": state.steps} | row)
                 progress.advance(per_round, row)
                 self.save_if_due()
-        self._save_model()
+        self.save_model()
         self.finish_phase()
 
-    def save_lost(self) -> None:
-        """See :meth:`Run.save_lost`."""
-        if self.state.phase == self.phases and not is_saved(self.folder / NAME):
-            self._save_model()
-
-    def _save_model(self) -> None:
+    def save_model(self) -> None:
+        """See :meth:`ModelRun.save_model`."""
         weights = weights_of_model(self._discriminator.model, self._generator.policy, self._units)
         about = self.about | self._about_data
         training = about | {"steps": self.state.steps, "command": self.command_line}
