@@ -32,6 +32,7 @@ from hmi_marl.envs.observations import (
     state_layout,
     vehicle_ai_layout,
 )
+from hmi_marl.extras import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 _PART = re.compile(
@@ -87,25 +88,37 @@ def layouts() -> str:
 
 
 def settings() -> str:
-    """Every settings dataclass with its numbers, their ranges and defaults."""
-    packages = "agents", "demonstrations", "envs", "experiments", "training"
-    for package in packages:
-        for module in pkgutil.walk_packages(
-            [str(ROOT / "hmi_marl" / package)], f"hmi_marl.{package}."
-        ):
-            importlib.import_module(module.name)
+    """Every public settings dataclass with its numbers, their ranges and defaults."""
+    _import_all_that_is_installed()
     parts, kinds = [], Checked.__subclasses__()
     while kinds:
         kind = kinds.pop(0)
         kinds += kind.__subclasses__()
         ours = is_dataclass(kind) and kind.__module__.startswith("hmi_marl.")
-        rows = list(_ranges(kind)) if ours else []
+        rows = list(_ranges(kind)) if ours and not kind.__name__.startswith("_") else []
         if rows and f"{kind.__module__}.{kind.__qualname__}" not in {name for name, _ in parts}:
             head = "| field | range | default |\n| --- | --- | --- |"
             parts.append((f"{kind.__module__}.{kind.__qualname__}", "\n".join([head, *rows])))
     return "\n\n".join(
         f"### `{name.removeprefix('hmi_marl.')}`\n\n{rows}" for name, rows in sorted(parts)
     )
+
+
+def _import_all_that_is_installed() -> None:
+    """Import the package's modules, without those that need an extra.
+
+    The site is made with the extra ``docs`` alone. No settings are missed: the command line reads
+    them without any extra, so they are in modules that need none.
+    """
+    extras = {module for modules in EXTRAS.values() for module in modules}
+    for package in "agents", "demonstrations", "envs", "experiments", "training":
+        folder = [str(ROOT / "hmi_marl" / package)]
+        for module in pkgutil.walk_packages(folder, f"hmi_marl.{package}."):
+            try:
+                importlib.import_module(module.name)
+            except ModuleNotFoundError as error:
+                if (error.name or "").partition(".")[0] not in extras:
+                    raise
 
 
 def _ranges(kind: type) -> Iterator[str]:

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 import yaml
+from fresh import run
 from pages import DOCS, PAGES, ROOT, blocks, commands, hook
 from trait_models import untrained
 
@@ -50,6 +51,21 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch)
     names = {"__name__": "page"}
     for number, block in enumerate(code):
         exec(compile(block, f"{page}, block {number}", "exec"), names)
+
+
+WITHOUT_EXTRAS = f"""
+import sys
+sys.path[:0] = [{str(ROOT / "tests")!r}]
+from hmi_marl.extras import EXTRAS
+sys.modules.update(dict.fromkeys(sum(EXTRAS.values(), ())))
+from pages import hook
+print(hook().settings())
+"""
+
+
+def test_the_page_of_settings_is_whole_where_only_the_extra_of_the_site_is_installed():
+    assert run("-c", WITHOUT_EXTRAS) == HOOK.settings() + "\n"
+    assert "training.protocols.settings.PPOSettings" in HOOK.settings()
 
 
 @pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "```python" in text])
