@@ -7,12 +7,13 @@ learner's time. These passes work in place, and write gradients where they belon
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
 
+from hmi_marl.agents.learned.policy import INTENTS
 from hmi_marl.training.ppo.models import TwoSeats
 
 _aten = torch.ops.aten
@@ -27,8 +28,8 @@ _ACTIVATIONS: dict[type[torch.nn.Module], tuple[Callable[..., object], Callable[
 """Activations in place, and their backward passes in place: from dL/dy to dL/dx, given y."""
 
 
-Passed = Sequence[torch.Tensor]
-"""What a forward pass leaves for the backward pass."""
+Passed = Sequence[Any]
+"""What a forward pass leaves for the backward pass: tensors, or those of each seat."""
 Padded = tuple[torch.Tensor, torch.Tensor]
 """Inputs by episode, shape (T, episodes, columns), and which of them there are, (T, episodes)."""
 
@@ -85,7 +86,7 @@ class Layers:
 
 
 class Policy(Protocol):
-    """Passes of an actor. Rows are steps, or (steps, teams) of a recurrent one."""
+    """Passes of an actor. Recorded steps have shape (N,), or (T, N) for a recurrent one."""
 
     def act(
         self, inputs: torch.Tensor, memory: torch.Tensor | None
@@ -108,16 +109,21 @@ class Policy(Protocol):
 
 def policy_of(actor: MLPModel) -> Policy:
     """Return the passes of an actor of either seat, or of both."""
+    gru = actor.rnn.rnn if actor.is_recurrent else None
     if isinstance(actor.mlp, TwoSeats):
-        return Composite(actor.mlp)
-    return Recurrent(actor) if actor.is_recurrent else Feedforward(actor)
+        return Composite(actor.mlp, gru)
+    return _policy_of_seat(actor.mlp, gru)
+
+
+def _policy_of_seat(layers: torch.nn.Module, gru: torch.nn.GRU | None) -> Policy:
+    return Feedforward(layers) if gru is None else Recurrent(layers, gru)
 
 
 class Feedforward:
     """:class:`Policy` of one seat."""
 
-    def __init__(self, actor: MLPModel) -> None:
-        self._layers = Layers(actor.mlp)
+    def __init__(self, layers: torch.nn.Module) -> None:
+        self._layers = Layers(layers)
 
     def act(
         self, inputs: torch.Tensor, memory: torch.Tensor | None
@@ -127,52 +133,58 @@ class Feedforward:
 
     def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
-        passed = self._layers.forward(inputs)
-        return passed[-1], passed
+        passed = self._layers.forward(inputs.flatten(0, -2))
+        return passed[-1].view(*inputs.shape[:-1], -1), passed
 
     def backward(
         self, passed: Passed, gradient: torch.Tensor, into: Sequence[torch.Tensor]
     ) -> None:
         """See :meth:`Policy.backward`."""
-        self._layers.backward(passed, gradient, into)
+        self._layers.backward(passed, gradient.flatten(0, -2), into)
 
 
 class Composite:
-    """:class:`Policy` of both seats."""
+    """:class:`Policy` of both seats, of which the vehicle AI's may have a GRU."""
 
-    def __init__(self, seats: TwoSeats) -> None:
+    def __init__(self, seats: TwoSeats, gru: torch.nn.GRU | None) -> None:
         self._seats = seats
-        self._driver, self._vehicle_ai = Layers(seats.driver), Layers(seats.vehicle_ai)
+        self._driver = Feedforward(seats.driver)
+        self._vehicle_ai = _policy_of_seat(seats.vehicle_ai, gru)
         self._weights = len(list(seats.driver.parameters()))
 
     def act(
         self, inputs: torch.Tensor, memory: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """See :meth:`Policy.act`."""
-        return self.forward(inputs, None)[0], None
+        of_driver, of_vehicle_ai = self._seats.split(inputs)
+        intents, _ = self._driver.act(of_driver, None)
+        alerts, memory = self._vehicle_ai.act(of_vehicle_ai, memory)
+        return torch.cat([intents, alerts], dim=-1), memory
 
     def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
         of_driver, of_vehicle_ai = self._seats.split(inputs)
-        one, other = self._driver.forward(of_driver), self._vehicle_ai.forward(of_vehicle_ai)
-        return torch.cat([one[-1], other[-1]], dim=-1), (*one, *other)
+        if padded is not None:
+            padded = self._seats.split(padded[0])[1], padded[1]
+        intents, one = self._driver.forward(of_driver, None)
+        alerts, other = self._vehicle_ai.forward(of_vehicle_ai, padded)
+        return torch.cat([intents, alerts], dim=-1), (one, other)
 
     def backward(
         self, passed: Passed, gradient: torch.Tensor, into: Sequence[torch.Tensor]
     ) -> None:
         """See :meth:`Policy.backward`."""
-        half = len(passed) // 2
-        columns = passed[half - 1].shape[-1]
-        of_driver, of_vehicle_ai = gradient[:, :columns], gradient[:, columns:]
-        self._driver.backward(passed[:half], of_driver, into[: self._weights])
-        self._vehicle_ai.backward(passed[half:], of_vehicle_ai, into[self._weights :])
+        one, other = passed
+        of_intents, of_alerts = gradient[..., :INTENTS], gradient[..., INTENTS:]
+        self._driver.backward(one, of_intents, into[: self._weights])
+        self._vehicle_ai.backward(other, of_alerts, into[self._weights :])
 
 
 class Recurrent:
     """:class:`Policy` of a seat with a GRU, which autograd differentiates."""
 
-    def __init__(self, actor: MLPModel) -> None:
-        self._layers, self._gru = Layers(actor.mlp), actor.rnn.rnn
+    def __init__(self, layers: torch.nn.Module, gru: torch.nn.GRU) -> None:
+        self._layers, self._gru = Layers(layers), gru
 
     def act(
         self, inputs: torch.Tensor, memory: torch.Tensor | None

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from rsl_rl.models import MLPModel, RNNModel  # type: ignore[import-untyped]
-from rsl_rl.modules import MLP  # type: ignore[import-untyped]
+from rsl_rl.modules import MLP, RNN  # type: ignore[import-untyped]
 from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import INTENT, INTENTS, PolicyCard
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.vector import TeamVecEnv
 from hmi_marl.training.ppo.heads import IntentThenAlert, OneAction
 
@@ -137,10 +137,13 @@ GROUPS = {"actor": ["actor"], "critic": ["critic"]}
 
 def make_actor(card: PolicyCard) -> MLPModel:
     """Return an actor for one seat, by its card."""
-    network = card.network
     head = {"class_name": OneAction, "choices": card.actions}
-    template = _template("actor", card.inputs)
-    sizes = (template, GROUPS, "actor", 1, network.hidden_dims, network.activation)
+    return _model(card.inputs, 1, card.network, head)
+
+
+def _model(inputs: int, columns: int, network: NetworkConfig, head: dict[str, Any]) -> MLPModel:
+    template = _template("actor", inputs)
+    sizes = (template, GROUPS, "actor", columns, network.hidden_dims, network.activation)
     if not (units := network.rnn_hidden_dim):
         return MLPModel(*sizes, distribution_cfg=head)
     return MemoryModel(*sizes, distribution_cfg=head, rnn_type="gru", rnn_hidden_dim=units)
@@ -149,32 +152,41 @@ def make_actor(card: PolicyCard) -> MLPModel:
 class MemoryModel(RNNModel):  # type: ignore[misc]  # rsl_rl has no types
     """rsl_rl's recurrent model, in which the layers also get the inputs themselves."""
 
+    passed_by = 0
+    """Columns, the first ones, that only the layers read."""
+
     def get_latent(
         self,
         obs: TensorDict,
         masks: torch.Tensor | None = None,
         hidden_state: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return hidden state and inputs, concatenated: shape (..., rnn_hidden_dim + inputs)."""
-        inputs = MLPModel.get_latent(self, obs)
-        remembered = self.rnn(inputs, masks, hidden_state).squeeze(0)
+        """Return hidden state and inputs, concatenated: shape (..., rnn_hidden_dim + inputs).
+
+        The hidden state stands before the inputs that it comes from.
+        """
+        inputs, first = MLPModel.get_latent(self, obs), self.passed_by
+        remembered = self.rnn(inputs[..., first:], masks, hidden_state).squeeze(0)
         if masks is not None:
             inputs = unpad_trajectories(inputs, masks)
-        return torch.cat([remembered, inputs], dim=-1)
+        return torch.cat([inputs[..., :first], remembered, inputs[..., first:]], dim=-1)
 
     def _get_latent_dim(self) -> int:
         return int(self.latent_dim + self.obs_dim)
 
 
 class TwoSeats(torch.nn.Module):
-    """Networks of both seats, each with its own part of the input."""
+    """Layers of both seats, each with its own part of the input.
+
+    The vehicle AI's part begins with its hidden state if it is recurrent.
+    """
 
     def __init__(self, driver: PolicyCard, vehicle_ai: PolicyCard) -> None:
         super().__init__()
         self.driver = _mlp(driver)
         self.vehicle_ai = _mlp(vehicle_ai)
         self.driver_inputs = driver.inputs
-        """Columns of the driver's network; those of the vehicle AI's follow."""
+        """Columns of the driver's layers; those of the vehicle AI's follow."""
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return logits of a^H, then of a^A for each a^H: (..., 15) with one alert strength."""
@@ -182,7 +194,7 @@ class TwoSeats(torch.nn.Module):
         return torch.cat([self.driver(of_driver), self.vehicle_ai(of_vehicle_ai)], dim=-1)
 
     def split(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the inputs of both networks."""
+        """Return the inputs of both seats."""
         return inputs[..., : self.driver_inputs], inputs[..., self.driver_inputs :]
 
 
@@ -190,18 +202,24 @@ def make_joint_actor(driver: PolicyCard, vehicle_ai: PolicyCard) -> MLPModel:
     """Return the composite π_H∘π_AI. Each half reads its own seat's inputs and works alone.
 
     Raises:
-        ValueError: a recurrent network, or a vehicle AI that is not ``by_intent``.
+        ValueError: a recurrent driver, or a vehicle AI that is not ``by_intent``.
     """
-    if driver.network.rnn_hidden_dim or vehicle_ai.network.rnn_hidden_dim:
-        raise ValueError("the composite policy has no recurrent units; choose rnn_hidden_dim = 0")
+    if driver.network.rnn_hidden_dim:
+        raise ValueError(
+            "only the vehicle AI's half of the composite policy is recurrent; choose "
+            "rnn_hidden_dim = 0 for the driver"
+        )
     if not vehicle_ai.by_intent:
         raise ValueError(
             "the composite policy needs a vehicle AI with logits by intent (by_intent)"
         )
-    template = _template("actor", driver.inputs + vehicle_ai.inputs)
     head = {"class_name": IntentThenAlert, "alerts": vehicle_ai.actions}
-    model = MLPModel(template, GROUPS, "actor", 2, (1,), distribution_cfg=head)
+    units = vehicle_ai.network.rnn_hidden_dim
+    replaced = NetworkConfig((1,), rnn_hidden_dim=units)  # by the networks of the seats
+    model = _model(driver.inputs + vehicle_ai.inputs, 2, replaced, head)
     model.mlp = TwoSeats(driver, vehicle_ai)
+    if units:
+        model.passed_by, model.rnn = driver.inputs, RNN(vehicle_ai.inputs, units, type="gru")
     return model
 
 
@@ -213,13 +231,17 @@ def make_critic(inputs: int, network: NetworkConfig) -> MLPModel:
 
 def weights_of(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
     """Return the actor's weights by the names of :meth:`NetworkConfig.shapes`."""
-    weights = layers_of(actor.mlp)
-    return weights | memory_of(actor.rnn.rnn) if actor.is_recurrent else weights
+    return layers_of(actor.mlp) | _memory_of_actor(actor)
 
 
 def weights_of_both(actor: MLPModel) -> tuple[dict[str, NDArray[np.float32]], ...]:
     """Return the weights of the composite policy's two halves, the driver's first."""
-    return layers_of(actor.mlp.driver), layers_of(actor.mlp.vehicle_ai)
+    seats = actor.mlp
+    return layers_of(seats.driver), layers_of(seats.vehicle_ai) | _memory_of_actor(actor)
+
+
+def _memory_of_actor(actor: MLPModel) -> dict[str, NDArray[np.float32]]:
+    return memory_of(actor.rnn.rnn) if actor.is_recurrent else {}
 
 
 _MEMORY = {
@@ -231,8 +253,9 @@ _MEMORY = {
 
 
 def _mlp(card: PolicyCard) -> MLP:
-    outputs = INTENTS if card.seat == DRIVER else card.outputs
-    return MLP(card.inputs, outputs, card.network.hidden_dims, card.network.activation)
+    network = card.network
+    inputs = network.rnn_hidden_dim + card.inputs
+    return MLP(inputs, card.outputs, network.hidden_dims, network.activation)
 
 
 def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:

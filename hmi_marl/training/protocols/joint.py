@@ -24,14 +24,6 @@ class Joint(TrainSettings):
     reward: Sharing = "team"
     """Reward of the composite policy: the sum of both agents' rewards where they differ."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.rnn_hidden_dim:
-            raise ValueError(
-                f"rnn_hidden_dim = {self.rnn_hidden_dim}, but the composite policy has no "
-                "recurrent units; set it to 0 or use another protocol"
-            )
-
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""
         team = self.team(self.drivers, self.reward)
