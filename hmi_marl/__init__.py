@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from hmi_marl.exact import oracle
     from hmi_marl.training.ppo.run import train
     from hmi_marl.training.protocols.alternating import Alternating
+    from hmi_marl.training.protocols.fine_tune import FineTune
     from hmi_marl.training.protocols.joint import Joint, Simultaneous
     from hmi_marl.training.protocols.two_stage import TwoStage
 
@@ -55,6 +56,7 @@ __all__ = [
     "Driver",
     "DriverList",
     "Fatigue",
+    "FineTune",
     "Joint",
     "Policy",
     "RewardWeights",
@@ -83,6 +85,7 @@ _HOMES = {
     "Driver": "envs.drivers",
     "DriverList": "envs.drivers",
     "Fatigue": "envs.alerts",
+    "FineTune": "training.protocols.fine_tune",
     "Joint": "training.protocols.joint",
     "Policy": "envs.seats",
     "RewardWeights": "envs.rewards",

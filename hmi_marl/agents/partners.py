@@ -93,6 +93,7 @@ def make_vec(
     seed: int = 0,
     device: str | torch.device = "cpu",
     threads: int | None = None,
+    sequential: bool = True,
     **settings: Any,
 ) -> TeamVecEnv:
     """Make N teams as an rsl_rl ``VecEnv``; see :mod:`hmi_marl.envs.vector`.
@@ -107,6 +108,8 @@ def make_vec(
         device: device of the returned tensors.
         threads: threads of the batched world; all cores by default. On a busy machine one thread
             can be faster than two.
+        sequential: False for seat "vehicle_ai" if the partner is to drive at the same time, so that
+            the vehicle AI sees a^H_{t-1}.
         settings: fields of :class:`hmi_marl.envs.config.TeamConfig`.
 
     Raises:
@@ -132,7 +135,8 @@ def make_vec(
     driven = (
         make_world(world, config.scene, num_teams, threads) if isinstance(world, str) else world
     )
-    env = TeamVecEnv(Teaming(config, num_teams, driven), seat, partner, seed, device)
+    teaming = Teaming(config, num_teams, driven)
+    env = TeamVecEnv(teaming, seat, partner, seed, device, sequential=sequential)
     env.cfg["partner"] = name if name is not None else env.cfg["partner"]
     env.cfg["world"] = world if isinstance(world, str) else env.cfg["world"]
     return env

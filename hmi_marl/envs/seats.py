@@ -151,13 +151,16 @@ def check_policy(policy: object) -> Policy:
 class PartnerTurns:
     """Turns of N teams in which a partner acts in the other seat.
 
-    A partner who drives has always acted before the vehicle AI observes (:meth:`prepare`).
+    A partner who drives has acted before the vehicle AI observes (:meth:`prepare`), or acts at the
+    same time.
 
     Args:
         teaming: the teams.
         seat: the seat whose actions :meth:`step` takes, "driver" or "vehicle_ai".
         partner: the policy in the other seat.
         check: returns the partner's actions, or raises if they are not valid.
+        sequential: whether a partner who drives acts first. (A vehicle AI as the partner moves as
+            it was trained; see :func:`moves_sequentially`.)
     """
 
     def __init__(
@@ -166,9 +169,11 @@ class PartnerTurns:
         seat: str,
         partner: Policy,
         check: Callable[[NDArray[np.int64]], NDArray[np.int64]] = _unchanged,
+        sequential: bool = True,
     ) -> None:
         self._teaming, self._seat, self._partner = teaming, seat, partner
         self._asked = Asked(partner, check)
+        self._drives_first = seat == VEHICLE_AI and sequential
 
     def begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None = None) -> None:
         """Begin the partner's episodes; see :meth:`Policy.reset`."""
@@ -176,7 +181,7 @@ class PartnerTurns:
 
     def prepare(self) -> None:
         """Let a partner who drives act, if it has not acted in this turn."""
-        if self._seat == VEHICLE_AI and not self._teaming.intent_given.all():
+        if self._drives_first and not self._teaming.intent_given.all():
             self._teaming.intend(self._teaming.ask(DRIVER, self._asked))
 
     def step(
@@ -193,5 +198,7 @@ class PartnerTurns:
         if self._seat == DRIVER:
             sequential = moves_sequentially(self._partner)
             return self._teaming.turn(actions, self._asked, sequential, views, then)
+        if not self._drives_first:
+            return self._teaming.turn(self._asked, actions, False, views, then)
         self.prepare()  # again, if the partner failed when it was asked first
         return self._teaming.step(actions, views, then)

@@ -7,6 +7,8 @@ seat                    actions                        turns
                                                        this a^H
 ``"vehicle_ai"``        (N, 1): a^A, 0 or 1 (or to k)  the partner has always driven before the
                                                        observation, which therefore holds a^H_t
+                                                       (with ``sequential=False`` it drives at the
+                                                       same time: the AI sees a^H_{t-1})
 ``"team"``              (N, 2): a^H and a^A            simultaneous: the AI sees a^H_{t-1}
 ======================  =============================  =========================================
 
@@ -37,7 +39,7 @@ from numpy.typing import NDArray
 from rsl_rl.env import VecEnv  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
-from hmi_marl.checks import Whole, check_choice, shown
+from hmi_marl.checks import Whole, check_choice, check_flag, shown
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.execution import WrongActionError
 from hmi_marl.envs.groups import (
@@ -84,9 +86,11 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         seed: team k plays the series of episodes of ``team_seed(seed, k)``.
         device: of the returned tensors. The teams themselves run on the CPU.
         groups: observations to compute in each step; see :attr:`groups`.
+        sequential: of seat "vehicle_ai": whether the partner drives before it observes.
 
     Raises:
-        ValueError, TypeError: a seat, partner, seed or group that does not fit, saying what does.
+        ValueError, TypeError: a seat, partner, seed, group or ``sequential`` that does not fit,
+            saying what does.
     """
 
     def __init__(
@@ -97,8 +101,13 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         seed: int = 0,
         device: str | torch.device = "cpu",
         groups: Collection[str] = GROUPS,
+        sequential: bool = True,
     ) -> None:
         check_seat(seat, partner)
+        if not check_flag("sequential", sequential) and seat != VEHICLE_AI:
+            raise ValueError(
+                f"sequential=False is for seat='vehicle_ai'; of seat={seat!r} the policies decide"
+            )
         self.teaming = teaming
         self.seat = seat
         self.partner = partner
@@ -132,7 +141,9 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             "team": json_value(teaming.config),
         }
         """Description of the environment, fit for JSON; rsl_rl keeps it with the run."""
-        self._turns = None if partner is None else PartnerTurns(teaming, seat, partner)
+        self._turns: PartnerTurns | None = None
+        if partner is not None:
+            self._turns = PartnerTurns(teaming, seat, partner, sequential=sequential)
         self._sizes = {group: layout.size for group, layout in self.layouts.items()}
         self.groups = groups  # checks them
         individual = teaming.config.reward == "individual"
@@ -321,7 +332,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._prepare()
 
     def _prepare(self) -> None:
-        """Let a partner who drives act."""
+        """Let a partner who drives first act."""
         if self._turns is not None:
             self._turns.prepare()
 

@@ -80,9 +80,12 @@ class ComparisonSettings(Checked):
     steps: Steps = 3_000_000
     """Environment steps of each run in all, rounded to batches, the same for every protocol."""
     driver_share: OpenShare = 0.8
-    """Share of the steps of two-stage and alternating in which the driver learns."""
+    """Share of the steps in which the driver learns where the seats learn one after the other: of
+    two-stage, alternating and the stages of fine-tune."""
     rounds: Count = 4
     """Rounds of alternating."""
+    together_share: OpenShare = 0.5
+    """Share of the steps of fine-tune in which both learn, after its two stages."""
     seeds: Count = 3
     """Runs of each protocol."""
     seed: Seed = 0
@@ -133,7 +136,7 @@ class ComparisonSettings(Checked):
     @property
     def _batches(self) -> tuple[int, int]:
         """Batches of the driver and of the HMI in each round of alternating; at least one each."""
-        wanted = self.steps / (self.num_teams * self.team().horizon * self.rounds)
+        wanted = self.steps / (self._batch * self.rounds)
         shares = self.driver_share, 1.0 - self.driver_share
         driver, hmi = (max(1, round(share * wanted)) for share in shares)
         return driver, hmi
@@ -141,10 +144,13 @@ class ComparisonSettings(Checked):
     @property
     def steps_apart(self) -> tuple[int, int]:
         """Environment steps of the driver and of the HMI where they learn one after the other."""
-        driver, hmi = (
-            count * self.rounds * self.num_teams * self.team().horizon for count in self._batches
-        )
+        driver, hmi = (count * self.rounds * self._batch for count in self._batches)
         return driver, hmi
+
+    @property
+    def _batch(self) -> int:
+        """Environment steps of a batch."""
+        return self.num_teams * self.team().horizon
 
     @property
     def steps_each(self) -> int:
@@ -185,7 +191,8 @@ class ComparisonSettings(Checked):
             "vehicles": self.vehicles,
         }
         protocol, variant = compared()[run.protocol]
-        budget = Budget(driver_steps, hmi_steps, self.rounds, reward)
+        apart = driver_steps, hmi_steps, self.rounds
+        budget = Budget(*apart, reward, self.together_share, self._batch)
         return protocol.for_comparison(budget, **shared, **variant)
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:

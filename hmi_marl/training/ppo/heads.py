@@ -43,6 +43,11 @@ class OneAction(Distribution):  # type: ignore[misc]  # rsl_rl has no types
         return LikeliestAction()
 
     @property
+    def first(self) -> Choice:
+        """The choice itself."""
+        return self._choice
+
+    @property
     def mean(self) -> torch.Tensor:
         """Probabilities, the mean of the one-hot action."""
         return self._choice.probs
@@ -124,6 +129,11 @@ class IntentThenAlert(Distribution):  # type: ignore[misc]
     def as_deterministic_output_module(self) -> torch.nn.Module:
         """Return the same as a module, for rsl_rl's exports to TorchScript and ONNX."""
         return LikeliestPair(INTENTS, self.alerts)
+
+    @property
+    def first(self) -> Choice:
+        """Choice of a^H, whose logits come first."""
+        return self._intent
 
     @property
     def mean(self) -> torch.Tensor:
@@ -237,6 +247,18 @@ class Choice:
     def entropy_gradient(self) -> torch.Tensor:
         """Gradient of the entropy with respect to the logits, -p (log p + H)."""
         return (self.log_probs + self.entropy.unsqueeze(-1)).mul_(self.probs).neg_()
+
+    def divergence(self, other: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return KL(this || other), shape (...), and its gradient with respect to the logits.
+
+        The gradient is p (log p - log q - KL), shape (..., choices).
+
+        Args:
+            other: log-probabilities log q, shape (..., choices).
+        """
+        apart = self.log_probs - other
+        found = (self.probs * apart).sum(-1)
+        return found, apart.sub_(found.unsqueeze(-1)).mul_(self.probs)
 
     def draw(self, generator: torch.Generator | None = None) -> torch.Tensor:
         """Draw an index, shape (..., 1); see :func:`draw`."""

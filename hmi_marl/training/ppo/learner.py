@@ -14,9 +14,11 @@ import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
+from hmi_marl.agents.learned.policy import INTENTS
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.vector import TeamVecEnv
+from hmi_marl.training.ppo.anchor import Anchor
 from hmi_marl.training.ppo.models import IntentShown, View
 from hmi_marl.training.ppo.shards import MiniBatch, Rollout, Shard, Shards, flat
 from hmi_marl.training.protocols.settings import PPOSettings
@@ -27,6 +29,9 @@ Extras = Mapping[str, Any]
 Generators = Sequence[torch.Generator | None]
 ONE_SHARD = Shards()
 _RATE = "ppo.learning_rate"
+_LOSSES = ("value", "surrogate", "entropy")
+ANCHOR_KL = "anchor_kl"
+"""Column of the curve: divergence of the driver from the anchor [nats per step]."""
 TORCHS_OWN: Generators = (None,)
 """Torch's own generator, for a single shard."""
 
@@ -96,6 +101,15 @@ class PPOLearner:
         ]
         """Shards of this process."""
         self._step = 0
+        self._anchor: Anchor | None = None
+
+    def anchor_to(self, anchor: Anchor | None) -> None:
+        """Hold the driver close to a policy from the next batch on; None lets it go."""
+        self._anchor = anchor
+        self.rollout = self.rollout.with_anchor(0 if anchor is None else INTENTS)
+        for number, shard in enumerate(self.shards):
+            shard.rollout = self.rollout.of(number)
+            shard.anchor_kl = None if anchor is None else anchor.kl
 
     def begin(self, progress: float, generators: Generators = TORCHS_OWN) -> None:
         """See :meth:`Learner.begin`."""
@@ -114,6 +128,9 @@ class PPOLearner:
         seen, rollout, step = self.view(observations), self.rollout, self._step
         rollout.actor[:, step] = self._by_shard(seen.actor)
         rollout.critic[:, step] = self._by_shard(seen.critic)
+        if (anchor := self._anchor) is not None:
+            read = self._by_shard(anchor.inputs(observations))
+            rollout.anchor[:, step] = torch.stack([anchor.log_probs(each) for each in read])
         actions = torch.stack([shard.act(step) for shard in self.shards])
         rollout.actions[:, step] = actions
         return actions.flatten(0, 1)
@@ -176,7 +193,8 @@ class PPOLearner:
         ]
         own = [torch.stack(of_shard).double().mean(0) for of_shard in zip(*losses, strict=True)]
         means = self._shards.mean(own).tolist()
-        found = dict(zip(("value", "surrogate", "entropy"), means, strict=True))
+        names = _LOSSES if self._anchor is None else (*_LOSSES, ANCHOR_KL)
+        found = dict(zip(names, means, strict=True))
         weights = 0.0 if are_finite([self._weights]) else math.nan
         check_finite(found | {"weights": weights}, rate, _RATE)
         return found | {"learning_rate": rate}

@@ -13,7 +13,7 @@ from rsl_rl.modules import MLP, RNN  # type: ignore[import-untyped]
 from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
 from tensordict import TensorDict
 
-from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.network import NetworkConfig, Weights
 from hmi_marl.agents.learned.policy import INTENT, INTENTS, PolicyCard
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.vector import TeamVecEnv
@@ -266,6 +266,14 @@ def layers_of(mlp: torch.nn.Module) -> dict[str, NDArray[np.float32]]:
         weights[f"layer{place}.weight"] = array_of(layer.weight)
         weights[f"layer{place}.bias"] = array_of(layer.bias)
     return weights
+
+
+def load_layers(mlp: torch.nn.Module, weights: Weights) -> None:
+    """Load the weights that :func:`layers_of` returned."""
+    linear = [layer for layer in mlp.modules() if isinstance(layer, torch.nn.Linear)]
+    for place, layer in enumerate(linear):
+        layer.weight.data.copy_(torch.tensor(weights[f"layer{place}.weight"]))
+        layer.bias.data.copy_(torch.tensor(weights[f"layer{place}.bias"]))
 
 
 def memory_of(gru: torch.nn.GRU) -> dict[str, NDArray[np.float32]]:

@@ -24,12 +24,13 @@ from hmi_marl.agents.learned.policy import (
     save_policy,
 )
 from hmi_marl.agents.partners import make_vec
-from hmi_marl.envs.config import AGENTS, DRIVER
+from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Stream
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value
 from hmi_marl.ownership import check_free
+from hmi_marl.training.protocols.anchored import load_anchor
 from hmi_marl.training.protocols.settings import LEARNED, OTHER_SEAT, TEAM, Phase, TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.folder import CHECKPOINT
@@ -46,6 +47,7 @@ with needing("training"):
     from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 
     from hmi_marl.envs.vector import TeamVecEnv
+    from hmi_marl.training.ppo.anchor import Anchor
     from hmi_marl.training.ppo.learner import (
         Learner,
         PPOLearner,
@@ -68,6 +70,8 @@ with needing("training"):
     from hmi_marl.training.runs.processes import Processes, joined
     from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
 
+_ANCHOR = "anchor"
+"""Name among the learners under which a checkpoint holds the anchor's weights."""
 _INITIAL_WEIGHTS = {DRIVER: 0, OTHER_SEAT[DRIVER]: 1, TEAM: 2}
 
 
@@ -150,6 +154,8 @@ class _Run(Run):
         self._groups: dict[str, tuple[str, ...]] = {}
         """Groups of observations that each learner reads."""
         self._restored: Tensors = {}
+        self._own_driver: Weights = {}
+        """Weights of the driver before the phase that is anchored to it."""
 
     def learn(self) -> None:
         """See :meth:`Run.learn`."""
@@ -164,11 +170,15 @@ class _Run(Run):
 
     def tensors(self) -> Tensors:
         """See :meth:`Run.tensors`."""
-        return {name: learner.tensors() for name, learner in self._learners.items()}
+        tensors = {name: learner.tensors() for name, learner in self._learners.items()}
+        if self._own_driver:
+            tensors[_ANCHOR] = {n: torch.from_numpy(v) for n, v in self._own_driver.items()}
+        return tensors
 
     def restore(self, tensors: Tensors) -> None:
         """See :meth:`Run.restore`; a learner is made and restored when its phase begins."""
         self._restored = tensors
+        self._own_driver = {n: v.numpy() for n, v in tensors.get(_ANCHOR, {}).items()}
 
     def save_lost(self) -> None:
         """See :meth:`Run.save_lost`; of each seat, the policy of the last phase that it learned in.
@@ -229,6 +239,7 @@ class _Run(Run):
             self._partner(phase),
             device=self._device,
             threads=settings.threads,
+            sequential=phase.seat != VEHICLE_AI or phase.sequential,
             **vars(phase.team),
         )
 
@@ -247,11 +258,27 @@ class _Run(Run):
     def _make_learner(self, phase: Phase, env: TeamVecEnv) -> Learner:
         if phase.seat != TEAM or phase.joint:
             learner = self._learner(phase.seat, phase.cards, env)
+            learner.anchor_to(self._anchor(phase, env))
             env.groups = self._groups[phase.seat]  # the others need not be computed
             return learner
         driver, vehicle_ai = (self._learner(card.seat, (card,), env) for card in phase.cards)
+        driver.anchor_to(self._anchor(phase, env))
         env.groups = {name for card in phase.cards for name in self._groups[card.seat]}
         return TwoLearners(driver, vehicle_ai, IntentShown(env) if phase.sequential else None)
+
+    def _anchor(self, phase: Phase, env: TeamVecEnv) -> Anchor | None:
+        """Driver policy that the driver of this phase is held close to."""
+        if phase.anchor is None:
+            return None
+        if phase.anchor != LEARNED:
+            policy = load_anchor(phase.anchor, phase.team)
+        else:
+            card = phase.cards[0]
+            if self.state.iteration == 0:  # the driver has not gone on yet
+                self._own_driver = weights_of(self._actor(DRIVER, (card,)))
+            with fitting(self.folder / CHECKPOINT):
+                policy = LearnedPolicy(card, self._own_driver, phase.team)
+        return Anchor(policy, env, phase.anchor_kl, self._device)
 
     def _learner(self, name: str, cards: tuple[PolicyCard, ...], env: TeamVecEnv) -> PPOLearner:
         """Learner of this name: the current one, the restored one, or a new one."""

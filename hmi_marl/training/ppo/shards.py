@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 from rsl_rl.utils import split_and_pad_trajectories  # type: ignore[import-untyped]
 
+from hmi_marl.agents.learned.policy import INTENTS
 from hmi_marl.training.ppo.layers import Layers, Padded, policy_of
 from hmi_marl.training.ppo.models import Inputs
 from hmi_marl.training.protocols.settings import PPOSettings
@@ -96,6 +97,8 @@ class Rollout:
     """V of every step, and of what followed the last one: shape (..., T + 1, n)."""
     returns: torch.Tensor
     advantages: torch.Tensor
+    anchor: torch.Tensor
+    """Log-probabilities of a^H under the anchor, shape (..., 5); (..., 0) without an anchor."""
 
     @classmethod
     def empty(cls, shards: int, steps: int, sample: Inputs, logits: int, columns: int) -> Rollout:
@@ -119,7 +122,13 @@ class Rollout:
             values=zeros(steps=steps + 1),
             returns=zeros(),
             advantages=zeros(),
+            anchor=zeros(0),
         )
+
+    def with_anchor(self, columns: int) -> Rollout:
+        """Return one with room for so many log-probabilities under an anchor, else the same."""
+        shape = (*self.rewards.shape, columns)
+        return replace(self, anchor=torch.zeros(shape, device=self.rewards.device))
 
     def of(self, shard: int) -> Rollout:
         """Return the part of one shard, in the same memory."""
@@ -148,6 +157,7 @@ class MiniBatch:
     log_prob: torch.Tensor
     advantages: torch.Tensor
     returns: torch.Tensor
+    anchor: torch.Tensor
     padded: Padded | None = None
     """The actor's inputs by episode, of recurrent policies."""
 
@@ -177,6 +187,8 @@ class Shard:
         self._of_policy, self._of_value = into[:count], into[count:]
         self._memory: torch.Tensor | None = None
         self._generator: torch.Generator | None = None
+        self.anchor_kl: float | None = None
+        """Weight λ of the divergence from the anchor in the loss; None without an anchor."""
 
     def begin(self, generator: torch.Generator | None) -> None:
         """Begin a batch of whole episodes, whose draws come from ``generator``."""
@@ -250,7 +262,8 @@ class Shard:
     def gradient(self, batch: MiniBatch, entropy_coef: float) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient of the loss with respect to all weights, flat, which the next call replaces.
 
-        Also returns the value loss, the surrogate loss and the entropy, shape (3,).
+        Also returns the value loss, the surrogate loss and the entropy, shape (3,), or (4,) with
+        the divergence from the anchor.
         """
         clip, rows = self._settings.clip_param, batch.advantages.numel()
         logits, passed = self._policy.forward(batch.actor, batch.padded)
@@ -261,13 +274,18 @@ class Shard:
         # Where the clipped term is less, it is a constant. The derivative of the ratio is itself.
         of_log_prob = torch.where(wanted <= clipped, wanted, 0.0).mul_(-1.0 / rows)
         of_logits = self._head.gradient(batch.actions, of_log_prob, -entropy_coef / rows)
+        losses = [-torch.minimum(wanted, clipped).mean(), self._head.entropy.mean()]
+        if self.anchor_kl is not None:
+            divergence, of_intent = self._head.first.divergence(batch.anchor)
+            losses.append(divergence.mean())
+            if self.anchor_kl:
+                of_logits[..., :INTENTS] += of_intent.mul_(self.anchor_kl / rows)
         self._policy.backward(passed, of_logits, self._of_policy)
-        surrogate, entropy = -torch.minimum(wanted, clipped).mean(), self._head.entropy.mean()
         passed = self._value.forward(batch.critic.flatten(0, -2))
         errors = passed[-1].squeeze(-1) - batch.returns.flatten()
         value = errors.square().mean()
         self._value.backward(passed, errors.mul_(2.0 / rows).unsqueeze(-1), self._of_value)
-        return self._gradient, torch.stack([value, surrogate, entropy])
+        return self._gradient, torch.stack([value, *losses])
 
     def _draw(self, logits: torch.Tensor) -> torch.Tensor:
         self._head.update(logits)

@@ -9,11 +9,12 @@ from typing import Any, ClassVar, Self
 from hmi_marl.checks import Steps
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.rewards import Sharing
-from hmi_marl.training.protocols.settings import TEAM, Budget, Phase, TrainSettings
+from hmi_marl.training.protocols.anchored import Anchored
+from hmi_marl.training.protocols.settings import TEAM, Budget, Phase
 
 
 @dataclass(frozen=True)
-class Joint(TrainSettings):
+class Joint(Anchored):
     """Joint: one composite policy acts for both seats and learns from one reward.
 
     Example: hmi-marl train joint --steps 14_000_000 --out runs/joint
@@ -24,11 +25,19 @@ class Joint(TrainSettings):
     reward: Sharing = "team"
     """Reward of the composite policy: the sum of both agents' rewards where they differ."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.sequential:
+            raise ValueError(
+                "the composite policy draws a^A given a^H, so its moves are sequential; use "
+                "another protocol with sequential=False"
+            )
+
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""
         team = self.team(self.drivers, self.reward)
         cards = self.card(DRIVER, team), self.card(VEHICLE_AI, team, by_intent=True)
-        return (Phase("joint", TEAM, team, self.steps, cards=cards, joint=True),)
+        return (Phase("joint", TEAM, team, self.steps, cards=cards, joint=True, **self.anchored),)
 
     @classmethod
     def for_comparison(cls, budget: Budget, **shared: Any) -> Self:
@@ -37,7 +46,7 @@ class Joint(TrainSettings):
 
 
 @dataclass(frozen=True)
-class Simultaneous(TrainSettings):
+class Simultaneous(Anchored):
     """Simultaneous: two agents learn at once, with a common critic's view or their own.
 
     Example: hmi-marl train simultaneous --critic own --no-sequential --out runs/at-once
@@ -49,17 +58,12 @@ class Simultaneous(TrainSettings):
     """Environment steps."""
     reward: Sharing = "team"
     """Reward of both policies."""
-    sequential: bool = True
-    """Sequential moves: the driver moves first and the vehicle AI sees a^H_t. Otherwise both move
-    at the same time and the vehicle AI sees a^H_{t-1}."""
 
     def phases(self) -> tuple[Phase, ...]:
         """See :meth:`TrainSettings.phases`."""
         team = self.team(self.drivers, self.reward)
-        cards = tuple(
-            self.card(seat, team, sequential=self.sequential) for seat in (DRIVER, VEHICLE_AI)
-        )
-        return (Phase("simultaneous", TEAM, team, self.steps, cards=cards),)
+        cards = self.card(DRIVER, team), self.card(VEHICLE_AI, team)
+        return (Phase("simultaneous", TEAM, team, self.steps, cards=cards, **self.anchored),)
 
     @classmethod
     def for_comparison(cls, budget: Budget, **shared: Any) -> Self:

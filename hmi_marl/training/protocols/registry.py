@@ -11,6 +11,7 @@ from typing import Any
 
 from hmi_marl.registry import Registry
 from hmi_marl.training.protocols.alternating import Alternating
+from hmi_marl.training.protocols.fine_tune import FineTune
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -33,6 +34,7 @@ register("two-stage", TwoStage)
 register("joint", Joint)
 register("simultaneous", Simultaneous)
 register("alternating", Alternating)
+register("fine-tune", FineTune)
 
 
 def name_of(protocol: type[TrainSettings]) -> str:

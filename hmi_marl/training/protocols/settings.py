@@ -92,6 +92,11 @@ class Phase:
     """Seat "team": one composite policy learns; otherwise two policies at the same time."""
     progress: tuple[float, float] = (0.0, 1.0)
     """Part of its learner's whole schedule that this phase covers."""
+    anchor: str | None = None
+    """Driver policy that the driver who learns is held close to: a trained run, or ``LEARNED``, the
+    driver that this run has learned before this phase."""
+    anchor_kl: float = 0.0
+    """Weight of the divergence from the anchor in the driver's loss."""
 
     def iterations(self, num_teams: int) -> int:
         """Batches of one episode of each team."""
@@ -99,7 +104,7 @@ class Phase:
 
     @property
     def sequential(self) -> bool:
-        """Whether the vehicle AI learns to see a^H_t."""
+        """Whether the vehicle AI sees a^H_t in this phase."""
         return all(card.sequential for card in self.cards)
 
 
@@ -115,6 +120,23 @@ class Budget:
     """Rounds of protocols that alternate. Both numbers of steps are multiples of it."""
     reward: Sharing | None = None
     """Reward to learn from; None for the protocol's own."""
+    together_share: float = 0.5
+    """Share of the steps in which both learn, after two stages."""
+    batch: int = 1
+    """Steps in a batch. The numbers of steps are multiples of it."""
+
+    @property
+    def stages(self) -> tuple[int, int, int]:
+        """Steps of the driver, of the HMI and of both together, one after the other.
+
+        Whole batches; at least one for the driver and for both. The stages share what is left by
+        ``together_share`` as they share the steps without it.
+        """
+        batches = self.steps // self.batch
+        together = min(max(1, round(self.together_share * batches)), batches - 1)
+        alone = batches - together
+        driver = max(1, round(alone * self.driver_steps / self.steps))
+        return driver * self.batch, (alone - driver) * self.batch, together * self.batch
 
     @property
     def steps(self) -> int:
@@ -150,6 +172,9 @@ class TrainSettings(Checked, TeamSettings):
     part."""
     condition: Condition = "traits"
     """Whether the policies observe the driver's traits, or not ("hidden")."""
+    sequential: bool = True
+    """Sequential moves: the driver moves first and the vehicle AI sees a^H_t. Otherwise both move
+    at the same time and the vehicle AI sees a^H_{t-1}."""
     critic: Critic = "team"
     """Input of the critics: the state of the whole team, or the seat's own observation."""
     rnn_hidden_dim: UnitsOrZero = 0
@@ -205,20 +230,19 @@ class TrainSettings(Checked, TeamSettings):
 
     @property
     def driver_terms(self) -> tuple[str, ...]:
-        """Reward terms that the driver learns from; none if only the HMI learns."""
-        for phase in self.phases():
+        """Reward terms that the driver learns from at last; none if only the HMI learns."""
+        for phase in reversed(self.phases()):
             if phase.seat != VEHICLE_AI:
                 driver, vehicle_ai = SHARES[phase.team.reward]
                 both = dict.fromkeys((*driver, *vehicle_ai))  # a composite policy learns from both
                 return tuple(both) if phase.joint else driver
         return ()
 
-    def card(
-        self, seat: str, team: TeamConfig, by_intent: bool = False, sequential: bool = True
-    ) -> PolicyCard:
+    def card(self, seat: str, team: TeamConfig, by_intent: bool = False) -> PolicyCard:
         """Card of the policy that learns in a seat, with all inputs that it may read."""
         units = self.rnn_hidden_dim if seat == VEHICLE_AI else 0
         network = replace(self.network, rnn_hidden_dim=units)
         knows = self.condition == "traits"
-        card = make_card(seat, team, network, knows, by_intent=by_intent, sequential=sequential)
+        moves = {"by_intent": by_intent, "sequential": self.sequential}
+        card = make_card(seat, team, network, knows, **moves)
         return card.reading(self.hmi_reads) if self.hmi_reads and seat == VEHICLE_AI else card

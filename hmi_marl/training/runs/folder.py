@@ -13,6 +13,7 @@ from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import json_value, sha256, sha256_of
 from hmi_marl.reading import MOST_STATE_VALUES, read_json
+from hmi_marl.training.protocols.anchored import OWN_DRIVER
 from hmi_marl.typed_json import read_value
 
 SETTINGS = "run.json"
@@ -21,7 +22,8 @@ CURVE = "curve.json"
 """Learning curve, a row for each batch."""
 CHECKPOINT = "checkpoint.safetensors"
 """State to resume from."""
-POLICY = "driver_policy"
+POLICIES = ("driver_policy", "anchor")
+"""Settings that name a driver policy, which a run notes with the checksum of its weights."""
 FREE = ("device", "threads", "checkpoint_every")
 """Settings of the machine, which may differ when a run is resumed."""
 _CURVE_BYTES = 2**30
@@ -60,17 +62,19 @@ def _seconds(run: Path) -> float:
 
 
 def run_settings(settings: object) -> dict[str, Any]:
-    """A run's settings, a dataclass, as JSON, with a driver policy named by its checksum.
+    """A run's settings, a dataclass, as JSON, with driver policies named by their checksums.
 
     Raises:
         FileNotFoundError, ValueError: there is no such driver policy.
     """
     content: dict[str, Any] = json_value(settings)
-    name = content.get(POLICY)
-    weights = learned_file(name, DRIVER) if isinstance(name, str) else None
-    if isinstance(name, str) and weights is not None:
-        short = name.lower() if is_shipped(name) else Path(name).name
-        content[POLICY] = {"name": short, "sha256": sha256_of(weights)}
+    for setting in POLICIES:
+        name = content.get(setting)
+        if not isinstance(name, str) or name == OWN_DRIVER:
+            continue
+        if (weights := learned_file(name, DRIVER)) is not None:
+            short = name.lower() if is_shipped(name) else Path(name).name
+            content[setting] = {"name": short, "sha256": sha256_of(weights)}
     return content
 
 
@@ -134,8 +138,8 @@ def _differing(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
 def _binding(about: dict[str, Any]) -> dict[str, Any]:
     """Settings and facts of a run by name, but for those of the machine."""
     settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
-    policy = settings.get(POLICY)
-    if isinstance(policy, dict):  # whatever the name of its folder
-        settings[POLICY] = policy.get("sha256")
+    for setting in POLICIES:
+        if isinstance(policy := settings.get(setting), dict):  # whatever the name of its folder
+            settings[setting] = policy.get("sha256")
     others = {k: v for k, v in about.items() if k not in ("settings", "command")}
     return others | settings

@@ -16,6 +16,7 @@ from typing import Any
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.checks import WORKERS
 from hmi_marl.envs.config import DRIVER
+from hmi_marl.training.protocols.anchored import load_anchor
 from hmi_marl.training.protocols.settings import LEARNED, TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.workers import (
@@ -86,7 +87,9 @@ def check_processes(count: int, settings: TrainSettings) -> int:
 
 
 def check_start(settings: TrainSettings) -> None:
-    """Check that a run can start, before anything is made: its device, threads and partners.
+    """Check that a run can start, before anything is made.
+
+    Its device, threads, partners and anchor are there and fit.
 
     Raises:
         FileNotFoundError, ValueError: it cannot; the message says what to use instead.
@@ -100,6 +103,8 @@ def check_start(settings: TrainSettings) -> None:
         if phase.partner not in (None, LEARNED):
             make = make_hmi if phase.seat == DRIVER else make_driver_policy
             make(phase.partner, phase.team)
+        if phase.anchor not in (None, LEARNED):
+            load_anchor(phase.anchor, phase.team)
 
 
 def start_together(
