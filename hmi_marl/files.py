@@ -200,6 +200,35 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+_CHECKSUM = "sha256"
+"""Name under which JSON content keeps its own checksum."""
+
+
+def with_checksum(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return JSON content with a checksum over all of it; see :func:`without_checksum`."""
+    return {**content, _CHECKSUM: _checksum(content)}
+
+
+def without_checksum(content: Any) -> dict[str, Any]:
+    """Return JSON content that :func:`with_checksum` returned as it was before.
+
+    Raises:
+        ValueError: anything in it has changed, or it is something else.
+    """
+    if not isinstance(content, dict) or _CHECKSUM not in content:
+        raise ValueError("it has no checksum")
+    before = {name: value for name, value in content.items() if name != _CHECKSUM}
+    if content[_CHECKSUM] != _checksum(before):
+        raise ValueError("its checksum differs")
+    return before
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    """Checksum of JSON content, whatever the order of its names and the space between them."""
+    as_read = json.loads(json.dumps(content))  # keys are texts, which can be sorted
+    return sha256(json.dumps(as_read, sort_keys=True).encode())
+
+
 def json_value(value: Any) -> Any:
     """Convert ``value`` to JSON content.
 

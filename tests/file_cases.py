@@ -1,10 +1,15 @@
-"""Files that the package reads, each with its reader and a way to alter it."""
+"""Files that the package reads, each with its reader and a way to alter it.
+
+A case named ``signed_...`` alters a file and then puts the right checksum of what it is now into
+it, so that what lies behind the checksum is tried too.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +20,8 @@ import pyarrow.parquet as pq
 import torch
 from demonstrations import made_up
 from evidence_models import untrained_evidence
-from mutations import hostile, hostile_json
+from model_cards import with_weights
+from mutations import contents, hostile, hostile_json
 from trait_models import save_driver, untrained
 
 from hmi_marl.agents.adaptive.evidence_model import load_evidence, save_evidence
@@ -29,6 +35,7 @@ from hmi_marl.demonstrations.parquet import (
     read_demonstrations,
     write_demonstrations,
 )
+from hmi_marl.files import with_checksum, without_checksum
 from hmi_marl.reporting.blocks import Table, Text, Verdicts, block_from
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 from hmi_marl.reproduction import suite
@@ -45,15 +52,23 @@ class Case:
     path: Path
     read: Callable[[], object]
     mutate: Callable[[int], object]
+    checked: bool = False
+    """Whether a checksum covers the whole file, so that nothing else may be read than was written.
+    """
+
+    def original(self) -> object:
+        """Read the file as it is, and return what must be read; None for anything that fits."""
+        found = contents(self.read())
+        return found if self.checked else None
 
 
-def bytes_of(path: Path, read: Callable[[], object]) -> Case:
+def bytes_of(path: Path, read: Callable[[], object], checked: bool = False) -> Case:
     """Mutate the bytes of a file."""
     content = path.read_bytes()
-    return Case(path, read, lambda seed: path.write_bytes(hostile(content, seed)))
+    return Case(path, read, lambda seed: path.write_bytes(hostile(content, seed)), checked)
 
 
-def json_of(path: Path, read: Callable[[], object]) -> Case:
+def json_of(path: Path, read: Callable[[], object], checked: bool = False) -> Case:
     """Mutate a JSON file, by its values or its bytes."""
     content = path.read_bytes()
     value = json.loads(content)
@@ -62,18 +77,41 @@ def json_of(path: Path, read: Callable[[], object]) -> Case:
         text = hostile_json(value, seed).encode() if seed % 3 else hostile(content, seed)
         path.write_bytes(text)
 
+    return Case(path, read, mutate, checked)
+
+
+def signed_json(path: Path, read: Callable[[], object]) -> Case:
+    """Mutate the values of a JSON file with a checksum, and put the right one into it."""
+    content = without_checksum(json.loads(path.read_bytes()))
+
+    def mutate(seed: int) -> None:
+        text = hostile_json(content, seed)
+        with suppress(ValueError, RecursionError):
+            text = json.dumps(with_checksum(json.loads(text)))
+        path.write_text(text)
+
     return Case(path, read, mutate)
+
+
+def bytes_of_either(first: Path, second: Path, read: Callable[[], object]) -> Case:
+    """Mutate the bytes of one of two files, both of which are checked by their whole content."""
+    content = {path: path.read_bytes() for path in (first, second)}
+
+    def mutate(seed: int) -> None:
+        for turn, (path, before) in enumerate(content.items()):
+            path.write_bytes(hostile(before, seed) if seed % 2 == turn else before)
+
+    return Case(first, read, mutate, checked=True)
 
 
 def signed_weights(card: Path, read: Callable[[], object]) -> Case:
     """Mutate weights, with the right checksum of what they are now in the card."""
-    path, about = card.with_suffix(".safetensors"), json.loads(card.read_text())
+    path = card.with_suffix(".safetensors")
     content = path.read_bytes()
 
     def mutate(seed: int) -> None:
         changed = hostile(content, seed) if seed % 2 else hostile_header(content, seed)
-        path.write_bytes(changed)
-        card.write_text(json.dumps(about | {"sha256": hashlib.sha256(changed).hexdigest()}))
+        with_weights(card, changed)
 
     return Case(path, read, mutate)
 
@@ -91,27 +129,68 @@ def hostile_header(content: bytes, seed: int, inner: str | None = None) -> bytes
     return len(text).to_bytes(8, "little") + text + content[8 + size :]
 
 
+def driver_card(folder: Path) -> Path:
+    save_driver(folder)
+    return folder / "driver.json"
+
+
 def policy(folder: Path) -> Case:
-    save_driver(folder)
-    return json_of(folder / "driver.json", lambda: read_policy(folder / "driver.json"))
+    card = driver_card(folder)
+    return json_of(card, lambda: read_policy(card), checked=True)
 
 
-def policy_weights(folder: Path) -> Case:
-    save_driver(folder)
-    return signed_weights(folder / "driver.json", lambda: read_policy(folder / "driver.json"))
+def policy_bytes(folder: Path) -> Case:
+    card = driver_card(folder)
+    return bytes_of_either(card, card.with_suffix(".safetensors"), lambda: read_policy(card))
+
+
+def signed_policy(folder: Path) -> Case:
+    card = driver_card(folder)
+    return signed_json(card, lambda: read_policy(card))
+
+
+def signed_policy_weights(folder: Path) -> Case:
+    card = driver_card(folder)
+    return signed_weights(card, lambda: read_policy(card))
+
+
+def traits_card(folder: Path) -> Path:
+    model = untrained(made_up([3]).observed.layout)
+    return save_traits(folder, model.card, model.weights)
+
+
+def read_traits(folder: Path) -> object:
+    model = load_traits(folder)
+    return model.card, model.weights
 
 
 def traits(folder: Path) -> Case:
-    model = untrained(made_up([3]).observed.layout)
-    return json_of(save_traits(folder, model.card, model.weights), lambda: load_traits(folder))
+    return json_of(traits_card(folder), lambda: read_traits(folder), checked=True)
+
+
+def signed_traits(folder: Path) -> Case:
+    return signed_json(traits_card(folder), lambda: read_traits(folder))
+
+
+def evidence_card(folder: Path) -> Path:
+    model = untrained_evidence()
+    return save_evidence(folder, model.card, model.weights)
+
+
+def read_evidence(folder: Path) -> object:
+    model = load_evidence(folder)
+    return model.card, model.weights
 
 
 def evidence(folder: Path) -> Case:
-    model = untrained_evidence()
-    return json_of(save_evidence(folder, model.card, model.weights), lambda: load_evidence(folder))
+    return json_of(evidence_card(folder), lambda: read_evidence(folder), checked=True)
 
 
-def index(folder: Path) -> Case:
+def signed_evidence(folder: Path) -> Case:
+    return signed_json(evidence_card(folder), lambda: read_evidence(folder))
+
+
+def index_file(folder: Path) -> Path:
     save_driver(folder / "mine")
     files = {
         f"mine/{name}": hashlib.sha256((folder / "mine" / name).read_bytes()).hexdigest()
@@ -119,14 +198,24 @@ def index(folder: Path) -> Case:
     }
     agents = {"mine": {"what": "a driver", "kind": "driver", "files": files}}
     path = folder / "INDEX.json"
-    path.write_text(json.dumps({"format": INDEX_FORMAT, "version": "1", "agents": agents}))
+    about = {"format": INDEX_FORMAT, "version": "1", "agents": agents}
+    path.write_text(json.dumps(with_checksum(about)))
+    return path
 
-    def read() -> None:
-        for agent in shipped_agents(folder).values():
-            assert agent.card.endswith(".json")
-        find_shipped("trained:mine", "driver", folder)
 
-    return json_of(path, read)
+def read_index(folder: Path) -> object:
+    agents = shipped_agents(folder)
+    for agent in agents.values():
+        assert agent.card.endswith(".json")
+    return agents, find_shipped("trained:mine", "driver", folder)
+
+
+def index(folder: Path) -> Case:
+    return json_of(index_file(folder), lambda: read_index(folder), checked=True)
+
+
+def signed_index(folder: Path) -> Case:
+    return signed_json(index_file(folder), lambda: read_index(folder))
 
 
 def checkpoint_file(folder: Path) -> tuple[Path, str]:
@@ -139,7 +228,7 @@ def checkpoint_file(folder: Path) -> tuple[Path, str]:
 
 def checkpoint(folder: Path) -> Case:
     path, settings = checkpoint_file(folder)
-    return bytes_of(path, lambda: Checkpoint.load(path, settings, 2))
+    return bytes_of(path, lambda: Checkpoint.load(path, settings, 2), checked=True)
 
 
 def signed_checkpoint(folder: Path) -> Case:
@@ -199,23 +288,22 @@ def block(folder: Path) -> Case:
     return json_of(path, read)
 
 
-def record(folder: Path) -> Case:
-    """Mutate a stage's record, every other one with the right checksum of what it is now."""
+def record_file(folder: Path) -> Path:
     path = folder / "one.json"
     content = {"stage": "one", "numbers": {"mean": 0.5}, "blocks": [Text("a").as_json()]}
-    suite._write(path, content)
-    whole = path.read_bytes()
+    path.write_text(json.dumps(with_checksum(content)))
+    return path
 
-    def mutate(seed: int) -> None:
-        path.write_bytes(hostile(whole, seed))
-        if seed % 2:
-            text = hostile_json(content, seed)
-            try:
-                suite._write(path, json.loads(text))
-            except (ValueError, RecursionError, TypeError):
-                path.write_text(text)
 
-    return Case(path, lambda: suite._read(path), mutate)
+def record(folder: Path) -> Case:
+    """Mutate a stage's record."""
+    path = record_file(folder)
+    return json_of(path, lambda: suite._read(path), checked=True)
+
+
+def signed_record(folder: Path) -> Case:
+    path = record_file(folder)
+    return signed_json(path, lambda: suite._read(path))
 
 
 def dataset(folder: Path) -> Path:
@@ -283,10 +371,15 @@ CASES = {
     case.__name__: case
     for case in (
         policy,
-        policy_weights,
+        policy_bytes,
+        signed_policy,
+        signed_policy_weights,
         traits,
+        signed_traits,
         evidence,
+        signed_evidence,
         index,
+        signed_index,
         checkpoint,
         signed_checkpoint,
         settings_file,
@@ -294,6 +387,7 @@ CASES = {
         preferences,
         block,
         record,
+        signed_record,
         observed_file,
         truth_file,
         stamp,

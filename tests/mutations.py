@@ -1,7 +1,8 @@
 """Mutations of files, to try readers with: of their bytes, and of JSON in them.
 
 ``hostile(content, seed)`` changes bytes; ``hostile_json(value, seed)`` changes one place in JSON
-content. Both follow from the seed. ``try_reader`` counts what a reader does with a mutated file.
+content. Both follow from the seed. ``try_reader`` counts what a reader does with a mutated file,
+and ``contents`` compares what it reads.
 """
 
 from __future__ import annotations
@@ -11,8 +12,11 @@ import json
 import random
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
+
+import numpy as np
 
 REFUSED, READ, WRONG = "refused", "read", "wrong"
 """Outcomes: an error that a reader may raise, none, or another error."""
@@ -112,8 +116,26 @@ def _places(value: Any) -> Iterator[tuple[Any, Any]]:
             yield from _places(item)
 
 
+def contents(value: object) -> object:
+    """Everything in what a reader returned, for comparison: a whole tree, with bytes of arrays."""
+    if isinstance(value, Mapping):
+        return {key: contents(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [contents(each) for each in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return {each.name: contents(getattr(value, each.name)) for each in fields(value)}
+    if hasattr(value, "detach"):  # a tensor
+        value = value.detach().numpy()
+    if isinstance(value, np.ndarray):
+        return str(value.dtype), value.shape, value.tobytes()
+    return repr(value)
+
+
 def try_reader(
-    read: Callable[[], object], mutate: Callable[[int], object], seeds: range
+    read: Callable[[], object],
+    mutate: Callable[[int], object],
+    seeds: range,
+    original: object = None,
 ) -> tuple[Counter[str], list[str]]:
     """Let a reader read mutated files; return the numbers of outcomes, and what went wrong.
 
@@ -121,6 +143,8 @@ def try_reader(
         read: reads the file.
         mutate: writes the mutated file of a seed.
         seeds: mutations to try.
+        original: ``contents`` of the unaltered file, which is all that may be read; None if what is
+            in it may have changed.
     """
     counts: Counter[str] = Counter()
     wrong = []
@@ -128,7 +152,9 @@ def try_reader(
         mutate(seed)
         began = time.monotonic()
         try:
-            read()
+            found = read()
+            if original is not None and contents(found) != original:
+                raise AssertionError("other content was read")
             counts[READ] += 1
         except (ValueError, OSError) as error:
             outcome = REFUSED if "\n" not in str(error) and len(str(error)) < 2000 else WRONG

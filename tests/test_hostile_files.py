@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 from demonstrations import LAYOUT, made_up
+from model_cards import with_card
 from trait_models import save_driver
 
 from hmi_marl.demonstrations.parquet import OBSERVED, write_demonstrations
@@ -147,8 +148,7 @@ print(json.dumps([found, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - be
 
 def policy_with(folder: Path, **changed: object) -> None:
     save_driver(folder)
-    card = json.loads((folder / "driver.json").read_text()) | changed
-    (folder / "driver.json").write_text(json.dumps(card))
+    with_card(folder / "driver.json", **changed)
 
 
 def parquet_with(folder: Path, change: str, value: object) -> None:

@@ -12,7 +12,6 @@ the package, from a finished reproduction.
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import sys
@@ -27,15 +26,19 @@ import hmi_marl
 from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, MOST_WEIGHTS, shipped_agents
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, conduct, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS
-from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
+from hmi_marl.files import (
+    sha256_of,
+    with_checksum,
+    without_checksum,
+    write_bytes,
+    write_json,
+)
 from hmi_marl.ownership import check_free, owned
 from hmi_marl.reading import read_bytes, read_json
 from hmi_marl.reporting.blocks import Block, block_from
 from hmi_marl.training.runs.folder import check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
-_CHECKSUM = "sha256"
-"""Checksum of a record, kept in it."""
 _RECORD_BYTES = 256 * 2**20
 """Largest record; it holds figures."""
 Suite = Sequence[Experiment[Any]]
@@ -139,7 +142,7 @@ def _run_suite(
             }
             timings[experiment.name] = {"this time": spent} | dict(report.seconds)
             write_json(folder / TIMINGS, timings)
-            _write(path, content)
+            write_json(path, with_checksum(content))
             content = _read(path) or {}  # as it will be read the next time
             say(f"{which}: done in {spent:.0f} s")
         blocks = tuple(block_from(block) for block in content["blocks"])
@@ -176,24 +179,11 @@ def _read(path: Path) -> dict[str, Any] | None:
         ValueError: it is damaged; the message says what to do.
     """
     try:
-        content = read_json(path, _RECORD_BYTES)
-        if not isinstance(content, dict) or content.pop(_CHECKSUM, None) != _checksum(content):
-            raise ValueError("its checksum differs")
+        return without_checksum(read_json(path, _RECORD_BYTES))
     except FileNotFoundError:
         return None
     except ValueError as error:
         raise ValueError(f"{path} is damaged ({error}); remove it, to have it made again") from None
-    return dict(content)
-
-
-def _write(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a record with a checksum over all that is in it."""
-    write_json(path, {**content, _CHECKSUM: _checksum(content)})
-
-
-def _checksum(content: Mapping[str, Any]) -> str:
-    as_read = json.loads(json.dumps(content))  # keys are texts, which can be sorted
-    return sha256(json.dumps(as_read, sort_keys=True).encode())
 
 
 def _read_timings(path: Path) -> dict[str, Any]:
@@ -253,7 +243,7 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
         folder = Path(made) / out.name
         index = {agent.name: _copy(agent, folder) for agent in agents}
         about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
-        write_json(folder / INDEX, about)
+        write_json(folder / INDEX, with_checksum(about))
         before = out.with_name(f".{out.name}-before")
         if out.exists():
             out.replace(before)  # still there if what comes next is interrupted
@@ -265,7 +255,8 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
 def _copy(agent: Agent, folder: Path) -> dict[str, Any]:
     """Copy a card, without this machine's paths, and its weights; returns the index's entry."""
     card = folder / agent.name / agent.card.name
-    write_json(card, without_places(read_json(agent.card)))
+    about = without_places(without_checksum(read_json(agent.card)))
+    write_json(card, with_checksum(about))
     weights = card.with_suffix(".safetensors")
     write_bytes(weights, read_bytes(agent.card.with_suffix(".safetensors"), MOST_WEIGHTS))
     return {"what": agent.what, "kind": card.stem, "files": _digests((card, weights), folder)}

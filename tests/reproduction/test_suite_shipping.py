@@ -2,6 +2,7 @@ import json
 from pathlib import Path
 
 import pytest
+from model_cards import with_card
 from stages import Counting
 from trait_models import save_driver
 
@@ -9,7 +10,6 @@ from hmi_marl.agents.learned.cards import INDEX, find_shipped, shipped_agents
 from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Agent
-from hmi_marl.files import write_json
 from hmi_marl.reproduction.suite import run_suite, ship, without_places
 
 
@@ -25,7 +25,7 @@ def run(tmp_path: Path) -> Path:
     folder = tmp_path / "run"
     card = save_driver(folder / "one") / "driver.json"
     about = {"command": f"hmi-marl train --out {folder}/one", "settings": {"path": str(folder)}}
-    write_json(card, json.loads(card.read_text()) | {"training": about})
+    with_card(card, training=about)
     return folder
 
 

@@ -196,7 +196,7 @@ def readers(bench: Bench, options: Options, rng: random.Random) -> list[Counts]:
         folder.mkdir()
         case, first = make(folder), rng.randrange(10**6)
         seeds = range(first, first + options.mutations)
-        _, wrong = try_reader(case.read, case.mutate, seeds)
+        _, wrong = try_reader(case.read, case.mutate, seeds, case.original())
         rows.append(Counts(f"altered files, {name}", len(seeds), wrong))
     return rows
 

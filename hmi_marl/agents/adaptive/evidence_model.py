@@ -114,7 +114,7 @@ class EvidenceCard(Checked):
         return units | part_shapes(self, sizes)
 
 
-FORMAT = CardFormat("hmi-marl evidence 2", "evidence model", EvidenceCard)
+FORMAT = CardFormat("hmi-marl evidence 3", "evidence model", EvidenceCard)
 NAME = "evidence.json"
 """File name of the card; the weights are in ``evidence.safetensors`` next to it."""
 

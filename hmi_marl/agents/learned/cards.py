@@ -1,9 +1,10 @@
-"""Learned models in files: a JSON card and, next to it, safetensors weights with a checksum.
+"""Learned models in files: a JSON card and, next to it, safetensors weights.
 
-The card is a dataclass that describes the model; see :class:`CardFormat`. Nothing is ever
-unpickled. Agents that come with the package have names, ``trained:homer``, ``trained:driver``: each
-has a folder in ``hmi_marl/trained``, and ``INDEX.json`` there holds the checksum of every file.
-Only unaltered files that it lists are loaded.
+The card is a dataclass that describes the model; see :class:`CardFormat`. It holds a checksum of
+the weights, and one of everything in itself. Nothing is ever unpickled. Agents that come with the
+package have names, ``trained:homer``, ``trained:driver``: each has a folder in
+``hmi_marl/trained``, and ``INDEX.json`` there, which has a checksum of its own, holds that of every
+file. Only unaltered files that it lists are loaded.
 """
 
 from __future__ import annotations
@@ -22,16 +23,25 @@ from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.learned.network import Weights
 from hmi_marl.checks import shown
-from hmi_marl.files import sha256, sha256_of, write_bytes, write_json
+from hmi_marl.files import (
+    sha256,
+    sha256_of,
+    with_checksum,
+    without_checksum,
+    write_bytes,
+    write_json,
+)
 from hmi_marl.reading import parse_tensors, read_bytes, read_json
 from hmi_marl.registry import HELP, suggest, unknown
 from hmi_marl.text import listed, one_line
 from hmi_marl.typed_json import read_as, read_value
 
-INDEX_FORMAT = "hmi-marl trained 1"
+INDEX_FORMAT = "hmi-marl trained 2"
 PREFIX = "trained:"
 INDEX = "INDEX.json"
 FOLDER = Path(__file__).parents[2] / "trained"
+_WEIGHTS = "weights_sha256"
+"""Name of the weights' checksum in a card."""
 _MOST_VALUES = 200_000
 """Most values in a card, whose training may name thousands of drivers."""
 MOST_WEIGHTS = 2 * 2**30
@@ -111,7 +121,7 @@ def shipped_agents(folder: Path = FOLDER) -> dict[str, Shipped]:
     if found != INDEX_FORMAT:
         raise ValueError(f"{path} is no index of trained agents: format {shown(found)}; {_REMEDY}")
     try:
-        agents = read_value(dict[str, _Entry], content.get("agents"), "agents")
+        agents = read_value(dict[str, _Entry], without_checksum(content).get("agents"), "agents")
         if odd := [name for name in agents if not _NAME.fullmatch(name)]:
             raise ValueError(f"{shown(odd[0])} is no name of an agent")
         return {name: Shipped(name, **vars(entry)) for name, entry in agents.items()}
@@ -223,7 +233,8 @@ class CardFormat(Generic[C]):
             {name: np.asarray(weights[name], np.float32, order="C") for name in card.shapes}
         )
         write_bytes(path.with_suffix(".safetensors"), content)
-        write_json(path, {"format": self.name, "sha256": sha256(content)} | asdict(card))
+        about = {"format": self.name, _WEIGHTS: sha256(content)} | asdict(card)
+        write_json(path, with_checksum(about))
         return path
 
     def read(self, path: Path) -> tuple[C, dict[str, NDArray[np.float32]]]:
@@ -244,14 +255,22 @@ class CardFormat(Generic[C]):
 
     def _read_card(self, path: Path) -> tuple[C, str]:
         content = read_json(path, most_values=_MOST_VALUES)
-        found = content.pop("format", None) if isinstance(content, dict) else None
+        found = content.get("format") if isinstance(content, dict) else None
         if found != self.name:
             raise ValueError(
                 f"{path} is no {self.model} that can be read here: format {shown(found)}"
             )
         try:
-            checksum = content.pop("sha256", None)
-            return read_as(self.card, content), read_value(str, checksum, "sha256")
+            content = without_checksum(content)
+        except ValueError as error:
+            raise ValueError(
+                f"{path} is a damaged {self.model} card: {error}; copy it again from where it "
+                "comes from, or run the command that made it again"
+            ) from None
+        del content["format"]
+        checksum = content.pop(_WEIGHTS, None)
+        try:
+            return read_as(self.card, content), read_value(str, checksum, _WEIGHTS)
         except ValueError as error:
             raise ValueError(f"{path} is a damaged {self.model} card: {error}") from None
 

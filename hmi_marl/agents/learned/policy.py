@@ -162,7 +162,7 @@ _HINTS = {
 }
 
 
-FORMAT = CardFormat("hmi-marl policy 2", "policy", PolicyCard)
+FORMAT = CardFormat("hmi-marl policy 3", "policy", PolicyCard)
 """Files of a policy: a card and weights for each seat."""
 
 

@@ -178,7 +178,7 @@ class TraitCard(Checked):
         return shapes | part_shapes(self, sizes)
 
 
-FORMAT = CardFormat("hmi-marl traits 2", "trait model", TraitCard)
+FORMAT = CardFormat("hmi-marl traits 3", "trait model", TraitCard)
 NAME = "traits.json"
 """File name of the card; the weights are in ``traits.safetensors`` next to it."""
 

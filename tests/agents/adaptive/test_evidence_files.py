@@ -1,10 +1,9 @@
-import hashlib
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from evidence_models import HIDDEN, SMALL, evidence_weights, untrained_evidence
+from model_cards import card_bytes, with_card, with_weights
 from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, load_evidence, save_evidence
@@ -17,17 +16,6 @@ CARD = EvidenceCard.for_team(
 
 def saved(folder, card=CARD, seed=0):
     return save_evidence(folder, card, evidence_weights(card, seed))
-
-
-def with_card(path, **changed):
-    content = json.loads(path.read_text("utf-8"))
-    for name, value in changed.items():
-        if value is None:
-            del content[name]
-        else:
-            content[name] = value
-    path.write_text(json.dumps(content), "utf-8")
-    return path
 
 
 def test_a_model_comes_back_as_it_was(tmp_path):
@@ -91,10 +79,17 @@ def test_weights_that_are_gone_are_reported(tmp_path):
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl evidence 1"}', "is no evidence model .* 'hmi-marl evidence 1'"),
+        (b'{"format": "hmi-marl evidence 2"}', "is no evidence model .* 'hmi-marl evidence 2'"),
         (b'{"format": "hmi-marl policy 1"}', "is no evidence model .* 'hmi-marl policy 1'"),
         (b"[]", "format None"),
-        (b'{"format": "hmi-marl evidence 2"}', "is a damaged evidence model card: it lacks reads"),
+        (
+            card_bytes({"format": "hmi-marl evidence 3"}),
+            "is a damaged evidence model card: it lacks reads",
+        ),
+        (
+            b'{"format": "hmi-marl evidence 3"}',
+            "is a damaged evidence model card: it has no checksum; copy",
+        ),
     ],
     ids=str,
 )
@@ -117,7 +112,7 @@ def test_other_files_are_no_evidence_models(tmp_path, content, message):
         {"encoder": {"hidden_dims": [64], "depth": 2}},
         {"place": {"hidden_dims": [64], "rnn_hidden_dim": 3}},
         {"place": {"hidden_dims": [64], "activation": "__import__"}},
-        {"sha256": None},
+        {"weights_sha256": None},
     ],
     ids=str,
 )
@@ -130,7 +125,6 @@ def test_a_damaged_card_is_reported(tmp_path, changed):
 def test_the_weights_of_another_model_are_refused(tmp_path):
     path = saved(tmp_path)
     content = save_tensors(evidence_weights(replace(CARD, latent=4)))
-    path.with_suffix(".safetensors").write_bytes(content)
-    with_card(path, sha256=hashlib.sha256(content).hexdigest())
+    with_weights(path, content)
     with pytest.raises(ValueError, match=r"evidence\.safetensors: encoder\.layer1\.weight has sh"):
         load_evidence(tmp_path)

@@ -13,6 +13,8 @@ WEIGHTS = {"wide": np.arange(6.0).reshape(2, 3).T, "one": np.array(1 / 3)}
 @dataclass(frozen=True)
 class Thing:
     size: list[int] = field(default_factory=lambda: [3, 2])
+    note: str = ""
+    flag: bool = False
 
     @property
     def shapes(self):
@@ -61,3 +63,32 @@ def test_shapes_are_checked_by_name():
         THINGS.check(Thing([2, 3]), WEIGHTS)
     with pytest.raises(ValueError, match="one is not finite everywhere"):
         THINGS.check(Thing(), WEIGHTS | {"one": np.array(np.nan)})
+
+
+def test_every_byte_of_a_card_and_of_its_weights_is_checked(tmp_path):
+    """A flipped bit in it is refused, or reads as the same content: another kind of space."""
+    path = THINGS.save(tmp_path / "thing.json", Thing(note="as it was", flag=True), WEIGHTS)
+    card, weights = THINGS.read(path)
+    for file in (path, path.with_suffix(".safetensors")):
+        content, refused = file.read_bytes(), 0
+        for at in range(len(content)):
+            changed = bytearray(content)
+            changed[at] ^= 1 << at % 8
+            file.write_bytes(changed)
+            try:
+                found, numbers = THINGS.read(path)
+            except ValueError:
+                refused += 1
+            else:
+                assert found == card, (file.name, at)
+                assert all((numbers[name] == weights[name]).all() for name in WEIGHTS)
+        assert refused > 0.9 * len(content)
+        file.write_bytes(content)
+
+
+def test_a_card_that_was_changed_by_hand_says_what_to_do(tmp_path):
+    path = THINGS.save(tmp_path / "thing.json", Thing(flag=True), WEIGHTS)
+    path.write_text(path.read_text().replace('"flag": true', '"flag": false'))
+    expected = r"thing\.json is a damaged thing card: its checksum differs; copy it again from"
+    with pytest.raises(ValueError, match=expected):
+        THINGS.read(path)

@@ -1,4 +1,3 @@
-import hashlib
 import io
 import json
 import pickle
@@ -7,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from model_cards import card_bytes, with_card, with_weights
 from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
@@ -21,6 +21,7 @@ from hmi_marl.agents.learned.policy import (
     save_policy,
 )
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.files import without_checksum
 
 CONFIG = TeamConfig()
 CARD = make_card(
@@ -35,18 +36,6 @@ def weights_for(card, seed=0):
 
 def saved(folder, card=CARD, seed=0):
     return save_policy(folder, card, weights_for(card, seed))
-
-
-def with_weights(path, content):
-    """Put other weights next to a card, with their checksum in the card."""
-    path.with_suffix(".safetensors").write_bytes(content)
-    return with_card(path, sha256=hashlib.sha256(content).hexdigest())
-
-
-def with_card(path, **changed):
-    card = json.loads(path.read_text("utf-8")) | changed
-    path.write_text(json.dumps(card), "utf-8")
-    return path
 
 
 class Burglar:
@@ -169,11 +158,12 @@ def test_weights_that_are_gone_are_reported(tmp_path):
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl policy 2"', "is no JSON file"),
+        (b'{"format": "hmi-marl policy 3"', "is no JSON file"),
         (b"[1, 2]", "is no policy that can be read here: format None"),
-        (b'{"format": "hmi-marl policy 1"}', "is no policy .* format 'hmi-marl policy 1'"),
+        (b'{"format": "hmi-marl policy 2"}', "is no policy .* format 'hmi-marl policy 2'"),
         (b'{"layers": 3}', "is no policy that can be read here: format None"),
-        (b'{"format": "hmi-marl policy 2"}', "is a damaged policy card: it lacks seat"),
+        (card_bytes({"format": "hmi-marl policy 3"}), "is a damaged policy card: it lacks seat"),
+        (b'{"format": "hmi-marl policy 3"}', "is a damaged policy card: it has no checksum; copy"),
     ],
     ids=str,
 )
@@ -303,9 +293,9 @@ def test_a_kill_between_the_two_files_is_noticed_and_mended_by_the_next_write(
 
 def test_a_card_without_alert_strengths_is_refused(tmp_path):
     path = saved(tmp_path)
-    content = json.loads(path.read_text("utf-8"))
+    content = without_checksum(json.loads(path.read_text("utf-8")))
     assert content.pop("alert_strengths") == [1.0]
-    path.write_text(json.dumps(content), "utf-8")
+    path.write_bytes(card_bytes(content))
     with pytest.raises(ValueError, match="is a damaged policy card: it lacks alert_strengths"):
         read_policy(path)
 

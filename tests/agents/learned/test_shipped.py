@@ -13,6 +13,7 @@ from hmi_marl.agents.catalogue import known_names
 from hmi_marl.agents.learned.cards import (
     FOLDER,
     INDEX,
+    INDEX_FORMAT,
     find_shipped,
     is_shipped,
     shipped_agents,
@@ -22,6 +23,7 @@ from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.agents.partners import make_vec
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import TeamConfig, as_fatigue
+from hmi_marl.files import with_checksum
 
 AGENTS = shipped_agents()
 ENCODERS = [name for name, agent in AGENTS.items() if agent.kind == "traits"]
@@ -172,8 +174,15 @@ def test_a_foreign_agent_is_refused(copied: Path) -> None:
     [
         ("{", "is damaged"),
         ("[]", "is no index of trained agents"),
-        ('{"format": "hmi-marl trained 2"}', "is no index of trained agents"),
-        ('{"format": "hmi-marl trained 1", "agents": {"homer": {}}}', "is damaged"),
+        ('{"format": "hmi-marl trained 1"}', "is no index of trained agents"),
+        (
+            '{"format": "hmi-marl trained 2"}',
+            r"is damaged \(it has no checksum\); install hmi-marl",
+        ),
+        (
+            json.dumps(with_checksum({"format": INDEX_FORMAT, "agents": {"homer": {}}})),
+            r"is damaged \(agents\.homer lacks",
+        ),
     ],
 )
 def test_an_index_that_is_none_is_refused(content: str, message: str, tmp_path: Path) -> None:

@@ -1,4 +1,3 @@
-import hashlib
 import io
 import json
 import pickle
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from demonstrations import LAYOUT
+from model_cards import card_bytes, with_card, with_weights
 from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.learned import cards as weight_files
@@ -43,18 +43,6 @@ def weights_for(card: TraitCard, seed: int = 0) -> dict[str, Any]:
 
 def saved(folder: Path, card: TraitCard = CARD, seed: int = 0) -> Path:
     return save_traits(folder, card, weights_for(card, seed))
-
-
-def with_weights(path: Path, content: bytes) -> Path:
-    """Put other weights next to a card, with their checksum in the card."""
-    path.with_suffix(".safetensors").write_bytes(content)
-    return with_card(path, sha256=hashlib.sha256(content).hexdigest())
-
-
-def with_card(path: Path, **changed: Any) -> Path:
-    card = json.loads(path.read_text("utf-8")) | changed
-    path.write_text(json.dumps(card), "utf-8")
-    return path
 
 
 @pytest.mark.parametrize("card", [CARD, TraitCard((("speed", 1),))], ids=["all set", "defaults"])
@@ -140,11 +128,18 @@ def test_weights_that_are_gone_are_reported(tmp_path: Path) -> None:
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl traits 2"', "is no JSON file"),
+        (b'{"format": "hmi-marl traits 3"', "is no JSON file"),
         (b"[1, 2]", "is no trait model that can be read here: format None"),
         (b'{"format": "hmi-marl policy 1"}', "is no trait model .* 'hmi-marl policy 1'"),
-        (b'{"format": "hmi-marl traits 1"}', "is no trait model .* 'hmi-marl traits 1'"),
-        (b'{"format": "hmi-marl traits 2"}', "is a damaged trait model card: it lacks reads"),
+        (b'{"format": "hmi-marl traits 2"}', "is no trait model .* 'hmi-marl traits 2'"),
+        (
+            card_bytes({"format": "hmi-marl traits 3"}),
+            "is a damaged trait model card: it lacks reads",
+        ),
+        (
+            b'{"format": "hmi-marl traits 3"}',
+            "is a damaged trait model card: it has no checksum; copy",
+        ),
     ],
     ids=str,
 )
