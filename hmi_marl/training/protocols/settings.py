@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import PolicyCard, make_card
+from hmi_marl.agents.learned.policy import INTENT, PolicyCard, make_card
 from hmi_marl.checks import (
     Checked,
     Count,
@@ -245,4 +245,7 @@ class TrainSettings(Checked, TeamSettings):
         knows = self.condition == "traits"
         moves = {"by_intent": by_intent, "sequential": self.sequential}
         card = make_card(seat, team, network, knows, **moves)
-        return card.reading(self.hmi_reads) if self.hmi_reads and seat == VEHICLE_AI else card
+        if seat != VEHICLE_AI or not self.hmi_reads:
+            return card
+        # A composite policy's vehicle AI has logits for each a^H in place of reading it.
+        return card.reading([n for n in self.hmi_reads if not (by_intent and n == INTENT)])
