@@ -86,3 +86,6 @@ USEFUL, FULLY_USEFUL = 0.5, 0.9
 
 MORE_CRASHES = 0.05
 """Minimum crash-rate increase over the two-stage driver reported as a difference."""
+SIGNALLING_GAIN = 0.75
+"""Least share of the way from the two-stage HMI to the optimum that sees attention that learning
+together closes, if drivers learn to signal."""

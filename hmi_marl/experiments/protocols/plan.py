@@ -1,107 +1,118 @@
-"""Plan a comparison of protocols at equal environment steps over several seeds, and play it.
-
-Every pair of driver and HMI plays the same seeded episodes on the batched world, with the driver
-of each drawn from the population.
-"""
+"""Plan a comparison of protocols: its tasks, arms and runs, their training, and who plays whom."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import permutations, product
+from itertools import product
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hmi_marl.checks import Checked, Count, OpenShare, Steps
-from hmi_marl.envs.config import Duration, TeamConfig, VehicleRange
+from hmi_marl.checks import Checked, Count, OpenShare, Steps, Weight
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, Duration, TeamConfig, VehicleRange
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
-from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
-from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import Seed, part_seed
-from hmi_marl.experiments.episodes import Episodes, play_named
+from hmi_marl.experiments.protocols.arms import (
+    ANCHORED,
+    AT_BUDGET,
+    AT_SHARE,
+    JOINT,
+    MAIN,
+    ROBUST,
+    SIMULTANEOUS,
+    TEAM_ALONE,
+    TWO_STAGE,
+    UNTOLD,
+    Arm,
+    PlannedRun,
+)
+from hmi_marl.experiments.protocols.tasks import TASKS, Task
 from hmi_marl.registry import unknown
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.protocols.settings import Budget, TrainSettings
-from hmi_marl.workers import results
+from hmi_marl.training.protocols.two_stage import TwoStage
 
-Protocol = str
-"""Name of a protocol or of a variant, as :func:`compared` lists them."""
-TWO_STAGE: Protocol = "two-stage"
-ALL_DRIVERS = "all"
-"""In place of a driver's name: all drivers of the population together."""
-QUICK = {"steps": 300_000, "seeds": 2, "episodes": 200, "num_teams": 128}
-"""Settings of a coarse comparison."""
-
-
-@dataclass(frozen=True)
-class PlannedRun:
-    """One training run."""
-
-    protocol: Protocol
-    number: int
-    """Number of the run among those of its protocol, 0 for the first."""
-    standing: bool = False
-    """Whether it is trained with ``end_at_crash=False``: a crashed car stands until the end."""
-
-    @property
-    def name(self) -> str:
-        """Name of the run and of its folder."""
-        return f"{self.protocol}-run{self.number}" + ("-standing" if self.standing else "")
+Shares = Mapping[str, float]
+"""Share of the driver's stage by arm, of one task."""
+_TUNING = 1_000_000
+"""Number of the first run that tries out a share: its seed is that of no run compared."""
+_OF_HMI = ("hmi_reads", "rnn_hidden_dim", "sequential")
+"""Settings of the vehicle AI's network, which a driver that learns alone goes without."""
+RULE = "rule"
+"""Driver policy that nobody has trained."""
 
 
 @dataclass(frozen=True)
 class Pair:
     """Driver and HMI that play together."""
 
+    task: str
     driver: str
     """Name of a run, or of a driver policy in the catalogue."""
     hmi: str
     """Name of a run, or of an HMI in the catalogue."""
     end_at_crash: bool = True
 
+    @property
+    def own(self) -> bool:
+        """Whether both are of one run."""
+        return self.driver == self.hmi
+
 
 @dataclass(frozen=True)
 class ComparisonSettings(Checked):
-    """Settings of a comparison of protocols: its runs, and the pairs that play.
+    """Settings of a comparison of protocols.
 
     Raises:
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
-    protocols: tuple[Protocol, ...] = field(default_factory=lambda: tuple(compared()))
+    tasks: tuple[str, ...] = ("seen", "hidden", "hidden-parallel")
+    """Tasks: seen, hidden (attention), hidden-parallel (both agents move at the same time), and on
+    request graded and fatigue (other alerts)."""
+    protocols: tuple[str, ...] = field(default_factory=lambda: tuple(compared()))
     """Protocols to compare; two-stage is the reference."""
-    steps: Steps = 3_000_000
-    """Environment steps of each run in all, rounded to batches, the same for every protocol."""
-    driver_share: OpenShare = 0.8
-    """Share of the steps in which the driver learns where the seats learn one after the other: of
-    two-stage, alternating and the stages of fine-tune."""
+    steps: Steps | None = None
+    """Environment steps of each run in all, rounded to batches, the same for every protocol. By
+    default 4 million with attention seen and 8 million with attention hidden."""
+    budgets: tuple[Steps, ...] = (1_000_000, 2_000_000, 4_000_000)
+    """Smaller budgets that two-stage, joint and simultaneous are trained with, too."""
+    seeds: Count = 10
+    """Runs of two-stage, joint and simultaneous."""
+    few_seeds: Count = 3
+    """Runs of the others, and of each budget and each anchor."""
+    seed: Seed = 0
+    """Seed of the first run of each arm; those of the others are mixed from it."""
+    driver_shares: tuple[OpenShare, ...] = (0.5, 0.25, 0.75)
+    """Shares of the steps in which the driver learns, where the seats learn one after the other. If
+    there are several, each protocol takes the best of them, by a run with half of the steps, and
+    tasks on which none is tried take the first."""
     rounds: Count = 4
     """Rounds of alternating."""
-    together_share: OpenShare = 0.5
-    """Share of the steps of fine-tune in which both learn, after its two stages."""
-    seeds: Count = 3
-    """Runs of each protocol."""
-    seed: Seed = 0
-    """Seed of the first run of each protocol; those of the others are mixed from it."""
-    episodes: Count = 1000
-    """Episodes that each pair of driver and HMI plays."""
-    drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
+    anchor_kls: tuple[Weight, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+    """Weights λ of the divergence from the two-stage driver, in human-regularised learning, with
+    attention hidden."""
+    partners: bool = True
+    """With attention hidden also train a driver that is not told its traits, and an HMI that learns
+    with a mixture of drivers."""
     reward: Literal["default", "team", "individual"] = "default"
     """Reward to learn from: each protocol's own (where the seats learn one after the other, the
     driver learns from driving and the HMI from the team's reward; where they learn together, both
-    from the team's), or one for all but two-stage. (Joint learns from the sum of both agents'
-    rewards.)"""
+    from the team's), or one for all but two-stage. With "default", two-stage is also trained with
+    the team's reward in both stages."""
     crash_check: bool = True
-    """Train every protocol also with end_at_crash=False, with the first seed, to see whether
-    crashing early pays."""
+    """Train every protocol also with end_at_crash=False, in the first task and with the first
+    seed, to see whether crashing early pays."""
+    snapshots: Count = 8
+    """Points of the learning curves at which the policies are played."""
+    episodes: Count = 1000
+    """Episodes that driver and HMI of one run play."""
+    cross_episodes: Count = 250
+    """Episodes of every other pair, and of every snapshot."""
+    drivers: tuple[str, ...] = PAPER_DRIVERS
+    """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     num_teams: Count = 512
     """Teams that train side by side."""
     duration: Duration = 20.0
@@ -110,243 +121,327 @@ class ComparisonSettings(Checked):
     """Least and most other vehicles."""
 
     def __post_init__(self) -> None:
-        _check_protocols(self.protocols)
+        _check_names("tasks", "task", self.tasks, TASKS)
+        _check_names("protocols", "protocol", self.protocols, compared())
         super().__post_init__()
         if not isinstance(self.drivers, tuple) or not self.drivers:
             raise ValueError(f"drivers is a tuple of at least one name, not {self.drivers!r}")
         names = Counter(get_driver(driver).name for driver in self.drivers)
         if names.total() > len(names):
             raise ValueError(f"drivers names {names.most_common(1)[0][0]!r} twice")
-        self.jobs(Path())  # checks the rest
+        for values, what in (
+            (self.budgets, "budgets"),
+            (self.anchor_kls, "anchor_kls"),
+            (self.driver_shares, "driver_shares"),
+        ):
+            if len(set(values)) < len(values):
+                raise ValueError(f"{what} names a value twice: {values}")
+        if not self.driver_shares:
+            raise ValueError("driver_shares is a tuple of at least one share")
+        for plan in self.plans():
+            plan.jobs(Path(), plan.runs)  # checks the rest
 
     @property
     def driver_names(self) -> tuple[str, ...]:
         """Names of the drivers."""
         return tuple(get_driver(driver).name for driver in self.drivers)
 
+    def plans(self, shares: Mapping[str, Shares] | None = None) -> tuple[TaskPlan, ...]:
+        """Return the plan of every task, with these shares of the driver's stage."""
+        given = shares or {}
+        return tuple(TaskPlan(self, task, given.get(task, {})) for task in self.tasks)
+
+
+@dataclass(frozen=True)
+class TaskPlan:
+    """Plan of one task: its arms, runs and pairs."""
+
+    settings: ComparisonSettings
+    name: str
+    shares: Shares = field(default_factory=dict)
+    """Shares of the driver's stage that were chosen; the first of the settings for the others."""
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return TASKS[self.name].value
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of a run, about."""
+        return self.settings.steps or self.task.steps
+
     def team(self, end_at_crash: bool = True) -> TeamConfig:
         """Settings of the teams of an evaluation."""
-        return TeamConfig(
-            driver=self.drivers,
-            duration=self.duration,
+        settings = self.settings
+        return self.task.team(
+            settings.drivers,
+            duration=settings.duration,
             end_at_crash=end_at_crash,
-            scene=Scene(vehicles=self.vehicles),
+            vehicles=settings.vehicles,
         )
 
     @property
-    def _batches(self) -> tuple[int, int]:
-        """Batches of the driver and of the HMI in each round of alternating; at least one each."""
-        wanted = self.steps / (self._batch * self.rounds)
-        shares = self.driver_share, 1.0 - self.driver_share
-        driver, hmi = (max(1, round(share * wanted)) for share in shares)
-        return driver, hmi
+    def protocols(self) -> tuple[str, ...]:
+        """Protocols that this task allows.
+
+        A composite policy chooses a^A by a^H_t, so it needs sequential moves; where a task says
+        which moves there are, variants of a protocol with other moves are left out.
+        """
+        wanted = self.settings.protocols
+        if not self.task.main:
+            wanted = tuple(name for name in wanted if name in MAIN)
+        if self.task.hidden:
+            wanted = tuple(name for name in wanted if "sequential" not in compared()[name][1])
+        if not self.task.sequential:
+            wanted = tuple(name for name in wanted if name != JOINT)
+        return wanted
 
     @property
-    def steps_apart(self) -> tuple[int, int]:
-        """Environment steps of the driver and of the HMI where they learn one after the other."""
-        driver, hmi = (count * self.rounds * self._batch for count in self._batches)
-        return driver, hmi
+    def _signals(self) -> bool:
+        """Whether this is the task in which anchors and other partners are compared."""
+        return self.task.hidden and self.task.sequential
 
     @property
-    def _batch(self) -> int:
-        """Environment steps of a batch."""
-        return self.num_teams * self.team().horizon
+    def arms(self) -> dict[str, Arm]:
+        """Arms by name."""
+        return {arm.name: arm for arm in self._arms()}
 
-    @property
-    def steps_each(self) -> int:
-        """Environment steps of every run, rounded to batches."""
-        return sum(self.steps_apart)
+    def _arms(self) -> Iterator[Arm]:
+        settings, few = self.settings, min(self.settings.few_seeds, self.settings.seeds)
+        for name in self.protocols:
+            seeds = settings.seeds if name in MAIN and self.task.main else few
+            yield Arm(name, name, self.steps, seeds, crossed=True)
+        for name, budget in product(self.protocols, settings.budgets):
+            if name in MAIN and budget < self.steps and self.task.main:
+                yield Arm(AT_BUDGET.format(name, budget), name, budget, few)
+        if TWO_STAGE not in self.protocols or not self.task.main:
+            return
+        if settings.reward == "default":
+            reward = {"driver_reward": "team"}
+            yield Arm(TEAM_ALONE, TWO_STAGE, self.steps, few, options=reward)
+        if self._signals and SIMULTANEOUS in self.protocols:
+            for weight in settings.anchor_kls:
+                name = ANCHORED.format(weight)
+                yield Arm(name, SIMULTANEOUS, self.steps, few, anchor_kl=weight)
+        if self._signals and settings.partners:
+            yield Arm(
+                UNTOLD, TWO_STAGE, self.steps, few, (DRIVER,), options={"condition": "hidden"}
+            )
+            drivers = (*(name for name in MAIN if name in self.protocols), UNTOLD, RULE)
+            yield Arm(ROBUST, TWO_STAGE, self.steps, few, (VEHICLE_AI,), partners=drivers)
 
-    @property
-    def main_runs(self) -> tuple[PlannedRun, ...]:
-        """Runs of every protocol with every seed."""
-        return tuple(
-            PlannedRun(protocol, k) for protocol in self.protocols for k in range(self.seeds)
+    def tuning_arms(self) -> list[Arm]:
+        """Arms that try out shares of the driver's stage, with half of the steps."""
+        shares = self.settings.driver_shares
+        if len(shares) < 2 or not self.task.main:
+            return []
+        steps = max(1, self.steps // 2)
+        return [
+            Arm(AT_SHARE.format(name, share), name, steps, 1, driver_share=share)
+            for name in self.protocols
+            if self._divides(name)
+            for share in shares
+        ]
+
+    def _divides(self, protocol: str) -> bool:
+        """Whether a protocol divides its steps among the seats."""
+        kind, variant = compared()[protocol]
+        shared = {**self.task.options, **variant, "num_teams": self.settings.num_teams}
+        unit = self.settings.rounds * self.settings.num_teams * self.team().horizon
+        one, other = (
+            kind.for_comparison(Budget(k * unit, (5 - k) * unit, self.settings.rounds), **shared)
+            for k in (1, 4)
         )
+        return one != other
+
+    @property
+    def tuning_runs(self) -> tuple[PlannedRun, ...]:
+        """Runs that try out shares, with a seed that no other run has."""
+        return tuple(PlannedRun(self.name, arm.name, _TUNING) for arm in self.tuning_arms())
+
+    def runs_of(self, arm: str) -> tuple[PlannedRun, ...]:
+        """Runs of an arm, in the order of their seeds."""
+        return tuple(PlannedRun(self.name, arm, k) for k in range(self.arms[arm].seeds))
 
     @property
     def standing_runs(self) -> tuple[PlannedRun, ...]:
         """Runs in which a crash does not end the episode."""
-        wanted = self.protocols if self.crash_check else ()
-        return tuple(PlannedRun(protocol, 0, standing=True) for protocol in wanted)
+        wanted = self.settings.crash_check and self.name == self.settings.tasks[0]
+        names = self.protocols if wanted else ()
+        return tuple(PlannedRun(self.name, name, 0, standing=True) for name in names)
 
     @property
     def runs(self) -> tuple[PlannedRun, ...]:
-        """All runs."""
-        return self.main_runs + self.standing_runs
+        """All runs but those that try out shares."""
+        main = (run for arm in self.arms for run in self.runs_of(arm))
+        return (*main, *self.standing_runs)
 
-    def jobs(self, folder: Path) -> list[Job]:
-        """Training of all runs, a folder for each."""
-        return [Job(self._training(run), folder / run.name) for run in self.runs]
+    def waves(self) -> list[list[PlannedRun]]:
+        """Runs in the order of training: each wave needs those before it.
 
-    def _training(self, run: PlannedRun) -> TrainSettings:
-        driver_steps, hmi_steps = self.steps_apart
-        reward = None if self.reward == "default" else self.reward
+        Within a wave runs of the first seeds come first, so that whatever has been trained when
+        it is cut off can be compared.
+        """
+        arms = self.arms
+        last = max(arm.wave for arm in arms.values())
+        runs = sorted(self.runs, key=lambda run: run.number)
+        return [[run for run in runs if arms[run.arm].wave == wave] for wave in range(last + 1)]
+
+    def jobs(self, folder: Path, runs: Sequence[PlannedRun]) -> list[Job]:
+        """Training of these runs, in the folder of the comparison."""
+        return [Job(self.training(run, folder), run.folder(folder)) for run in runs]
+
+    def training(self, run: PlannedRun, folder: Path) -> TrainSettings:
+        """Settings of a run's training."""
+        settings = self.settings
+        arms = self.arms | {arm.name: arm for arm in self.tuning_arms()}
+        arm = arms[run.arm]
+        protocol, variant = compared()[arm.protocol]
         shared: dict[str, Any] = {
-            "drivers": self.drivers,
-            "seed": int(part_seed(self.seed, run.number)),
+            **self.task.options,
+            "drivers": settings.drivers,
+            "seed": int(part_seed(settings.seed, run.number)),
             "end_at_crash": not run.standing,
-            "num_teams": self.num_teams,
-            "duration": self.duration,
-            "vehicles": self.vehicles,
+            "num_teams": settings.num_teams,
+            "duration": settings.duration,
+            "vehicles": settings.vehicles,
+            "snapshots": settings.snapshots if arm.crossed else 0,
+            **variant,
+            **arm.options,
         }
-        protocol, variant = compared()[run.protocol]
-        apart = driver_steps, hmi_steps, self.rounds
-        budget = Budget(*apart, reward, self.together_share, self._batch)
-        return protocol.for_comparison(budget, **shared, **variant)
+        budget = self.budget(arm)
+        if arm.seats == (DRIVER,):
+            alone = {name: value for name, value in shared.items() if name not in _OF_HMI}
+            return TwoStage(driver_steps=budget.driver_steps, hmi_steps=0, **alone)
+        if arm.seats == (VEHICLE_AI,):
+            names = (self._partner(name, run.number, folder) for name in arm.partners)
+            mixture = "mixture:" + ",".join(names)
+            return TwoStage(driver_policy=mixture, hmi_steps=budget.steps, **shared)
+        if arm.anchor_kl is not None:
+            shared["anchor"] = self._partner(TWO_STAGE, run.number, folder)
+            shared["anchor_kl"] = arm.anchor_kl
+        return protocol.for_comparison(budget, **shared)
 
-    def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
-        """Reward terms that the driver learns from."""
-        return self._training(PlannedRun(protocol, 0)).driver_terms
+    def _partner(self, name: str, number: int, folder: Path) -> str:
+        """Policy of an arm's run of this number; names of the catalogue stay as they are."""
+        known = name in self.arms
+        return str(PlannedRun(self.name, name, number).folder(folder)) if known else name
+
+    def budget(self, arm: Arm) -> Budget:
+        """Environment steps of an arm, in whole batches."""
+        settings = self.settings
+        share = arm.driver_share or self.shares.get(arm.protocol, settings.driver_shares[0])
+        batch = settings.num_teams * self.team().horizon
+        reward = None if settings.reward == "default" else settings.reward
+        whole = arm.steps / (batch * settings.rounds)
+        driver, hmi = (max(1, round(part * whole)) for part in (share, 1.0 - share))
+        unit = settings.rounds * batch
+        return Budget(driver * unit, hmi * unit, settings.rounds, reward, batch=batch)
 
     def pairs(self) -> list[Pair]:
-        """List every pair that plays, each once."""
-        by_number = [[run for run in self.main_runs if run.number == k] for k in range(self.seeds)]
-        wanted = [Pair(a.name, b.name) for same in by_number for a, b in product(same, same)]
-        for protocol in self.protocols:
-            own = [run for run in self.main_runs if run.protocol == protocol]
-            wanted += [Pair(a.name, b.name) for a, b in permutations(own, 2)]
+        """List every pair that plays, each once: those of one run first."""
+        arms = self.arms
+        own = [run for name, arm in arms.items() if arm.whole for run in self.runs_of(name)]
+        wanted = [self._pair(run, run) for run in own]
+        wanted += [pair for pair in self.crossed() if not pair.own]
         for pairs in self.baselines().values():
             wanted += pairs
         for run in self.standing_runs:
-            wanted += [Pair(run.name, run.name, ends) for ends in (True, False)]
+            wanted += [replace(self._pair(run, run), end_at_crash=ends) for ends in (True, False)]
         return list(dict.fromkeys(wanted))
+
+    def crossed(self) -> list[Pair]:
+        """List pairs of crossed arms, by number and with the next number, and with partners.
+
+        Run k's driver plays with the HMIs of run k and of run k + 1 of every crossed arm, so that
+        conventions of one seed and of one protocol are told apart at a cost that does not grow with
+        the square of the seeds.
+        """
+        arms = self.arms
+        wanted = []
+        for one, other in product(arms.values(), repeat=2):
+            if self._meets(one, other):
+                count = min(one.seeds, other.seeds)
+                for k, step in product(range(count), (0, 1)):
+                    theirs = PlannedRun(self.name, other.name, (k + step) % count)
+                    wanted.append(self._pair(PlannedRun(self.name, one.name, k), theirs))
+        for arm in arms.values():
+            if self._signals and VEHICLE_AI in arm.seats and (arm.crossed or not arm.whole):
+                wanted += [Pair(self.name, RULE, run.name) for run in self.runs_of(arm.name)]
+        return list(dict.fromkeys(wanted))
+
+    @staticmethod
+    def _meets(one: Arm, other: Arm) -> bool:
+        """Whether drivers of one arm play with HMIs of another."""
+        if DRIVER not in one.seats or VEHICLE_AI not in other.seats:
+            return False
+        both = [arm.crossed or not arm.whole for arm in (one, other)]
+        anchored = TWO_STAGE in (one.name, other.name) and (
+            one.anchor_kl is not None or other.anchor_kl is not None
+        )
+        return all(both) or anchored
 
     def baselines(self) -> dict[str, list[Pair]]:
         """List pairs of known policies, and the two-stage driver with known HMIs, by label.
 
         "when-distracted" is the exact alert optimum for all of the paper's drivers.
         """
-        hmis = "never", "when-distracted"
-        known = {f"rule, {hmi}": [Pair("rule", hmi)] for hmi in hmis}
-        learned = [run.name for run in self.main_runs if run.protocol == TWO_STAGE]
-        if learned:
-            known |= {f"{TWO_STAGE}, {hmi}": [Pair(name, hmi) for name in learned] for hmi in hmis}
+        hmis = ["never"] if self.task.hidden else ["never", "when-distracted"]
+        known = {f"{RULE}, {hmi}": [Pair(self.name, RULE, hmi)] for hmi in hmis}
+        if TWO_STAGE in self.protocols:
+            learned = [run.name for run in self.runs_of(TWO_STAGE)]
+            known |= {
+                f"{TWO_STAGE}, {hmi}": [Pair(self.name, name, hmi) for name in learned]
+                for hmi in hmis
+            }
         return known
 
-    def coarse(self) -> Self:
-        """Return the same comparison with the sizes of ``QUICK``.
+    def driver_terms(self, protocol: str) -> tuple[str, ...]:
+        """Reward terms that the driver of a protocol learns from."""
+        return self.training(PlannedRun(self.name, protocol, 0), Path()).driver_terms
 
-        Raises:
-            ValueError: one of these sizes was chosen.
-        """
-        default = type(self)()
-        chosen = [name for name in QUICK if getattr(self, name) != getattr(default, name)]
-        if chosen:
-            raise ValueError(f"--quick sets {', '.join(chosen)} itself; leave out one or the other")
-        return replace(self, **QUICK)  # type: ignore[arg-type]
+    def _pair(self, driver: PlannedRun, hmi: PlannedRun) -> Pair:
+        return Pair(self.name, driver.name, hmi.name)
 
 
-def _check_protocols(protocols: Sequence[str]) -> None:
-    known = ", ".join(compared())
-    if isinstance(protocols, str) or not protocols:
-        raise ValueError(f"protocols is a tuple of at least one of {known}; got {protocols!r}")
-    for name, times in Counter(protocols).items():
-        if name not in compared():
-            raise ValueError(unknown("protocol", name, compared(), "hmi-marl compare --help"))
-        if times > 1:
-            raise ValueError(f"protocols names {name!r} twice")
+def coarse(settings: ComparisonSettings) -> ComparisonSettings:
+    """Return a small comparison, with attention hidden, of the same seed.
 
-
-@dataclass(frozen=True)
-class Sums:
-    """Sums over some episodes."""
-
-    episodes: int
-    crashes: int
-    steps: int
-    minutes: float
-    """Minutes of driving."""
-    alerts: int
-    time_headway: float
-    """Mean over episodes of the median while a vehicle is ahead [s]; NaN if there was none."""
-    terms: dict[str, float]
-    """Sum of each reward term."""
-
-    @classmethod
-    def of(cls, episodes: Episodes, which: NDArray[np.bool_], frequency: float) -> Sums:
-        """Sum up the marked episodes."""
-        headways = episodes.median_time_headway[which]
-        headways = headways[np.isfinite(headways)]
-        steps = int(episodes.length[which].sum())
-        return cls(
-            episodes=int(which.sum()),
-            crashes=int(episodes.crashed[which].sum()),
-            steps=steps,
-            minutes=steps / frequency / 60.0,
-            alerts=int(episodes.alerts[which].sum()),
-            time_headway=float(headways.mean()) if len(headways) else math.nan,
-            terms={name: float(values[which].sum()) for name, values in episodes.returns.items()},
-        )
-
-    @classmethod
-    def join(cls, several: Iterable[Sums]) -> Sums:
-        """Join one or more sums into one."""
-        parts = list(several)
-        known = [p for p in parts if math.isfinite(p.time_headway)]
-        headways, weights = [p.time_headway for p in known], [p.episodes for p in known]
-        counts = ("episodes", "crashes", "steps", "minutes", "alerts")
-        return cls(
-            **{name: sum(getattr(part, name) for part in parts) for name in counts},
-            time_headway=float(np.average(headways, weights=weights)) if known else math.nan,
-            terms={name: sum(part.terms[name] for part in parts) for name in parts[0].terms},
-        )
-
-    def per_episode(self, names: Sequence[str] = TERMS) -> float:
-        """Return the mean return of an episode, of these terms together."""
-        return _ratio(sum(self.terms[name] for name in names), self.episodes)
-
-    def per_step(self, names: Sequence[str] = TERMS) -> float:
-        """Return the mean reward of a step."""
-        return _ratio(sum(self.terms[name] for name in names), self.steps)
-
-    def metrics(self) -> dict[str, float]:
-        """Return every metric by name; NaN where there were no episodes."""
-        return {
-            "team_return": self.per_episode(),
-            **{name: self.per_episode([name]) for name in TERMS},
-            "attention_return": self.per_episode(ATTENTION_TERMS),
-            "team_return_per_step": self.per_step(),
-            "crash_rate": _ratio(self.crashes, self.episodes),
-            "alerts_per_minute": _ratio(self.alerts, self.minutes),
-            "length": _ratio(self.steps, self.episodes),
-            "time_headway": self.time_headway,
-        }
-
-
-def _ratio(amount: float, count: float) -> float:
-    return amount / count if count else math.nan
-
-
-Played = Mapping[Pair, Mapping[str, Sums]]
-"""Sums of every pair's episodes, by the driver's name and for ``ALL_DRIVERS``."""
-
-
-def play_pair(settings: ComparisonSettings, folder: Path, pair: Pair) -> dict[str, Sums]:
-    """Play a pair's episodes; sum them up for each driver and for ``ALL_DRIVERS``."""
-    team = settings.team(pair.end_at_crash)
-    runs = {run.name for run in settings.runs}
-    driver, hmi = (str(folder / name) if name in runs else name for name in (pair.driver, pair.hmi))
-    episodes = play_named(team, driver, hmi, settings.episodes)
-    drawn = team.population.draw(episodes.seeds).as_array()
-    add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
-    sums = {ALL_DRIVERS: add(np.ones(settings.episodes, np.bool_))}
-    for name in settings.drivers:
-        known = get_driver(name)
-        sums[known.name] = add((drawn == np.array(known.traits)).all(axis=1))
-    return sums
-
-
-def play_all(
-    settings: ComparisonSettings, folder: Path, workers: int, progress: Callable[[int], object] = id
-) -> Played:
-    """Play every pair of the runs in ``folder``; the result does not depend on ``workers``.
-
-    ``progress`` is called with the number of episodes that have just finished.
+    Raises:
+        ValueError: one of its sizes was chosen.
     """
-    pairs, play_one = settings.pairs(), partial(play_pair, settings, folder)
-    played: dict[Pair, Mapping[str, Sums]] = {}
-    for pair, sums in zip(pairs, results(play_one, pairs, workers), strict=True):
-        played[pair] = sums
-        progress(settings.episodes)
-    return played
+    default = ComparisonSettings()
+    chosen = [name for name in QUICK if getattr(settings, name) != getattr(default, name)]
+    if chosen:
+        raise ValueError(f"--quick sets {', '.join(chosen)} itself; leave out one or the other")
+    return replace(settings, **QUICK)
+
+
+QUICK: dict[str, Any] = {
+    "tasks": ("hidden",),
+    "protocols": MAIN,
+    "steps": 2_000_000,
+    "budgets": (),
+    "seeds": 2,
+    "few_seeds": 1,
+    "driver_shares": (0.5,),
+    "anchor_kls": (0.1,),
+    "partners": False,
+    "crash_check": False,
+    "snapshots": 4,
+    "episodes": 200,
+    "cross_episodes": 100,
+}
+"""Sizes of a small comparison."""
+
+
+def _check_names(field: str, kind: str, names: Sequence[str], known: Any) -> None:
+    listed = ", ".join(known)
+    if isinstance(names, str) or not names:
+        raise ValueError(f"{field} is a tuple of at least one of {listed}; got {names!r}")
+    for name, times in Counter(names).items():
+        if name not in known:
+            raise ValueError(unknown(kind, name, known, "hmi-marl compare --help"))
+        if times > 1:
+            raise ValueError(f"{field} names {name!r} twice")

@@ -1,0 +1,109 @@
+"""JSON content of a comparison, from which all of its tables can be made again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hmi_marl.experiments.protocols.arms import TWO_STAGE
+from hmi_marl.experiments.protocols.cross_play import cross_play, dependence_of
+from hmi_marl.experiments.protocols.findings import differences, sweep
+from hmi_marl.experiments.protocols.gaming import gaming_of, worst_finding
+from hmi_marl.experiments.protocols.plan import Pair
+from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
+from hmi_marl.experiments.protocols.results import (
+    Comparison,
+    TaskResults,
+    attention,
+    bits,
+    divergence,
+    hiding,
+    optimum,
+    revealing,
+    shortfall,
+)
+from hmi_marl.experiments.protocols.tables import given_up
+from hmi_marl.files import json_value
+
+
+def content_of(comparison: Comparison) -> dict[str, Any]:
+    """All results by task, and the comparisons between protocols."""
+    return {
+        "workers": comparison.workers,
+        "differences": json_value(differences(comparison)),
+        "driver_shares": json_value(comparison.shares),
+        "driver_shares_tried": json_value(comparison.tried),
+        "tasks": {name: _task(results) for name, results in comparison.tasks.items()},
+    }
+
+
+def _task(results: TaskResults) -> dict[str, Any]:
+    gaming = gaming_of(results) if results.plan.standing_runs else []
+    protocols = results.plan.protocols
+    return {
+        "arms": {arm.name: _arm(results, arm.name) for arm in results.whole_arms()},
+        "sweep": json_value(sweep(results)),
+        "cross_play": json_value(cross_play(results)),
+        "dependence": json_value(dependence_of(results)),
+        "gaming": json_value(gaming),
+        "findings": {name: worst_finding(gaming, name) for name in protocols if gaming},
+        "average_hmi": json_value(
+            results.over_runs(list(results.average_hmi.values()), "attention_return")
+        ),
+        "training": {
+            name: {
+                "steps": training.steps,
+                "gradient_steps": training.gradient_steps,
+                "seconds": training.seconds,
+            }
+            for name, training in results.training.items()
+        },
+        "curves": {
+            name: [{"steps": steps} | sums.metrics() for steps, sums in points]
+            for name, points in results.curves.items()
+        },
+        "pairs": [_pair(pair, played) for pair, played in results.played.items()],
+    }
+
+
+def _arm(results: TaskResults, arm: str) -> dict[str, Any]:
+    pairs = results.own(arm)
+    values = {"attention_return": attention, "optimum": optimum, "hmi_shortfall": shortfall}
+    if results.plan.task.hidden:
+        values["cost_of_hiding"] = hiding
+    values |= {"revealing": revealing, "bits": bits, "divergence": divergence}
+    metrics = results.played[pairs[0]].sums[ALL_DRIVERS].metrics()
+    content = {
+        "score": results.score(pairs).as_json(),
+        "scores_by_run_and_driver": results.scores(pairs).tolist(),
+        "over_runs": {name: results.over_runs(pairs, name).as_json() for name in metrics},
+        "mean_over_drivers": {
+            name: results.mean_of(pairs, value).as_json() for name, value in values.items()
+        },
+        "crash_rate_pooled": json_value(results.crash_rate(pairs)),
+    }
+    if TWO_STAGE in results.plan.protocols:
+        content["given_up_in_driving"] = given_up(results, arm).as_json()
+    return content
+
+
+def _pair(pair: Pair, played: Played) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "driver": pair.driver,
+        "hmi": pair.hmi,
+        "end_at_crash": pair.end_at_crash,
+        "by_driver": {name: _sums(sums) for name, sums in played.sums.items()},
+        "references": json_value(played.references),
+    }
+    if played.signals:
+        content["signals"] = {
+            name: {"revealing": signal.share.mean, "bits": signal.bits.mean}
+            for name, signal in played.signals.items()
+        }
+    if played.divergence:
+        content["divergence"] = dict(played.divergence)
+    return content
+
+
+def _sums(sums: Sums) -> dict[str, Any]:
+    counted = {name: getattr(sums, name) for name in ("episodes", "crashes", "steps", "alerts")}
+    return counted | dict(json_value(sums.metrics()))

@@ -1,0 +1,245 @@
+"""Play the pairs of a comparison, and sum up their episodes by driver.
+
+All pairs of a task play the same seeded episodes on the batched world, with the driver of each
+drawn from the population.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.agents.rollout import Observer
+from hmi_marl.envs.config import DRIVER, TeamConfig
+from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
+from hmi_marl.envs.teaming import Teaming
+from hmi_marl.experiments.episodes import Episodes, driven_by, evaluation_seeds, play_episodes
+from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun
+from hmi_marl.experiments.protocols.plan import Pair, TaskPlan
+from hmi_marl.experiments.protocols.snapshots import Point, points_of
+from hmi_marl.experiments.references import References, references
+from hmi_marl.experiments.signalling import SignalCounter, Signalling
+from hmi_marl.workers import results
+
+ALL_DRIVERS = "all"
+"""In place of a driver's name: all drivers of the population together."""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums over some episodes."""
+
+    episodes: int
+    crashes: int
+    steps: int
+    minutes: float
+    """Minutes of driving."""
+    alerts: int
+    time_headway: float
+    """Mean over episodes of the median while a vehicle is ahead [s]; NaN if there was none."""
+    terms: dict[str, float]
+    """Sum of each reward term."""
+
+    @classmethod
+    def of(cls, episodes: Episodes, which: NDArray[np.bool_], frequency: float) -> Sums:
+        """Sum up the marked episodes."""
+        headways = episodes.median_time_headway[which]
+        headways = headways[np.isfinite(headways)]
+        steps = int(episodes.length[which].sum())
+        return cls(
+            episodes=int(which.sum()),
+            crashes=int(episodes.crashed[which].sum()),
+            steps=steps,
+            minutes=steps / frequency / 60.0,
+            alerts=int(episodes.alerts[which].sum()),
+            time_headway=float(headways.mean()) if len(headways) else math.nan,
+            terms={name: float(values[which].sum()) for name, values in episodes.returns.items()},
+        )
+
+    @classmethod
+    def join(cls, several: Iterable[Sums]) -> Sums:
+        """Join one or more sums into one."""
+        parts = list(several)
+        known = [p for p in parts if math.isfinite(p.time_headway)]
+        headways, weights = [p.time_headway for p in known], [p.episodes for p in known]
+        counts = ("episodes", "crashes", "steps", "minutes", "alerts")
+        return cls(
+            **{name: sum(getattr(part, name) for part in parts) for name in counts},
+            time_headway=float(np.average(headways, weights=weights)) if known else math.nan,
+            terms={name: sum(part.terms[name] for part in parts) for name in parts[0].terms},
+        )
+
+    def per_episode(self, names: Sequence[str] = TERMS) -> float:
+        """Return the mean return of an episode, of these terms together."""
+        return _ratio(sum(self.terms[name] for name in names), self.episodes)
+
+    def per_step(self, names: Sequence[str] = TERMS) -> float:
+        """Return the mean reward of a step."""
+        return _ratio(sum(self.terms[name] for name in names), self.steps)
+
+    def metrics(self) -> dict[str, float]:
+        """Return every metric by name; NaN where there were no episodes."""
+        return {
+            "team_return": self.per_episode(),
+            **{name: self.per_episode([name]) for name in TERMS},
+            "attention_return": self.per_episode(ATTENTION_TERMS),
+            "driving_return": self.per_episode(DRIVING_TERMS),
+            "team_return_per_step": self.per_step(),
+            "crash_rate": _ratio(self.crashes, self.episodes),
+            "alerts_per_minute": _ratio(self.alerts, self.minutes),
+            "length": _ratio(self.steps, self.episodes),
+            "time_headway": self.time_headway,
+        }
+
+
+def _ratio(amount: float, count: float) -> float:
+    return amount / count if count else math.nan
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a pair's episodes came to."""
+
+    sums: Mapping[str, Sums]
+    """By driver, and for ``ALL_DRIVERS``."""
+    references: Mapping[str, References]
+    """Exact returns over as many steps, by driver."""
+    signals: Mapping[str, Signalling]
+    """By driver; only of pairs of one run."""
+    divergence: Mapping[str, float]
+    """Divergence of the driver from the two-stage driver of the same number [nats per step], by
+    driver; only of pairs of one run, where there is one."""
+
+
+Results = Mapping[Pair, Played]
+
+
+class Divergence(Observer):
+    """Average KL(driver ‖ natural driver) over the steps of N episodes, on the driver's own way.
+
+    Both are taken with the probabilities that they learned with, though they play the likeliest
+    action.
+    """
+
+    def __init__(self, driver: LearnedPolicy, natural: LearnedPolicy) -> None:
+        self._driver, self._natural = driver, natural
+        self._sum: NDArray[np.float64] | float = 0.0
+        self._steps: NDArray[np.int64] | int = 0
+
+    def before(self, teaming: Teaming) -> None:
+        """Add the divergence of the action that comes."""
+        seen = teaming.observe(DRIVER)
+        ours, theirs = self._driver.probabilities(seen), self._natural.probabilities(seen)
+        apart = (ours * (_log(ours) - _log(theirs))).sum(axis=1)
+        self._sum = self._sum + np.where(teaming.over, 0.0, apart)
+        self._steps = self._steps + ~teaming.over
+
+    def mean(self, which: NDArray[np.bool_]) -> float:
+        """Return the mean over the steps of the marked episodes [nats]."""
+        steps = np.asarray(self._steps)[which].sum()
+        return _ratio(float(np.asarray(self._sum)[which].sum()), float(steps))
+
+
+def _log(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.log(np.maximum(probability, np.finfo(np.float64).tiny))
+
+
+def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
+    """Play a pair's episodes; sum them up for each driver and for ``ALL_DRIVERS``."""
+    team = plan.team(pair.end_at_crash)
+    driver, hmi = (_place(plan, folder, name) for name in (pair.driver, pair.hmi))
+    count = plan.settings.episodes if pair.own else plan.settings.cross_episodes
+    seats = make_driver_policy(driver, team), make_hmi(hmi, team, plan.task.sequential)
+    counter = SignalCounter()
+    divergence = _divergence(plan, folder, pair, team, seats[0]) if pair.own else None
+    observers = [each for each in (counter, divergence) if each is not None]
+    seeds = evaluation_seeds(count)
+    episodes = play_episodes(team, *seats, seeds, "batched", observers=observers)
+    drawn = driven_by(team, seeds)
+    signals = counter.by_driver(team, seeds)
+    add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
+    shares = {name: signal.share.mean for name, signal in signals.items()}
+    return Played(
+        {ALL_DRIVERS: add(np.ones(count, np.bool_))}
+        | {n: add(which) for n, which in drawn.items()},
+        references(team, episodes, shares),
+        signals if pair.own else {},
+        {} if divergence is None else {n: divergence.mean(which) for n, which in drawn.items()},
+    )
+
+
+def _divergence(
+    plan: TaskPlan, folder: Path, pair: Pair, team: TeamConfig, driver: Any
+) -> Divergence | None:
+    """Observer of the divergence from the two-stage driver of the same number, if there is one."""
+    number = next((run.number for run in plan.runs if run.name == pair.driver), None)
+    arm = plan.arms.get(TWO_STAGE)
+    if number is None or arm is None or number >= arm.seeds:
+        return None
+    natural = PlannedRun(plan.name, TWO_STAGE, number).folder(folder)
+    policies = driver, make_driver_policy(str(natural), team)
+    if not all(isinstance(policy, LearnedPolicy) for policy in policies):
+        return None
+    return Divergence(*policies)
+
+
+def _place(plan: TaskPlan, folder: Path, name: str) -> str:
+    """Policy of a run by its folder; names of the catalogue stay as they are."""
+    return str(folder / name) if name.startswith(f"{plan.name}/") else name
+
+
+def play_all(
+    plan: TaskPlan,
+    pairs: Sequence[Pair],
+    folder: Path,
+    workers: int,
+    progress: Callable[[int], object] = id,
+) -> dict[Pair, Played]:
+    """Play pairs of the runs in ``folder``; the result does not depend on ``workers``.
+
+    ``progress`` is called with the number of pairs that have just finished.
+    """
+    played = {}
+    play_one = partial(play_pair, plan, folder)
+    for pair, result in zip(pairs, results(play_one, pairs, workers), strict=True):
+        played[pair] = result
+        progress(1)
+    return played
+
+
+def play_point(plan: TaskPlan, folder: Path, point: Point) -> Sums:
+    """Play a run's policies as they were at a point of its learning curve."""
+    team = plan.team()
+    driver = make_driver_policy(point.driver, team)
+    hmi = make_hmi(point.hmi, team, plan.task.sequential)
+    count = plan.settings.cross_episodes
+    episodes = play_episodes(team, driver, hmi, evaluation_seeds(count), "batched")
+    return Sums.of(episodes, np.ones(count, np.bool_), team.scene.policy_frequency)
+
+
+def play_curves(
+    plan: TaskPlan,
+    runs: Sequence[PlannedRun],
+    folder: Path,
+    workers: int,
+    progress: Callable[[int], object] = id,
+) -> dict[str, list[tuple[int, Sums]]]:
+    """Play the snapshots of runs; environment steps and sums of each point, by the run's name."""
+    points = {run.name: points_of(run.folder(folder), plan.settings.snapshots) for run in runs}
+    tasks = [point for each in points.values() for point in each]
+    played: dict[Point, Sums] = {}
+    for point, sums in zip(
+        tasks, results(partial(play_point, plan, folder), tasks, workers), strict=True
+    ):
+        played[point] = sums
+        progress(1)
+    return {name: [(p.steps, played[p]) for p in each] for name, each in points.items()}

@@ -1,0 +1,209 @@
+"""Results of a comparison, and the numbers of an arm: over its runs, and by driver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hmi_marl.experiments.protocols.arms import Arm, PlannedRun
+from hmi_marl.experiments.protocols.plan import (
+    ComparisonSettings,
+    Pair,
+    Shares,
+    TaskPlan,
+)
+from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
+from hmi_marl.reporting import statistics
+from hmi_marl.reporting.many_runs import over_runs
+from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.training.protocols.settings import TEAM, TrainSettings
+from hmi_marl.training.runs.folder import read_curve
+
+UNKNOWN = Estimate(math.nan, math.nan, math.nan)
+_NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
+SCORES = ("score",)
+
+
+@dataclass(frozen=True)
+class Training:
+    """Costs of one run, and its learning curve."""
+
+    steps: int
+    """Environment steps."""
+    gradient_steps: int
+    """Steps of an optimiser, of all that learn."""
+    seconds: float
+    """Wall time of training, interruptions left out."""
+    rows: Sequence[Mapping[str, Any]]
+    """Rows of the learning curve."""
+
+    @classmethod
+    def of(cls, settings: TrainSettings, folder: Path) -> Training:
+        """Read it from the folder of a finished run."""
+        rows = read_curve(folder)
+        last = rows[-1]
+        return cls(int(last["steps"]), gradient_steps(settings), float(last["seconds"]), rows)
+
+
+def gradient_steps(settings: TrainSettings) -> int:
+    """Count the gradient steps of a run: those of both learners where two learn at once."""
+    each = settings.ppo.num_learning_epochs * settings.ppo.num_mini_batches
+    return sum(
+        phase.iterations(settings.num_teams)
+        * each
+        * (2 if phase.seat == TEAM and not phase.joint else 1)
+        for phase in settings.phases()
+    )
+
+
+@dataclass(frozen=True)
+class TaskResults:
+    """Results of one task."""
+
+    plan: TaskPlan
+    played: Mapping[Pair, Played]
+    training: Mapping[str, Training]
+    """By the run's name."""
+    curves: Mapping[str, Sequence[tuple[int, Sums]]] = field(default_factory=dict)
+    """Environment steps and sums of the snapshots of each run, by its name."""
+    average_hmi: Mapping[str, Pair] = field(default_factory=dict)
+    """Pairs of a two-stage run's driver, by its name, with the HMI for the average driver."""
+
+    def own(self, arm: str) -> list[Pair]:
+        """Pairs of the driver and the HMI of each run of an arm."""
+        return [Pair(self.plan.name, run.name, run.name) for run in self.plan.runs_of(arm)]
+
+    def whole_arms(self) -> list[Arm]:
+        """Arms that fill both seats."""
+        return [arm for arm in self.plan.arms.values() if arm.whole]
+
+    def over_runs(self, pairs: Sequence[Pair], metric: str) -> Estimate:
+        """Average a metric over runs, with Student's t interval: each run's mean is one value."""
+        lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf
+        return statistics.mean(self.values(pairs, metric), lowest)
+
+    def values(self, pairs: Sequence[Pair], metric: str) -> list[float]:
+        """Values of a metric, one for each pair, all drivers together."""
+        return [self.played[pair].sums[ALL_DRIVERS].metrics()[metric] for pair in pairs]
+
+    def by_driver(
+        self, pairs: Sequence[Pair], value: Callable[[Played, str], float]
+    ) -> NDArray[np.float64]:
+        """Values of pairs by driver, shape (pairs, drivers)."""
+        names = self.plan.settings.driver_names
+        return np.array([[value(self.played[pair], name) for name in names] for pair in pairs])
+
+    def scores(self, pairs: Sequence[Pair]) -> NDArray[np.float64]:
+        """Normalised scores of pairs by driver, shape (pairs, drivers).
+
+        Attention returns, 0 without alerts and 1 for the optimum that sees attention, both exact
+        and over episodes of the same lengths.
+        """
+        return self.by_driver(pairs, score)
+
+    def score(self, pairs: Sequence[Pair]) -> Estimate:
+        """Interquartile mean of the normalised scores, with its bootstrap interval over runs."""
+        return over_runs(self.scores(pairs))
+
+    def mean_of(
+        self,
+        pairs: Sequence[Pair],
+        value: Callable[[Played, str], float],
+        lowest: float = -math.inf,
+    ) -> Estimate:
+        """Average a value over drivers, and over runs with Student's t interval."""
+        return statistics.mean(self.by_driver(pairs, value).mean(axis=1), lowest)
+
+    def pooled(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Sums:
+        """Join the episodes of several pairs."""
+        return Sums.join(self.played[pair].sums[driver] for pair in pairs)
+
+    def crash_rate(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Estimate:
+        """Share of the pairs' episodes that crash, with Wilson's interval; NaN without any."""
+        return crash_rate(self.pooled(pairs, driver))
+
+    def seconds(self, arm: str) -> Estimate:
+        """Wall time of an arm's runs [s]."""
+        spent = [self.training[run.name].seconds for run in self.plan.runs_of(arm)]
+        return statistics.mean(spent, lowest=0.0)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Results of a comparison."""
+
+    settings: ComparisonSettings
+    tasks: Mapping[str, TaskResults]
+    shares: Mapping[str, Shares] = field(default_factory=dict)
+    """Shares of the driver's stage that were chosen, by task and protocol."""
+    tried: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Team returns of the runs that tried shares out, by task and arm."""
+    workers: int = 1
+    """Runs that were trained side by side."""
+
+
+def attention(played: Played, driver: str) -> float:
+    """Attention return per episode of one driver."""
+    return played.sums[driver].metrics()["attention_return"]
+
+
+def driving(played: Played, driver: str) -> float:
+    """Driving return per episode of one driver."""
+    return played.sums[driver].metrics()["driving_return"]
+
+
+def score(played: Played, driver: str) -> float:
+    """Normalised attention return of one driver; see :meth:`TaskResults.scores`."""
+    known = played.references[driver]
+    return (attention(played, driver) - known.none) / (known.optimum - known.none)
+
+
+def optimum(played: Played, driver: str) -> float:
+    """Exact optimum that sees attention, over episodes as long as those that were played."""
+    return played.references[driver].optimum
+
+
+def filtered(played: Played, driver: str) -> float:
+    """Exact return of the Bayes filter that knows this driver's traits and share of signals."""
+    return played.references[driver].filter
+
+
+def hiding(played: Played, driver: str) -> float:
+    """What it costs that attention is hidden: optimum that sees it minus Bayes filter."""
+    return optimum(played, driver) - filtered(played, driver)
+
+
+def shortfall(played: Played, driver: str) -> float:
+    """What the HMI itself gives up: the best there is for this driver minus what it earns."""
+    return filtered(played, driver) - attention(played, driver)
+
+
+def revealing(played: Played, driver: str) -> float:
+    """Share of steps in which a^H reveals d."""
+    return played.signals[driver].share.mean
+
+
+def bits(played: Played, driver: str) -> float:
+    """Information about d in each step [bits]."""
+    return played.signals[driver].bits.mean
+
+
+def divergence(played: Played, driver: str) -> float:
+    """Divergence of the driver from the natural one [nats per step]."""
+    return played.divergence.get(driver, math.nan)
+
+
+def crash_rate(sums: Sums) -> Estimate:
+    """Return the share of episodes that crash, with Wilson's interval; NaN without episodes."""
+    return statistics.share(sums.crashes, sums.episodes) if sums.episodes else UNKNOWN
+
+
+def runs_by_number(plan: TaskPlan, arm: str) -> dict[int, PlannedRun]:
+    """Runs of an arm by their number."""
+    return {run.number: run for run in plan.runs_of(arm)}

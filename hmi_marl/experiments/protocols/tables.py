@@ -1,0 +1,337 @@
+"""Tables of a comparison."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from hmi_marl.experiments import criteria
+from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
+from hmi_marl.experiments.protocols.cross_play import (
+    Dependence,
+    cell_of,
+    dependence_of,
+    drivers_of,
+    hmis_of,
+)
+from hmi_marl.experiments.protocols.findings import Compared, SweepPoint, sweep
+from hmi_marl.experiments.protocols.gaming import Gaming, gaming_of
+from hmi_marl.experiments.protocols.results import (
+    Comparison,
+    TaskResults,
+    attention,
+    bits,
+    divergence,
+    driving,
+    hiding,
+    optimum,
+    revealing,
+    shortfall,
+)
+from hmi_marl.experiments.signalling import SITUATIONS
+from hmi_marl.reporting import statistics
+from hmi_marl.reporting.blocks import Table
+from hmi_marl.reporting.many_runs import probability_of_improvement
+from hmi_marl.reporting.statistics import Estimate, number
+
+
+def summary_table(results: TaskResults) -> Table:
+    """Show the protocols, and known policies beside them."""
+    metrics = {
+        "team return": ("team_return", "z.1f"),
+        "attention return": ("attention_return", "z.1f"),
+        "driving return": ("driving_return", "z.1f"),
+        "alerts/min": ("alerts_per_minute", "z.1f"),
+        "steps": ("length", "z.1f"),
+    }
+    groups = {arm.name: results.own(arm.name) for arm in results.whole_arms()}
+    rows = []
+    for label, pairs in (groups | results.plan.baselines()).items():
+        shown = [results.over_runs(pairs, name).shown(form) for name, form in metrics.values()]
+        crashes = results.crash_rate(pairs).percent()
+        score = results.score(pairs).shown(".3f")
+        rows.append([label, f"{len(pairs)}", score, *shown, crashes])
+    settings = results.plan.settings
+    note = (
+        f"Likeliest actions, {settings.episodes} episodes for driver and HMI of one run, the same "
+        "for all. score: attention return, 0 without alerts and 1 for the optimum that sees "
+        "attention, both exact and over as many steps; interquartile mean over runs and drivers, "
+        "with the bootstrap interval over runs. Other brackets: Student's t interval over runs "
+        "(95 %). Crashes: all episodes together, Wilson's interval."
+    )
+    head = ["driver and HMI", "runs", "score", *metrics, "crashes [%]"]
+    return Table(f"{results.plan.name}: results", head, rows, note)
+
+
+def cost_table(results: TaskResults, workers: int) -> Table:
+    """Show what each arm's runs cost."""
+    rows = []
+    for arm in results.plan.arms.values():
+        runs = [results.training[run.name] for run in results.plan.runs_of(arm.name)]
+        spent, one = results.seconds(arm.name), runs[0]
+        rows.append(
+            [
+                arm.name,
+                f"{one.steps:,}",
+                f"{one.gradient_steps:,}",
+                spent.shown(),
+                f"{one.steps / spent.mean:,.0f}",
+                _stages(results, arm),
+            ]
+        )
+    head = ["arm", "environment steps", "gradient steps", "seconds of a run", "steps/s", "driver's"]
+    note = (
+        f"Seconds: training alone, {workers} at a time. Gradient steps count both learners where "
+        "two learn at once. driver's: share of the steps in which the driver learns alone."
+    )
+    return Table(f"{results.plan.name}: costs", head, rows, note)
+
+
+def _stages(results: TaskResults, arm: Arm) -> str:
+    budget = results.plan.budget(arm)
+    share = results.plan.shares.get(arm.protocol)
+    if share is None:
+        return "-"
+    return f"{budget.driver_steps / budget.steps:.2f}"
+
+
+def tuning_table(comparison: Comparison) -> Table:
+    """Show the shares of the driver's stage that were tried."""
+    rows = [
+        [task, arm, f"{value:.1f}"]
+        for task, tried in comparison.tried.items()
+        for arm, value in tried.items()
+    ]
+    note = (
+        "Half of the steps, one run each with a seed of its own; the share with the highest team "
+        "return is taken."
+    )
+    head = ["task", "protocol and share", "team return"]
+    return Table("Shares of the driver's stage that were tried", head, rows, note)
+
+
+def difference_table(changes: Sequence[Compared]) -> Table:
+    """Show each protocol minus two-stage."""
+    columns: dict[str, Callable[[Compared], str]] = {
+        "task": lambda row: row.task,
+        "protocol": lambda row: row.protocol,
+        "metric": lambda row: row.metric.replace("_", " "),
+        f"minus {TWO_STAGE}": lambda row: row.difference.estimate.shown("+z.1f"),
+        "runs": lambda row: f"{row.difference.pairs}",
+        "p": lambda row: number(row.difference.p, ".4f"),
+        "differs": lambda row: {True: "yes", False: "no", None: "-"}[row.difference.differs],
+    }
+    note = (
+        f"Paired by seed, per episode. All {len(changes)} comparisons are corrected for their "
+        "number: intervals by Bonferroni (all hold together with 95 %), p of the paired t test by "
+        "Holm."
+    )
+    return Table.of(f"Protocols minus {TWO_STAGE}", changes, columns, note)
+
+
+def improvement_table(results: TaskResults) -> Table:
+    """Show the probability that a run of each protocol scores more than one of two-stage."""
+    theirs = results.scores(results.own(TWO_STAGE))
+    rows = [
+        [name, probability_of_improvement(results.scores(results.own(name)), theirs).shown(".2f")]
+        for name in results.plan.protocols
+        if name != TWO_STAGE
+    ]
+    note = "Scores of two runs drawn at random, mean over drivers; bootstrap interval over runs."
+    head = ["protocol", f"probability to score more than {TWO_STAGE}"]
+    return Table(f"{results.plan.name}: probability of improvement", head, rows, note)
+
+
+def regret_table(results: TaskResults) -> Table:
+    """Show what is missing to the optimum, and on whose side."""
+    natural = results.own(TWO_STAGE) if TWO_STAGE in results.plan.protocols else []
+    rows = []
+    for arm in results.whole_arms():
+        pairs = results.own(arm.name)
+        rows.append(
+            [
+                arm.name,
+                results.mean_of(pairs, optimum).shown(),
+                results.mean_of(pairs, attention).shown(),
+                results.mean_of(pairs, hiding).shown() if results.plan.task.hidden else "-",
+                results.mean_of(pairs, shortfall).shown("z.1f"),
+                given_up(results, arm.name).shown("+z.1f") if natural else "-",
+            ]
+        )
+    note = (
+        "Per episode, mean over drivers. optimum: exact, sees attention, over as many steps. "
+        "hiding: optimum minus the Bayes filter that knows the driver's traits and how often its "
+        "actions reveal d (exact if steps reveal it independently). HMI: that filter (with "
+        "attention seen, the optimum) minus what the HMI earns. driver: driving return of the "
+        "two-stage pair of the same seed minus this one's, what the driver gives up in driving."
+    )
+    head = ["arm", "optimum", "attention return", "hiding", "HMI", "driver"]
+    return Table(f"{results.plan.name}: regret by cause", head, rows, note)
+
+
+def given_up(results: TaskResults, arm: str) -> Estimate:
+    """Driving return that the driver gives up against the two-stage driver, paired by seed."""
+    ours = results.by_driver(results.own(arm), driving).mean(axis=1)
+    theirs = results.by_driver(results.own(TWO_STAGE), driving).mean(axis=1)
+    count = min(len(ours), len(theirs))
+    return statistics.mean(theirs[:count] - ours[:count])
+
+
+def signal_table(results: TaskResults) -> Table:
+    """Show how often drivers reveal d, and how much the HMI learns by it."""
+    names = results.plan.settings.driver_names
+    rows = []
+    for arm in results.whole_arms():
+        pairs = results.own(arm.name)
+        by_driver = results.by_driver(pairs, revealing).mean(axis=0)
+        rows.append(
+            [
+                arm.name,
+                results.mean_of(pairs, revealing, 0.0).percent(),
+                results.mean_of(pairs, bits, 0.0).shown(".3f"),
+                results.mean_of(pairs, divergence, 0.0).shown(".3f"),
+                *(f"{100 * share:.0f}" for share in by_driver),
+            ]
+        )
+    note = (
+        "revealing: steps in which a^H differs from the last applied action, so that the car shows "
+        "whether the driver is distracted. bits: information about d_t in a^H_t and v_t beyond all "
+        "before, exact. divergence: KL(driver || two-stage driver of the same seed), nats per step."
+    )
+    head = ["arm", "revealing [%]", "bits per step", "divergence"]
+    return Table(f"{results.plan.name}: signals", [*head, *(f"{n} [%]" for n in names)], rows, note)
+
+
+def situation_table(results: TaskResults) -> Table:
+    """Show where drivers reveal d: in two-stage and in simultaneous learning."""
+    arms = [name for name in (TWO_STAGE, SIMULTANEOUS) if name in results.plan.protocols]
+    rows = []
+    for group, labels in SITUATIONS.items():
+        for label in labels:
+            shares = []
+            for arm in arms:
+                found = [
+                    each.by_situation[group][label]
+                    for pair in results.own(arm)
+                    for each in results.played[pair].signals.values()
+                ]
+                steps = sum(int(signals.steps.sum()) for signals in found)
+                shown = sum(int(signals.revealing.sum()) for signals in found)
+                shares.append(f"{100 * shown / steps:.1f}" if steps else "-")
+            rows.append([group, label, *shares])
+    head = ["situation", "", *(f"{name} [%]" for name in arms)]
+    note = "Share of the steps in that situation in which a^H reveals d; all runs and drivers."
+    return Table(f"{results.plan.name}: signals by situation", head, rows, note)
+
+
+def cross_table(results: TaskResults) -> Table:
+    """Show the attention return of every arm's drivers with every arm's HMIs."""
+    hmis = hmis_of(results)
+    rows = []
+    for driver in drivers_of(results):
+        cells = [cell_of(results, driver, hmi) for hmi in hmis]
+        rows.append(
+            [driver, *(f"{c.same_seed.shown('z.0f')}\n{c.next_seed.shown('z.0f')}" for c in cells)]
+        )
+    note = (
+        f"Attention return per episode ({results.plan.settings.cross_episodes} episodes, of one "
+        f"run's own pair {results.plan.settings.episodes}); above: runs of the same seed, below: "
+        "the driver's run with the HMI of the next seed. Intervals over runs."
+    )
+    head = ["driver of", *(f"HMI of {name}" for name in hmis)]
+    return Table(f"{results.plan.name}: every driver with every HMI", head, rows, note)
+
+
+def dependence_table(results: TaskResults) -> Table:
+    """Show how much partners depend on each other."""
+    rows = dependence_of(results)
+    names = [row.arm for row in rows]
+    columns: dict[str, Callable[[Dependence], str]] = {"arm": lambda row: row.arm}
+    for name in names:
+        columns[f"with {name}"] = lambda row, name=name: (  # type: ignore[misc]
+            row.on_seed if name == row.arm else row.on_protocol[name]
+        ).shown("+z.1f")
+    note = (
+        "Own minus swapped pairs, ½ [M(a,a) + M(b,b)] - ½ [M(a,b) + M(b,a)], with M the attention "
+        "return of a's driver with b's HMI: 0 if partners could be exchanged freely. On the "
+        "diagonal: with the next run of the same arm."
+    )
+    return Table.of(
+        f"{results.plan.name}: how much partners depend on each other", rows, columns, note
+    )
+
+
+def sweep_table(results: TaskResults) -> Table:
+    """Show the sweep over λ."""
+    columns: dict[str, Callable[[SweepPoint], str]] = {
+        "λ": lambda row: "∞ (two-stage)" if math.isinf(row.weight) else f"{row.weight:g}",
+        "divergence": lambda row: row.divergence.shown(".3f"),
+        "attention return": lambda row: row.attention_return.shown(),
+        "team return": lambda row: row.team_return.shown(),
+        "score": lambda row: row.score.shown(".3f"),
+    }
+    note = (
+        "Simultaneous learning with λ KL(driver || two-stage driver of the same seed) in the "
+        "driver's loss; 0 is the free driver. divergence: nats per step, on the driver's own way."
+    )
+    return Table.of(
+        f"{results.plan.name}: drivers held close to the natural one", sweep(results), columns, note
+    )
+
+
+def budget_table(results: TaskResults) -> Table:
+    """Show returns at every budget."""
+    rows = []
+    budgeted = [arm for arm in results.whole_arms() if arm.anchor_kl is None]
+    for arm in sorted(budgeted, key=lambda arm: (arm.protocol, arm.steps)):
+        pairs = results.own(arm.name)
+        training = results.training[results.plan.runs_of(arm.name)[0].name]
+        rows.append(
+            [
+                arm.protocol if arm.name.startswith(f"{arm.protocol}-budget") else arm.name,
+                f"{training.steps:,}",
+                f"{training.gradient_steps:,}",
+                f"{len(pairs)}",
+                results.over_runs(pairs, "attention_return").shown(),
+                results.over_runs(pairs, "team_return").shown(),
+            ]
+        )
+    head = [
+        "protocol",
+        "environment steps",
+        "gradient steps",
+        "runs",
+        "attention return",
+        "team return",
+    ]
+    note = "Each budget is a training of its own, with its own schedules, not a snapshot."
+    return Table(f"{results.plan.name}: returns by budget", head, rows, note)
+
+
+def gaming_table(results: TaskResults) -> Table:
+    """Show crash rates with and without an end at the crash, and whether crashing pays."""
+    note = (
+        "Crashes: a crash ends the episode, in training and now. Trained standing: one run trained "
+        "with end_at_crash=False, where a crashed car stands until the time is over (whether it "
+        "crashes does not depend on what would follow, so the rate is that of both settings); "
+        "return, stands: its team return in that setting. worth of a step: mean reward of a step "
+        "that the driver learns from, without the collision term; where it is negative, ending "
+        "early pays. GAMED: crashes more often than two-stage's (intervals more than "
+        f"{criteria.MORE_CRASHES:g} apart) and a step's worth is negative; crashes more: only the "
+        "former; fine: neither. The two-stage driver learns from driving alone and is the "
+        "reference, a mild one if it has not learned long enough."
+    )
+    columns: dict[str, Callable[[Gaming], str]] = {
+        "protocol": lambda row: row.protocol,
+        "driver": lambda row: row.driver,
+        "crashes [%]": lambda row: row.crash_rate.percent(),
+        "two-stage's [%]": lambda row: row.two_stage_crash_rate.percent(),
+        "team return": lambda row: number(row.team_return, "z.1f"),
+        "per step": lambda row: number(row.team_return_per_step, "z.2f"),
+        "worth of a step": lambda row: number(row.worth_of_a_step, "+z.2f"),
+        "trained standing [%]": lambda row: row.crash_rate_if_trained_standing.percent(),
+        "return, stands": lambda row: number(row.team_return_standing, "z.1f"),
+        "finding": lambda row: row.finding,
+    }
+    title = f"{results.plan.name}: does crashing pay?"
+    return Table.of(title, gaming_of(results), columns, note)

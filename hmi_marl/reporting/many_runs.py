@@ -1,0 +1,194 @@
+"""Statistics over several training runs: aggregates, profiles, paired differences, corrections.
+
+Scores have shape (runs, drivers): each run's policies play with every driver. **The unit is a
+run**: what a run scores with its drivers comes from the same weights, so a bootstrap draws whole
+runs, and each resample has every driver equally often (strata). Interquartile means, performance
+profiles and the probability of improvement are those of Agarwal et al., "Deep reinforcement
+learning at the edge of the statistical precipice" (2021).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.reporting.statistics import CONFIDENCE, Estimate
+
+RESAMPLES = 2000
+"""Resamples of a bootstrap. They are drawn from a fixed seed, so a report can be repeated."""
+_SEED = 0
+Statistic = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Function of scores (..., runs, drivers), of shape (...)."""
+
+
+def interquartile_mean(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of the middle half of scores (..., runs, drivers), over runs and drivers together."""
+    from scipy import stats
+
+    together = scores.reshape(*scores.shape[:-2], -1)
+    return np.asarray(stats.trim_mean(together, 0.25, axis=-1))
+
+
+def over_runs(
+    scores: ArrayLike, statistic: Statistic = interquartile_mean, confidence: float = CONFIDENCE
+) -> Estimate:
+    """Estimate a statistic of scores (runs, drivers) with its percentile bootstrap interval.
+
+    One run has no interval.
+
+    Raises:
+        ValueError: another shape, no scores, or scores that are not finite.
+    """
+    return _resampled([checked(scores)], lambda parts: statistic(parts[0]), confidence)
+
+
+def probability_of_improvement(scores: ArrayLike, others: ArrayLike) -> Estimate:
+    """Probability that a run of one kind scores higher than one of another, mean over drivers.
+
+    Equal scores count half. Both kinds are resampled, each by itself. Shapes (runs, drivers) and
+    (other runs, drivers).
+
+    Raises:
+        ValueError: as :func:`over_runs`, or different numbers of drivers.
+    """
+    ours, theirs = checked(scores), checked(others)
+    if ours.shape[1] != theirs.shape[1]:
+        raise ValueError(f"scores with {ours.shape[1]} and with {theirs.shape[1]} drivers")
+
+    def improvement(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        apart = parts[0][..., :, None, :] - parts[1][..., None, :, :]
+        return (0.5 * (1.0 + np.sign(apart))).mean(axis=(-3, -2, -1))
+
+    return _resampled([ours, theirs], improvement, CONFIDENCE)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Share of runs and drivers that score more than a threshold. Arrays have shape (T,)."""
+
+    thresholds: NDArray[np.float64]
+    share: NDArray[np.float64]
+    low: NDArray[np.float64]
+    """Lower end of the bootstrap interval of each share; NaN with one run."""
+    high: NDArray[np.float64]
+
+
+def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Profile:
+    """Return the performance profile of scores (runs, drivers) at thresholds (T,).
+
+    Raises:
+        ValueError: as :func:`over_runs`.
+    """
+    values, places = checked(scores), np.asarray(thresholds, np.float64)
+    above = [
+        over_runs((values > place).astype(np.float64), lambda part: part.mean(axis=(-2, -1)))
+        for place in places
+    ]
+    share, low, high = np.array([[e.mean, e.low, e.high] for e in above]).T
+    return Profile(places, share, low, high)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Difference of two kinds of runs, paired by seed."""
+
+    pairs: int
+    """Seeds that both have."""
+    estimate: Estimate
+    """Mean difference and Student's t interval, as wide as the number of comparisons asks for."""
+    p: float
+    """p of the paired t test, corrected by Holm's method; NaN with fewer than two pairs."""
+
+    @property
+    def differs(self) -> bool | None:
+        """Whether they differ, after correction; None where that cannot be said."""
+        return None if math.isnan(self.p) else self.p < 1.0 - CONFIDENCE
+
+
+def paired_differences(
+    pairs: Sequence[tuple[ArrayLike, ArrayLike]], comparisons: int | None = None
+) -> list[Difference]:
+    """Compare pairs of kinds of runs, with one value for each seed, corrected for their number.
+
+    Args:
+        pairs: values of both, shape (seeds,) each, of which the first min(seeds) are paired.
+        comparisons: comparisons that are made in all; those given here by default. Intervals are
+            Bonferroni's, so all of them hold together with 95 %.
+
+    Raises:
+        ValueError: fewer comparisons than pairs.
+    """
+    from scipy import stats
+
+    count = len(pairs) if comparisons is None else comparisons
+    if count < len(pairs):
+        raise ValueError(f"{len(pairs)} pairs are more than {count} comparisons")
+    apart = [_apart(*pair) for pair in pairs]
+    level = 1.0 - (1.0 - CONFIDENCE) / max(1, count)
+    raw, estimates = [], []
+    for values in apart:
+        middle = float(values.mean()) if len(values) else math.nan
+        if len(values) < 2:
+            estimates.append(Estimate(middle, math.nan, math.nan))
+            raw.append(math.nan)
+            continue
+        error = float(values.std(ddof=1)) / math.sqrt(len(values))
+        half = float(stats.t.ppf((1.0 + level) / 2.0, len(values) - 1)) * error
+        estimates.append(Estimate(middle, middle - half, middle + half))
+        t = abs(middle) / error if error else (math.inf if middle else 0.0)
+        raw.append(2.0 * float(stats.t.sf(t, len(values) - 1)))
+    return [
+        Difference(len(values), estimate, p)
+        for values, estimate, p in zip(apart, estimates, holm(raw, count), strict=True)
+    ]
+
+
+def holm(p_values: Sequence[float], comparisons: int | None = None) -> list[float]:
+    """Correct p values for their number by Holm's step-down method; NaN stays NaN."""
+    count = len(p_values) if comparisons is None else comparisons
+    corrected, highest = [math.nan] * len(p_values), 0.0
+    known = sorted((p, place) for place, p in enumerate(p_values) if not math.isnan(p))
+    for rank, (p, place) in enumerate(known):
+        highest = max(highest, min(1.0, p * (count - rank)))
+        corrected[place] = highest
+    return corrected
+
+
+def checked(scores: ArrayLike) -> NDArray[np.float64]:
+    """Return scores as an array (runs, drivers).
+
+    Raises:
+        ValueError: another shape, no scores, or scores that are not finite.
+    """
+    values = np.asarray(scores, np.float64)
+    if values.ndim != 2 or values.size == 0:
+        raise ValueError(f"scores have shape (runs, drivers), not {values.shape}")
+    if not np.isfinite(values).all():
+        raise ValueError("scores are finite everywhere")
+    return values
+
+
+def _apart(ours: ArrayLike, theirs: ArrayLike) -> NDArray[np.float64]:
+    one, other = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
+    count = min(len(one), len(other))
+    return one[:count] - other[:count]
+
+
+def _resampled(
+    parts: Sequence[NDArray[np.float64]],
+    statistic: Callable[[Sequence[NDArray[np.float64]]], NDArray[np.float64]],
+    confidence: float,
+) -> Estimate:
+    """Estimate a statistic of one or more kinds of runs, each of which is resampled by itself."""
+    found = float(statistic(parts))
+    if min(len(part) for part in parts) < 2:
+        return Estimate(found, math.nan, math.nan)
+    rng = np.random.default_rng(_SEED)
+    drawn = [part[rng.integers(len(part), size=(RESAMPLES, len(part)))] for part in parts]
+    tail = (1.0 - confidence) / 2.0
+    low, high = np.quantile(statistic(drawn), [tail, 1.0 - tail])
+    return Estimate(found, float(low), float(high))
