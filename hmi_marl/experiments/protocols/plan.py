@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal
@@ -202,7 +203,7 @@ class TaskPlan:
         """Whether this is the task in which anchors and other partners are compared."""
         return self.task.hidden and self.task.sequential
 
-    @property
+    @cached_property
     def arms(self) -> dict[str, Arm]:
         """Arms by name."""
         return {arm.name: arm for arm in self._arms()}
@@ -255,6 +256,10 @@ class TaskPlan:
         )
         return one != other
 
+    @cached_property
+    def _tried(self) -> dict[str, Arm]:
+        return {arm.name: arm for arm in self.tuning_arms()}
+
     @property
     def tuning_runs(self) -> tuple[PlannedRun, ...]:
         """Runs that try out shares, with a seed that no other run has."""
@@ -295,8 +300,7 @@ class TaskPlan:
     def training(self, run: PlannedRun, folder: Path) -> TrainSettings:
         """Settings of a run's training."""
         settings = self.settings
-        arms = self.arms | {arm.name: arm for arm in self.tuning_arms()}
-        arm = arms[run.arm]
+        arm = self.arms.get(run.arm) or self._tried[run.arm]
         protocol, variant = compared()[arm.protocol]
         shared: dict[str, Any] = {
             **self.task.options,
@@ -334,10 +338,10 @@ class TaskPlan:
         share = arm.driver_share or self.shares.get(arm.protocol, settings.driver_shares[0])
         batch = settings.num_teams * self.team().horizon
         reward = None if settings.reward == "default" else settings.reward
-        whole = arm.steps / (batch * settings.rounds)
-        driver, hmi = (max(1, round(part * whole)) for part in (share, 1.0 - share))
         unit = settings.rounds * batch
-        return Budget(driver * unit, hmi * unit, settings.rounds, reward, batch=batch)
+        whole = max(2, round(arm.steps / unit))  # the same for every share
+        driver = min(max(1, round(share * whole)), whole - 1)
+        return Budget(driver * unit, (whole - driver) * unit, settings.rounds, reward, batch=batch)
 
     def pairs(self) -> list[Pair]:
         """List every pair that plays, each once: those of one run first."""
