@@ -11,9 +11,9 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.streams import Stream, uniform
-from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.exact.bayes_filter import BayesFilter
 from hmi_marl.exact.evidence import ChainEvidence
+from hmi_marl.exact.signalling import reveals
 
 
 class Memoryless:
@@ -94,7 +94,7 @@ class AttentionWatch:
         """Return whether the step will reveal d, since a^H_t differs from v_{t-1}; shape (N,)."""
         applied = self._layout.chosen(observations, "applied_action")
         intended = self._layout.chosen(observations, "intended_action")
-        return (applied != NO_ACTION) & (intended != applied)
+        return reveals(intended, applied)
 
 
 def step_of(time: NDArray[np.float32], horizon: int) -> NDArray[np.int64]:

@@ -120,7 +120,9 @@ class BayesFilter:
         if not ((chosen[acts] >= 0) & (chosen[acts] <= 1 + _ROUNDING)).all():
             raise ValueError("the probability of an intent lies in [0, 1]")
         accepted, counter = next_acceptance(self.accepted, self.counter, alerts, self.window)
-        predicted, attentive = self._predict(accepted)
+        predicted, attentive = predict(
+            self.distracted, self._attentive, accepted[:, None], self._traits
+        )
         is_first = (self._applied == NO_ACTION)[:, None]
         is_kept = (self._applied == applied)[:, None].astype(np.float64)
         with_distracted = predicted * np.where(is_first, chosen, is_kept)
@@ -143,15 +145,25 @@ class BayesFilter:
         """p(k | all v seen so far), shape (N, K); see :func:`posterior`."""
         return posterior(self.log_evidence, prior)
 
-    def _predict(
-        self, accepted: NDArray[np.int64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """p_k(d_t = 1) and p_k(d_t = 0) before v_t is seen, (N, K) each, from i_t (N,)."""
-        traits = self._traits.beta, self._traits.alpha, self._traits.eta
-        becomes, stays = (distraction_probability(d, accepted[:, None], *traits) for d in (0, 1))
-        distracted = self.distracted * stays + self._attentive * becomes
-        attentive = self.distracted * (1.0 - stays) + self._attentive * (1.0 - becomes)
-        return distracted, attentive
+
+def predict(
+    distracted: NDArray[np.float64],
+    attentive: NDArray[np.float64],
+    helped: ArrayLike,
+    traits: Driver | Traits,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """p(d_t = 1) and p(d_t = 0) before v_t is seen, from p(d_{t-1}). Shapes broadcast.
+
+    Args:
+        distracted, attentive: p(d_{t-1} = 1) and p(d_{t-1} = 0), which sum to 1. Each is given, so
+            that both stay exact to their last digits.
+        helped: share of η that helps: i_t with the paper's alerts, else see :meth:`Alerts.help`.
+        traits: of the drivers; with :class:`Traits` of shape (K,), on the last axis.
+    """
+    numbers = traits.beta, traits.alpha, traits.eta
+    becomes, stays = (distraction_probability(d, helped, *numbers) for d in (0, 1))
+    now_distracted = distracted * stays + attentive * becomes
+    return now_distracted, distracted * (1.0 - stays) + attentive * (1.0 - becomes)
 
 
 def posterior(

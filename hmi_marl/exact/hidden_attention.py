@@ -15,8 +15,10 @@ revealing steps; it is solved here on a grid of beliefs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,9 @@ from hmi_marl.checks import SHARE
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import RewardWeights
+from hmi_marl.exact import bayes_filter
 from hmi_marl.exact.oracle import check_horizon, check_size
+from hmi_marl.exact.signalling import entropy
 
 DEFAULT_REVEALING = 0.3
 GRID = 201
@@ -89,10 +93,7 @@ def predict(
     belief: NDArray[np.float64], accepted: NDArray[np.int64], driver: Driver
 ) -> NDArray[np.float64]:
     """p(d_t = 1) before v_t is seen, from b = p(d_{t-1} = 1) and i_t. Shapes broadcast."""
-    traits = driver.beta, driver.alpha, driver.eta
-    stays = distraction_probability(1, accepted, *traits)
-    becomes = distraction_probability(0, accepted, *traits)
-    return belief * stays + (1.0 - belief) * becomes
+    return bayes_filter.predict(belief, 1.0 - belief, accepted, driver)[0]
 
 
 def solve_belief(
@@ -198,39 +199,130 @@ class _Consequence:
         return self.reward + (1 - self.distracted) * attentive + self.distracted * distracted
 
 
-def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeights) -> float:
-    r"""Exact attention return of a rule with any driver, also another than the rule assumes.
+@dataclass(frozen=True)
+class RuleOutcome:
+    """Exact expectations of each step of an episode with a rule on the belief."""
+
+    rewards: NDArray[np.float64]
+    """Attention reward, shape (horizon,)."""
+    information: NDArray[np.float64]
+    """Information about d that a^H and v give to who knows the driver's traits [bits], shape
+    (horizon,)."""
+
+    @property
+    def total_return(self) -> float:
+        """Attention return of an episode that runs its whole time."""
+        return float(self.rewards.sum())
+
+    @property
+    def bits(self) -> float:
+        """Information in each step after the first [bits]."""
+        return float(self.information[1:].mean()) if len(self.information) > 1 else 0.0
+
+    def return_after(self, steps: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Attention return of the first ``steps`` steps, 0 to the horizon, of any shape."""
+        return np.concatenate(([0.0], np.cumsum(self.rewards)))[steps]
+
+
+class _Paths(NamedTuple):
+    """Paths from P last revelations of d, or from the start, on which d was not revealed again.
+
+    Arrays have shape (P,). On a path nothing that the rule sees is random.
+    """
+
+    mass: NDArray[np.float64]
+    """Probability of the path."""
+    assumed: NDArray[np.float64]
+    """Belief of the rule."""
+    true: NDArray[np.float64]
+    """p(d = 1) of the driver."""
+    accepted: NDArray[np.int64]
+    counter: NDArray[np.int64]
+
+    def after(
+        self, rule: BeliefSolution, t: int, reveals: bool, driver: Driver, weights: RewardWeights
+    ) -> _Consequence:
+        """Consequences of the rule's alerts in step t, which reveals d or does not."""
+        here = np.full(self.mass.shape, t), np.full(self.mass.shape, reveals)
+        alert = rule.alert(*here, self.assumed, self.accepted, self.counter)
+        known = self.true, self.accepted, self.counter
+        return _Consequence.of(alert, *known, driver, rule.window, weights)
+
+    @classmethod
+    def from_revelation(cls, mass: NDArray[np.float64], now: _Consequence, window: int) -> _Paths:
+        """Begin a path in each (d, i, c) that a step with these consequences may reveal."""
+        places = now.accepted * window + now.counter
+        parts = [
+            np.bincount(places, mass * p, minlength=2 * window)
+            for p in (1.0 - now.distracted, now.distracted)
+        ]
+        d, i, c = (each.ravel() for each in np.indices((2, 2, window)))
+        return cls(np.concatenate(parts), d.astype(np.float64), d.astype(np.float64), i, c)
+
+    def join(self, others: _Paths) -> _Paths:
+        """Put two sets of paths together, without those that are impossible."""
+        mass, *rest = (np.concatenate(pair) for pair in zip(self, others, strict=True))
+        return _Paths(mass[mass > 0], *(each[mass > 0] for each in rest))
+
+
+def follow_rule(rule: BeliefSolution, driver: str | Driver, weights: RewardWeights) -> RuleOutcome:
+    """Exact outcome of a rule with any driver, also another than the rule assumes.
 
     Between two steps that reveal d the rule sees nothing random, so that its belief, its alerts, i
-    and c follow one path from each (t, d, i, c), and so does p(d) of the driver. With W_t(d, i, c)
-    the return from step t on, when d_{t-1} has just been revealed,
-
-    .. math::
-        W_t = E \sum_{u = t}^{v} r_u + W_{v + 1}(d_v, i_v, c_v)
-
-    over the next step v that reveals, which is known when alerting in it. All steps reveal with the
-    share that the rule assumes, but for the first.
+    and c follow one path from each step and (d, i, c) in which d was revealed, and so does p(d) of
+    the driver. All paths are followed side by side, each with its probability. All steps but the
+    first reveal d with the share that the rule assumes.
 
     Args:
-        rule: of :func:`solve_belief`, with sequential moves.
+        rule: of :func:`solve_belief`.
         driver, weights: of the episode.
     """
-    driver, window, horizon = get_driver(driver), rule.window, rule.horizon
-    d, i, c = np.indices((2, 2, window))
-    later = np.zeros((horizon + 1, 2, 2, window))  # W[t, d, i, c]
-    for t in reversed(range(horizon)):
-        assumed = true = d.astype(np.float64)
-        accepted, counter, reach = i, c, np.ones(d.shape)
-        for u in range(t, horizon):
-            share = rule.revealing if u > 0 else 0.0
-            for reveals, chance in ((1, share), (0, 1.0 - share)):
-                shown = np.full(d.shape, reveals == 1)
-                alert = rule.alert(np.full(d.shape, u), shown, assumed, accepted, counter)
-                after = _Consequence.of(alert, true, accepted, counter, driver, window, weights)
-                value = after.value_if_revealed(later[u + 1]) if reveals else after.reward
-                later[t] += reach * chance * value
-            accepted, counter, true = after.accepted, after.counter, after.distracted
-            assumed, reach = predict(assumed, accepted, rule.driver), reach * (1.0 - share)
-            if not reach.any():
-                break
-    return float(later[0, 0, 0, 0])
+    driver = get_driver(driver)
+    rewards, information = np.zeros((2, rule.horizon))
+    nothing, none = np.zeros(1), np.zeros(1, np.int64)
+    paths = _Paths(np.ones(1), nothing, nothing, none, none)
+    for t in range(rule.horizon):
+        share = rule.revealing if t > 0 else 0.0
+        silent, revealed = (paths.after(rule, t, m, driver, weights) for m in (False, True))
+        rewards[t] = paths.mass @ ((1.0 - share) * silent.reward + share * revealed.reward)
+        information[t] = share * (paths.mass @ entropy(revealed.distracted))
+        assumed = predict(paths.assumed, silent.accepted, rule.driver)
+        state = silent.distracted, silent.accepted, silent.counter
+        paths = _Paths((1.0 - share) * paths.mass, assumed, *state).join(
+            _Paths.from_revelation(share * paths.mass, revealed, rule.window)
+        )
+    return RuleOutcome(rewards, information)
+
+
+def rule_return(rule: BeliefSolution, driver: str | Driver, weights: RewardWeights) -> float:
+    """Exact attention return of a rule with any driver; see :func:`follow_rule`."""
+    return follow_rule(rule, driver, weights).total_return
+
+
+def filter_outcomes(
+    drivers: Sequence[str | Driver],
+    shares: Sequence[float],
+    window: int,
+    horizon: int,
+    weights: RewardWeights,
+    sequential: bool = True,
+) -> dict[str, list[RuleOutcome]]:
+    """Exact outcomes of the Bayes filter that knows the driver, by the share of revealing steps.
+
+    Returns:
+        For each driver's name an outcome for each share. Both the return and the information grow
+        with the share.
+
+    Raises:
+        ValueError, TypeError: as :func:`solve_belief`.
+    """
+    known = [get_driver(driver) for driver in drivers]
+    return {
+        driver.name: [
+            follow_rule(
+                solve_belief(driver, window, horizon, weights, share, sequential), driver, weights
+            )
+            for share in shares
+        ]
+        for driver in known
+    }

@@ -19,6 +19,7 @@ from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import DriverList
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
@@ -204,6 +205,7 @@ def play_episodes(
     seeds: ArrayLike,
     world: str = "highway",
     judge: AlertJudge | None = None,
+    observers: Sequence[Observer] = (),
 ) -> Episodes:
     """Play one episode for each seed, side by side until the last has ended.
 
@@ -214,10 +216,11 @@ def play_episodes(
         seeds: shape (E,).
         world: world to drive in.
         judge: judges the alerts; by default they are not judged.
+        observers: watch these episodes too.
     """
     seeds = np.asarray(seeds, np.uint64)
     totals = _Totals(len(seeds), config.horizon, judge)
-    teaming = play(begin(config, driver, hmi, seeds, world), driver, hmi, [totals])
+    teaming = play(begin(config, driver, hmi, seeds, world), driver, hmi, [totals, *observers])
     return Episodes(
         seeds,
         teaming.steps.copy(),
@@ -231,10 +234,35 @@ def play_episodes(
     )
 
 
-def play_named(team: TeamConfig, driver_policy: str, hmi: str, count: int) -> Episodes:
+def play_named(
+    team: TeamConfig,
+    driver_policy: str,
+    hmi: str,
+    count: int,
+    observers: Sequence[Observer] = (),
+) -> Episodes:
     """Play the first ``count`` evaluation episodes, the same ones in every experiment (paired)."""
     seats = make_driver_policy(driver_policy, team), make_hmi(hmi, team)
-    return play_episodes(team, *seats, evaluation_seeds(count), world="batched")
+    seeds = evaluation_seeds(count)
+    return play_episodes(team, *seats, seeds, world="batched", observers=observers)
+
+
+def driven_by(team: TeamConfig, seeds: NDArray[np.uint64]) -> dict[str, NDArray[np.bool_]]:
+    """Mark the episodes of each driver, bool, shape (E,), by the driver's name.
+
+    Raises:
+        ValueError: the team's population is no list of drivers.
+    """
+    if not isinstance(team.population, DriverList):
+        raise ValueError("episodes are told apart by driver only if driver= lists the drivers")
+    drivers = set(team.population.drivers)
+    if len({driver.name for driver in drivers}) < len(drivers):
+        raise ValueError("two different drivers have the same name; give each its own")
+    drawn = team.population.draw(seeds).as_array()
+    return {
+        driver.name: (drawn == np.array(driver.traits)).all(axis=1)
+        for driver in team.population.drivers
+    }
 
 
 def evaluation_seeds(count: int) -> NDArray[np.uint64]:

@@ -11,18 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.checks import Count, Steps, Units
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
-from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import Seed, part_seed
-from hmi_marl.envs.teaming import Teaming
 from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
 from hmi_marl.experiments.episodes import evaluation_seeds, play_named
@@ -35,6 +28,7 @@ from hmi_marl.experiments.experiment import (
     Place,
     driver_job,
 )
+from hmi_marl.experiments.signalling import revealing_share
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
@@ -150,7 +144,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
     def _play(self, model: str, place: Place) -> HiddenRow:
         team = TeamConfig(driver=model, ai_sees_attention=False)
         own = part_seed(evaluation_seeds(min(500, self.episodes)), 1)  # others than are judged by
-        share = revealing_share(team, place.driver_run, own)
+        share = revealing_share(team, str(place.driver_run), own)
         hmis = {
             LEARNED_OWN: str(place.folder / HIDDEN_RUN.format(model)),
             LEARNED_AVERAGE: str(place.folder / HIDDEN_RUN.format("average")),
@@ -221,26 +215,3 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             )
             for model in MODELS
         ]
-
-
-def revealing_share(team: TeamConfig, driver_run: Path, seeds: NDArray[np.uint64]) -> float:
-    """Measure the share of steps in which a learned driver's action reveals distraction."""
-    driver, hmi = make_driver_policy(str(driver_run), team), make_hmi("belief", team)
-    reveals = _Reveals()
-    play(begin(team, driver, hmi, seeds, "batched"), driver, hmi, [reveals])
-    return reveals.shown / reveals.steps
-
-
-class _Reveals(Observer):
-    """Count the steps, after the first, in which a^H differs from the last applied action."""
-
-    shown = steps = 0
-
-    def before(self, teaming: Teaming) -> None:
-        """Note the last applied actions."""
-        self._last, self._counts = teaming.applied, ~teaming.over & (teaming.steps > 0)
-
-    def after(self, teaming: Teaming, result: StepResult) -> None:
-        """Compare the intents with them."""
-        self.shown += int((self._counts & (teaming.intended != self._last)).sum())
-        self.steps += int(self._counts.sum())

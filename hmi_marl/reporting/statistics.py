@@ -63,6 +63,32 @@ def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
     return Estimate(middle, max(middle - half, lowest), middle + half)
 
 
+def ratio(
+    amounts: ArrayLike, counts: ArrayLike, lowest: float = -math.inf, highest: float = math.inf
+) -> Estimate:
+    """Sum of amounts over sum of counts, with Student's t interval over E independent episodes.
+
+    The interval is that of the linearised ratio R: the deviations of an episode are a - R n. So it
+    stays valid where the steps of an episode depend on each other.
+
+    Args:
+        amounts, counts: of each episode, shape (E,); episodes without counts change nothing.
+        lowest, highest: ends at which the interval is cut off.
+
+    Returns:
+        NaN without counts; without interval if only one episode has counts.
+    """
+    counted = np.asarray(counts, np.float64)
+    amount = np.asarray(amounts, np.float64)[counted > 0]
+    counted = counted[counted > 0]
+    if len(counted) == 0:
+        return Estimate(math.nan, math.nan, math.nan)
+    middle = float(amount.sum() / counted.sum())
+    around = mean((amount - middle * counted) / counted.mean())  # of mean 0 but for rounding
+    half = around.high - around.mean
+    return Estimate(middle, max(middle - half, lowest), min(middle + half, highest))
+
+
 def share(successes: int, trials: int) -> Estimate:
     """Share of successes and its Wilson interval, which stays valid near 0 and 1.
 

@@ -12,8 +12,8 @@ from hmi_marl.experiments.hidden_attention import (
     BAYES_OWN,
     HiddenAttention,
     HiddenRow,
-    revealing_share,
 )
+from hmi_marl.experiments.signalling import revealing_share
 from hmi_marl.reporting.blocks import as_text
 from hmi_marl.reporting.statistics import Estimate
 

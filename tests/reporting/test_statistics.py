@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_marl.reporting.statistics import Estimate, accuracy, mean, number, share
+from hmi_marl.reporting.statistics import Estimate, accuracy, mean, number, ratio, share
 
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20)
 COUNTS = st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -146,3 +146,37 @@ def test_estimates_are_written_as_far_as_they_are_known() -> None:
     assert mean([]).shown() == "-"
     assert Estimate(0.125, 0.1, 0.2).percent() == "12.5 [10.0, 20.0]"
     assert [number(value, ".2f") for value in (None, math.inf, 0.5)] == ["-", "-", "0.50"]
+
+
+def test_a_ratio_of_two_episodes_worked_by_hand() -> None:
+    # R = 4/6; deviations a - R n are -1/3 and 1/3, over the mean count 3: standard error 1/9
+    estimate = ratio([1.0, 3.0], [2, 4])
+    assert estimate.mean == pytest.approx(2 / 3)
+    assert estimate.low == pytest.approx(2 / 3 - 12.7062 / 9, abs=1e-4)
+    assert estimate.high == pytest.approx(2 / 3 + 12.7062 / 9, abs=1e-4)
+    assert ratio([1.0, 3.0], [2, 4], 0.0, 1.0) == Estimate(estimate.mean, 0.0, 1.0)
+
+
+def test_a_ratio_of_equal_counts_is_a_mean() -> None:
+    one, other = ratio([1.0, 2.0, 6.0], [4, 4, 4]), mean([0.25, 0.5, 1.5])
+    assert vars(one) == pytest.approx(vars(other))
+
+
+def test_a_ratio_without_counts_is_not_known() -> None:
+    assert all(math.isnan(value) for value in vars(ratio([0.0], [0])).values())
+    one = ratio([1.0, 0.0], [4, 0])
+    assert one.mean == 0.25
+    assert math.isnan(one.low)
+    assert ratio([1.0, 0.0, 3.0], [2, 0, 4]) == ratio([1.0, 3.0], [2, 4])
+
+
+@pytest.mark.slow
+def test_the_interval_of_a_ratio_covers_the_truth_in_19_of_20_samples() -> None:
+    # 2000 samples of 40 episodes whose steps are all alike: the interval is over episodes
+    rng, trials = np.random.default_rng(0), 2000
+    covered = 0
+    for _ in range(trials):
+        counts = rng.integers(20, 100, 40)
+        estimate = ratio(counts * (rng.random(40) < 0.4), counts)
+        covered += estimate.low <= 0.4 <= estimate.high
+    assert abs(covered / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials) + 0.01
