@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from hmi_marl.agents.catalogue import learned_file
+from hmi_marl.agents.catalogue import learned_file, mixed_names
 from hmi_marl.agents.learned.cards import is_shipped
 from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
@@ -22,6 +22,8 @@ CURVE = "curve.json"
 CHECKPOINT = "checkpoint.safetensors"
 """State to resume from."""
 POLICY = "driver_policy"
+MIXTURE = "mixture"
+"""Key of the policies in a mixture of driver policies."""
 FREE = ("device", "threads", "checkpoint_every")
 """Settings of the machine, which may differ when a run is resumed."""
 _CURVE_BYTES = 2**30
@@ -60,18 +62,26 @@ def _seconds(run: Path) -> float:
 
 
 def run_settings(settings: object) -> dict[str, Any]:
-    """A run's settings, a dataclass, as JSON, with a driver policy named by its checksum.
+    """A run's settings, a dataclass, as JSON, with learned driver policies named by checksums.
 
     Raises:
         FileNotFoundError, ValueError: there is no such driver policy.
     """
     content: dict[str, Any] = json_value(settings)
     name = content.get(POLICY)
-    weights = learned_file(name, DRIVER) if isinstance(name, str) else None
-    if isinstance(name, str) and weights is not None:
-        short = name.lower() if is_shipped(name) else Path(name).name
-        content[POLICY] = {"name": short, "sha256": sha256_of(weights)}
+    if isinstance(name, str):
+        mixed = [_by_checksum(each) for each in mixed_names(name)]
+        content[POLICY] = {MIXTURE: mixed} if mixed else _by_checksum(name)
     return content
+
+
+def _by_checksum(name: str) -> str | dict[str, str]:
+    """Short name and checksum of a learned driver policy; of another, the name alone."""
+    weights = learned_file(name, DRIVER)
+    if weights is None:
+        return name
+    short = name.lower() if is_shipped(name) else Path(name).name
+    return {"name": short, "sha256": sha256_of(weights)}
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -131,11 +141,19 @@ def _differing(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
     ]
 
 
+def _identity(policy: Any) -> Any:
+    """What must be the same of a driver policy, whatever the name of its folder."""
+    if not isinstance(policy, dict):
+        return policy
+    if isinstance(mixed := policy.get(MIXTURE), list):
+        return [_identity(each) for each in mixed]
+    return policy.get("sha256")
+
+
 def _binding(about: dict[str, Any]) -> dict[str, Any]:
     """Settings and facts of a run by name, but for those of the machine."""
     settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
-    policy = settings.get(POLICY)
-    if isinstance(policy, dict):  # whatever the name of its folder
-        settings[POLICY] = policy.get("sha256")
+    if POLICY in settings:
+        settings[POLICY] = _identity(settings[POLICY])
     others = {k: v for k, v in about.items() if k not in ("settings", "command")}
     return others | settings
