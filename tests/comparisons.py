@@ -15,8 +15,9 @@ from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.plan import Pair
 from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
 from hmi_marl.experiments.protocols.results import Comparison, TaskResults, Training
-from hmi_marl.experiments.references import References
+from hmi_marl.experiments.references import PairScore
 from hmi_marl.experiments.signalling import SITUATIONS, Signalling, Signals
+from hmi_marl.reporting.statistics import Estimate
 
 SMALL = ProtocolComparison(
     tasks=("hidden",),
@@ -52,11 +53,23 @@ def signals(name: str, share: float) -> Signalling:
     return Signalling(name, some, every)
 
 
+def scored(name: str, of: Sums, share: float) -> PairScore:
+    """Score of a driver's episodes between the references that all drivers have."""
+    earned = of.metrics()["attention_return"]
+    gain = (earned - NONE) / (OPTIMUM - NONE)
+    exact = (exactly(earned), NONE, FILTER, OPTIMUM, exactly(gain), exactly(OPTIMUM - earned))
+    return PairScore(name, share, *exact, OPTIMUM - FILTER, exactly(FILTER - earned), None)
+
+
+def exactly(value: float) -> Estimate:
+    return Estimate(value, value, value)
+
+
 def played(of: Sums, names: tuple[str, ...], share: float = 0.5, apart: float = 0.1) -> Played:
     """The same for every driver."""
     return Played(
         dict.fromkeys((ALL_DRIVERS, *names), of),
-        dict.fromkeys(names, References(NONE, OPTIMUM, FILTER)),
+        {name: scored(name, of, share) for name in names},
         {name: signals(name, share) for name in names},
         dict.fromkeys(names, apart),
     )
@@ -108,8 +121,9 @@ def arm_of(name: str) -> str:
 
 
 def number_of(name: str) -> int:
-    """Number of a run's name."""
-    return int(name.rpartition("-run")[2].removesuffix("-standing"))
+    """Number of a run's name; 0 of other policies."""
+    number = name.rpartition("-run")[2].removesuffix("-standing")
+    return int(number) if number.isdigit() else 0
 
 
 def without(comparison: Comparison, driver: str) -> Comparison:

@@ -14,6 +14,7 @@ from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy, PolicyCard, load_policy, save_policy
 from hmi_marl.agents.learned.trait_model import load_traits
+from hmi_marl.agents.mixture import Mixture
 from hmi_marl.envs.seats import Policy
 from hmi_marl.exact.evidence import ChainEvidence
 from hmi_marl.exact.identify import TraitBelief
@@ -30,6 +31,7 @@ __all__ = [
     "ExpectedValueHMI",
     "LearnedEvidence",
     "LearnedPolicy",
+    "Mixture",
     "OptimalAlert",
     "Policy",
     "PolicyCard",

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from hmi_marl.agents.adaptive.hmis import adaptive_by_name
@@ -21,6 +22,7 @@ from hmi_marl.agents.driving import RandomDriver, RuleBasedDriver
 from hmi_marl.agents.hmis import AlertWhenDistracted, BeliefAlert, OptimalAlert, RandomAlert
 from hmi_marl.agents.learned.cards import PREFIX, is_shipped, shipped_names
 from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
+from hmi_marl.agents.mixture import Mixture
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.seats import Policy
@@ -32,14 +34,15 @@ Factory = Callable[..., Policy]
 HMIS: Registry[Factory | str] = Registry("HMI")
 DRIVER_POLICIES: Registry[Factory | str] = Registry("driver policy")
 _REGISTRIES = {VEHICLE_AI: HMIS, DRIVER: DRIVER_POLICIES}
+_MIXTURE = "mixture"
 
 
 def make_hmi(name: str, config: TeamConfig, sequential: bool = True) -> Policy:
     """Make the HMI of this name for teams set up by ``config``.
 
     Args:
-        name: one of ``HMIS``, where case does not matter, the folder of a training run, or
-            ``trained:NAME``.
+        name: one of ``HMIS``, where case does not matter, the folder of a training run,
+            ``trained:NAME``, or several of these, ``mixture:NAME,NAME,...``.
         sequential: False where both agents move simultaneously: the HMI sees a^H one step late.
 
     Raises:
@@ -78,9 +81,17 @@ def known_names(seat: str) -> dict[str, str]:
 
 def is_learned(name: str, seat: str) -> bool:
     """Whether a name stands for a policy in a file rather than for a registered one."""
+    if mixed_names(name):
+        return False
     if is_shipped(name) or "/" in name or os.sep in name or name.endswith(".json"):
         return True
     return name.partition(":")[0] not in _REGISTRIES[seat] and Path(name).is_dir()
+
+
+def mixed_names(name: str) -> tuple[str, ...]:
+    """Return the names in ``mixture:NAME,NAME,...``; none if the name stands for no mixture."""
+    kind, colon, names = name.partition(":")
+    return tuple(names.split(",")) if colon and kind.lower() == _MIXTURE else ()
 
 
 def learned_file(name: str, seat: str) -> Path | None:
@@ -102,6 +113,31 @@ def _make(name: str, seat: str, config: TeamConfig, *sequential: bool) -> Policy
     if isinstance(entry.value, str):
         return _make(entry.value, seat, config, *sequential)
     return entry.value(config, argument, *sequential) if entry.argument else entry.value(config)
+
+
+def _mixture(seat: str, config: TeamConfig, argument: str, *sequential: bool) -> Policy:
+    mixture = f"{_MIXTURE}:{argument}"
+    names = argument.split(",")
+    if len(names) < 2 or not all(names):
+        raise ValueError(
+            f"{_MIXTURE}:NAME,NAME,... takes two policies or more, separated by single commas, not "
+            f"{mixture!r}"
+        )
+    make = make_hmi if seat == VEHICLE_AI else make_driver_policy
+    policies = []
+    for name in names:
+        try:
+            policies.append(make(name, config, *sequential))
+        except (FileNotFoundError, ValueError) as error:
+            kind = FileNotFoundError if isinstance(error, FileNotFoundError) else ValueError
+            raise kind(
+                f"{name!r} in {mixture!r}: {error} (commas separate the policies of a mixture: no "
+                "path or name in it can contain one)"
+            ) from None
+    try:
+        return Mixture(policies, seat)
+    except ValueError as error:
+        raise ValueError(f"{mixture!r}: {error}") from None
 
 
 def _random(config: TeamConfig, argument: str, sequential: bool) -> Policy:
@@ -191,3 +227,10 @@ DRIVER_POLICIES.register(
 DRIVER_POLICIES.register(
     "random", "any of the five actions with equal probability", lambda _: RandomDriver()
 )
+for _seat, _registry in _REGISTRIES.items():
+    _registry.register(
+        _MIXTURE,
+        "in each episode one of these, drawn from its seed with equal chances",
+        partial(_mixture, _seat),
+        argument=":NAME,NAME[,...]",
+    )

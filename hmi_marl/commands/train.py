@@ -57,7 +57,8 @@ class Train:
             train(self.protocol, out, command_line=command_line)
         if os.environ.get("RANK", "0") == "0":
             print(f"learned: {out}; curves: tensorboard --logdir {out}")
-            driver = out if (out / "driver.json").is_file() else "rule"
+            partner = getattr(self.protocol, "driver_policy", None) or "rule"
+            driver = out if (out / "driver.json").is_file() else partner
             hmi = out if (out / "vehicle_ai.json").is_file() else "never"
             print(f"see it: hmi-marl watch --hmi {hmi} --policy {driver} --out clip.gif")
             print(

@@ -24,9 +24,10 @@ class Watch(TeamSettings):
     """lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     hmi: str = "optimal"
     """never, always, random[:RATE], when-distracted, optimal[:DRIVER], average, belief[:DRIVER],
-    the folder of a trained run, or trained:NAME."""
+    the folder of a trained run, trained:NAME, or mixture:NAME,NAME,... of these."""
     policy: str = "rule"
-    """Driver policy: rule, random, the folder of a trained run, or trained:NAME."""
+    """Driver policy: rule, random, the folder of a trained run, trained:NAME, or
+    mixture:NAME,NAME,... of these."""
     seed: int = 0
     """Seed of the episode."""
     out: Path | None = None

@@ -8,14 +8,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy
+from hmi_marl.agents.catalogue import (
+    learned_file,
+    make_driver_policy,
+    make_hmi,
+    mixed_names,
+)
+from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.agents.mixture import Mixture
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.checks import Checked, Count, CountOrZero, Share, Steps
 from hmi_marl.demonstrations.dataset import (
@@ -57,7 +62,8 @@ class CollectSettings(Checked, TeamSettings):
     alert_rate: Share = 0.2
     """Probability of an alert in each step."""
     driver_policy: str = "rule"
-    """Driver policy: the folder of a training run, trained:driver, rule or random."""
+    """Driver policy: the folder of a training run, trained:driver, rule, random, or
+    mixture:NAME,NAME,... of these."""
     greedy: bool = False
     """Whether a trained driver takes the likeliest action; by default it draws, as people vary."""
     seed: Seed = 0
@@ -92,8 +98,9 @@ class CollectSettings(Checked, TeamSettings):
     def make_driver(self, config: TeamConfig) -> Policy:
         """Make the driver policy, or raise FileNotFoundError or ValueError if there is none."""
         policy = make_driver_policy(self.driver_policy, config)
-        if isinstance(policy, LearnedPolicy):
-            policy.greedy = self.greedy
+        for each in policy.policies if isinstance(policy, Mixture) else (policy,):
+            if isinstance(each, LearnedPolicy):
+                each.greedy = self.greedy
         return policy
 
     def cast(self) -> list[tuple[Driver, int]]:
@@ -156,7 +163,8 @@ def collect(
         FileNotFoundError, ValueError: there is no such driver policy; raised before any step.
     """
     config = settings.team(PAPER_DRIVERS)
-    about = _about(settings, config, settings.make_driver(config))
+    settings.make_driver(config)
+    about = _about(settings, config)
     cast = [driver for driver, _ in settings.cast()]
     hidden = about | {"drivers": json_value(cast), "settings": json_value(settings)}
     hidden["command"] = command_line
@@ -170,12 +178,12 @@ def collect(
     return chunks()
 
 
-def _about(settings: CollectSettings, config: TeamConfig, driver: Policy) -> dict[str, Any]:
+def _about(settings: CollectSettings, config: TeamConfig) -> dict[str, Any]:
     """Describe how the data are made, without traits."""
-    policy: dict[str, Any] = {"name": settings.driver_policy, "greedy": settings.greedy}
-    if isinstance(driver, LearnedPolicy):
-        weights = find_policy(Path(settings.driver_policy), DRIVER).with_suffix(".safetensors")
-        policy["sha256"] = sha256_of(weights)
+    name = settings.driver_policy
+    policy = {"name": name, "greedy": settings.greedy} | _named(name)
+    if mixed := mixed_names(name):
+        policy["mixture"] = [_named(each) for each in mixed]
     team = {name: value for name, value in json_value(config).items() if name != "driver"}
     return {
         "environment": "merge_v0",
@@ -185,6 +193,13 @@ def _about(settings: CollectSettings, config: TeamConfig, driver: Policy) -> dic
         "seed": settings.seed,
         "population": settings.population,
     }
+
+
+def _named(driver_policy: str) -> dict[str, Any]:
+    """Name of a driver policy, and the checksum of its weights if it is learned."""
+    weights = learned_file(driver_policy, DRIVER)
+    checksum = {} if weights is None else {"sha256": sha256_of(weights)}
+    return {"name": driver_policy} | checksum
 
 
 def _play(

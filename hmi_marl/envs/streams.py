@@ -42,6 +42,8 @@ class Stream(IntEnum):
     """Series of episodes of the teams of a batch."""
     PART = 10
     """Parts of an experiment that are to be independent, such as repeated runs."""
+    MIXTURE = 11
+    """Policy that plays in an episode, out of a mixture; the counter is the seat's number."""
 
 
 def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:

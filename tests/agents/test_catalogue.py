@@ -85,10 +85,11 @@ def test_with_attention_hidden_the_optimum_is_on_the_belief():
 
 
 def test_every_listed_name_can_be_made():
-    for make, seat in ((make_hmi, VEHICLE_AI), (make_driver_policy, DRIVER)):
+    for make, seat, one in ((make_hmi, VEHICLE_AI, "never"), (make_driver_policy, DRIVER, "rule")):
         for name in known_names(seat):
             if "/" not in name and not name.startswith("trained:"):
-                make(name.partition("[")[0], SEEN if name[:5] != "adapt" else HIDDEN)
+                example = name.partition("[")[0].replace("NAME", one)
+                make(example, SEEN if name[:5] != "adapt" else HIDDEN)
         with pytest.raises(FileNotFoundError, match="no policy for the seat"):
             make("runs/RUN", SEEN)  # stands for the folder of a run
 
@@ -116,7 +117,8 @@ def test_a_bad_hmi_is_refused(name, message):
 
 
 def test_a_bad_driver_policy_is_refused():
-    with pytest.raises(ValueError, match=r"unknown driver policy 'hal'; known: rule, random \("):
+    known = r"unknown driver policy 'hal'; known: rule, random, mixture \("
+    with pytest.raises(ValueError, match=known):
         make_driver_policy("hal", SEEN)
     with pytest.raises(ValueError, match=r"policy 'ruel'; did you mean rule\? hmi-marl --help"):
         make_driver_policy("ruel", SEEN)

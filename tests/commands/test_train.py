@@ -58,6 +58,23 @@ def test_a_run_is_learned_watched_and_put_in_a_table(tmp_path, monkeypatch, caps
     assert Path("clip.gif").stat().st_size > 1000
 
 
+def test_a_mixture_that_an_hmi_learned_with_is_watched_with_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    mixture = "mixture:trained:driver,rule"
+    steps = ["--driver-policy", mixture, "--hmi-steps", "1", "--processes", "1"]
+    assert main(["train", "two-stage", *TINY, *steps]) == 0
+    printed = capsys.readouterr().out
+    assert f"watch --hmi runs/two-stage --policy {mixture} --out clip.gif" in printed
+    assert f"table --hmis own runs/two-stage --driver-policy {mixture} " in printed
+    table = ["table", "--hmis", "runs/two-stage", "--drivers", "bart", "--episodes", "2"]
+    size = ["--world", "batched", "--duration", "1", "--workers", "1", "--no-clip"]
+    assert main([*table, "--driver-policy", mixture, *size]) == 0
+    assert mixture in Path("runs/table/table.json").read_text()
+    assert main([*table, "--driver-policy", "runs/two-stage", *size]) == 2
+    told = "no policy for the seat of driver at runs/two-stage; it holds one for vehicle_ai"
+    assert told in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

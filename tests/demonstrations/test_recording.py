@@ -360,6 +360,18 @@ def test_who_drove_and_who_alerted_is_stamped(trained: Path) -> None:
     assert about["team"]["duration"] == 2.0
     rule = about_of(whole(tiny()).observed)["driver_policy"]
     assert rule == {"name": "rule", "greedy": False}
+    mixture = f"mixture:{trained},rule"
+    mixed = about_of(whole(tiny(driver_policy=mixture)).observed)["driver_policy"]
+    parts = [{"name": str(trained), "sha256": digest}, {"name": "rule"}]
+    assert mixed == {"name": mixture, "greedy": False, "mixture": parts}
+
+
+def test_the_learned_drivers_of_a_mixture_draw_too(trained: Path) -> None:
+    mixture = f"mixture:{trained},{trained}"
+    for greedy in (False, True):
+        mixed = true(whole(tiny(driver_policy=mixture, greedy=greedy)))
+        alone = true(whole(tiny(driver_policy=str(trained), greedy=greedy)))
+        np.testing.assert_array_equal(mixed.intended, alone.intended)
 
 
 def test_progress_and_summary_count_all_steps() -> None:

@@ -48,9 +48,11 @@ class TableSettings(TeamSettings):
     """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     hmis: tuple[str, ...] = PAPER_HMIS
     """Rows: NoHMI (or never), always, random[:RATE], when-distracted, AvgHMI (or average), own (or
-    optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, or trained:NAME."""
+    optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, trained:NAME, or
+    mixture:NAME,NAME,... of these."""
     driver_policy: str = "rule"
-    """Driver policy: rule, random, the folder of a trained run, or trained:NAME."""
+    """Driver policy: rule, random, the folder of a trained run, trained:NAME, or
+    mixture:NAME,NAME,... of these."""
     episodes: Count = 16
     """Episodes in each cell."""
     seed: Seed = 0

@@ -92,11 +92,11 @@ def _pair(pair: Pair, played: Played) -> dict[str, Any]:
         "hmi": pair.hmi,
         "end_at_crash": pair.end_at_crash,
         "by_driver": {name: _sums(sums) for name, sums in played.sums.items()},
-        "references": json_value(played.references),
+        "scores": json_value(played.scores),
     }
     if played.signals:
         content["signals"] = {
-            name: {"revealing": signal.share.mean, "bits": signal.bits.mean}
+            name: {"revealing": signal.revealing, "bits": signal.bits.mean}
             for name, signal in played.signals.items()
         }
     if played.divergence:

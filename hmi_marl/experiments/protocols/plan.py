@@ -14,6 +14,7 @@ from hmi_marl.checks import Checked, Count, OpenShare, Steps, Weight
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, Duration, TeamConfig, VehicleRange
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.streams import Seed, part_seed
+from hmi_marl.experiments.episodes import driven_by, evaluation_seeds
 from hmi_marl.experiments.protocols.arms import (
     ANCHORED,
     AT_BUDGET,
@@ -141,6 +142,7 @@ class ComparisonSettings(Checked):
             raise ValueError("driver_shares is a tuple of at least one share")
         for plan in self.plans():
             plan.jobs(Path(), plan.runs)  # checks the rest
+            plan.check_drivers()
 
     @property
     def driver_names(self) -> tuple[str, ...]:
@@ -181,6 +183,22 @@ class TaskPlan:
             end_at_crash=end_at_crash,
             vehicles=settings.vehicles,
         )
+
+    def check_drivers(self) -> None:
+        """Check that every driver has an episode among those that are played.
+
+        Raises:
+            ValueError: one has none; the message says how many episodes to play.
+        """
+        settings = self.settings
+        for field_name in ("episodes", "cross_episodes"):
+            count = getattr(settings, field_name)
+            for name, which in driven_by(self.team(), evaluation_seeds(count)).items():
+                if not which.any():
+                    raise ValueError(
+                        f"{field_name} = {count}, of which {name} has none; play more, such as "
+                        f"{8 * len(settings.drivers)}"
+                    )
 
     @property
     def protocols(self) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from hmi_marl.experiments.episodes import Episodes, driven_by, evaluation_seeds,
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun
 from hmi_marl.experiments.protocols.plan import Pair, TaskPlan
 from hmi_marl.experiments.protocols.snapshots import Point, points_of
-from hmi_marl.experiments.references import References, references
+from hmi_marl.experiments.references import PairScore, score_pair
 from hmi_marl.experiments.signalling import SignalCounter, Signalling
 from hmi_marl.workers import results
 
@@ -111,8 +111,8 @@ class Played:
 
     sums: Mapping[str, Sums]
     """By driver, and for ``ALL_DRIVERS``."""
-    references: Mapping[str, References]
-    """Exact returns over as many steps, by driver."""
+    scores: Mapping[str, PairScore]
+    """Scores between exact references over as many steps, by driver."""
     signals: Mapping[str, Signalling]
     """By driver; only of pairs of one run."""
     divergence: Mapping[str, float]
@@ -167,11 +167,12 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     drawn = driven_by(team, seeds)
     signals = counter.by_driver(team, seeds)
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
-    shares = {name: signal.share.mean for name, signal in signals.items()}
+    shares = {name: signal.revealing for name, signal in signals.items()}
+    scores = score_pair(team, episodes, shares, sequential=plan.task.sequential)
     return Played(
         {ALL_DRIVERS: add(np.ones(count, np.bool_))}
         | {n: add(which) for n, which in drawn.items()},
-        references(team, episodes, shares),
+        {each.driver: each for each in scores},
         signals if pair.own else {},
         {} if divergence is None else {n: divergence.mean(which) for n, which in drawn.items()},
     )

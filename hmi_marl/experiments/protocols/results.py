@@ -27,7 +27,6 @@ from hmi_marl.training.runs.folder import read_curve
 
 UNKNOWN = Estimate(math.nan, math.nan, math.nan)
 _NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
-SCORES = ("score",)
 
 
 @dataclass(frozen=True)
@@ -160,33 +159,37 @@ def driving(played: Played, driver: str) -> float:
 
 def score(played: Played, driver: str) -> float:
     """Normalised attention return of one driver; see :meth:`TaskResults.scores`."""
-    known = played.references[driver]
-    return (attention(played, driver) - known.none) / (known.optimum - known.none)
+    return played.scores[driver].score.mean
 
 
 def optimum(played: Played, driver: str) -> float:
     """Exact optimum that sees attention, over episodes as long as those that were played."""
-    return played.references[driver].optimum
+    return played.scores[driver].seen
 
 
-def filtered(played: Played, driver: str) -> float:
-    """Exact return of the Bayes filter that knows this driver's traits and share of signals."""
-    return played.references[driver].filter
+def attainable(played: Played, driver: str) -> float:
+    """Exact return of the best there is for this driver, over as many steps.
+
+    With attention hidden that is the Bayes filter that knows the traits and how often a^H reveals
+    d; with attention seen, or where there is no such filter, the optimum.
+    """
+    known = played.scores[driver]
+    return known.seen if known.belief is None else known.belief
 
 
 def hiding(played: Played, driver: str) -> float:
     """What it costs that attention is hidden: optimum that sees it minus Bayes filter."""
-    return optimum(played, driver) - filtered(played, driver)
+    return optimum(played, driver) - attainable(played, driver)
 
 
 def shortfall(played: Played, driver: str) -> float:
     """What the HMI itself gives up: the best there is for this driver minus what it earns."""
-    return filtered(played, driver) - attention(played, driver)
+    return attainable(played, driver) - attention(played, driver)
 
 
 def revealing(played: Played, driver: str) -> float:
     """Share of steps in which a^H reveals d."""
-    return played.signals[driver].share.mean
+    return played.signals[driver].revealing
 
 
 def bits(played: Played, driver: str) -> float:

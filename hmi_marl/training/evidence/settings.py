@@ -42,7 +42,7 @@ class EvidenceSettings(Checked):
     """
 
     driver_policy: str = "trained:driver"
-    """Driver policy: a trained run, or rule or random."""
+    """Driver policy: a trained run, rule, random, or mixture:NAME,NAME,... of these."""
     hmis: tuple[str, ...] = HMIS
     """HMIs, each in an equal share of the drives."""
     drives: Count = 24_000

@@ -28,7 +28,8 @@ class TwoStage(TrainSettings):
     hmi_steps: StepsOrZero = 2_000_000
     """Environment steps of the second stage; 0 for the driver alone."""
     driver_policy: str | None = None
-    """Skip the first stage and use this driver: a trained run, or rule or random."""
+    """Skip the first stage and use this driver: a trained run, rule or random, or several of them,
+    mixture:NAME,NAME,..., of which one drives in each episode."""
     driver_reward: Sharing = "driving"
     """Reward of the driver. Distraction does not depend on what the driver does."""
     hmi_reward: Sharing = "team"

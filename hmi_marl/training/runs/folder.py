@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from hmi_marl.agents.catalogue import learned_file
+from hmi_marl.agents.catalogue import learned_file, mixed_names
 from hmi_marl.agents.learned.cards import is_shipped
 from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
@@ -24,6 +24,8 @@ CHECKPOINT = "checkpoint.safetensors"
 """State to resume from."""
 POLICIES = ("driver_policy", "anchor")
 """Settings that name a driver policy, which a run notes with the checksum of its weights."""
+MIXTURE = "mixture"
+"""Key of the policies in a mixture of driver policies."""
 FREE = ("device", "threads", "checkpoint_every")
 """Settings of the machine, which may differ when a run is resumed."""
 _CURVE_BYTES = 2**30
@@ -62,7 +64,7 @@ def _seconds(run: Path) -> float:
 
 
 def run_settings(settings: object) -> dict[str, Any]:
-    """A run's settings, a dataclass, as JSON, with driver policies named by their checksums.
+    """A run's settings, a dataclass, as JSON, with learned driver policies named by checksums.
 
     Raises:
         FileNotFoundError, ValueError: there is no such driver policy.
@@ -70,12 +72,19 @@ def run_settings(settings: object) -> dict[str, Any]:
     content: dict[str, Any] = json_value(settings)
     for setting in POLICIES:
         name = content.get(setting)
-        if not isinstance(name, str) or name == OWN_DRIVER:
-            continue
-        if (weights := learned_file(name, DRIVER)) is not None:
-            short = name.lower() if is_shipped(name) else Path(name).name
-            content[setting] = {"name": short, "sha256": sha256_of(weights)}
+        if isinstance(name, str) and name != OWN_DRIVER:
+            mixed = [_by_checksum(each) for each in mixed_names(name)]
+            content[setting] = {MIXTURE: mixed} if mixed else _by_checksum(name)
     return content
+
+
+def _by_checksum(name: str) -> str | dict[str, str]:
+    """Short name and checksum of a learned driver policy; of another, the name alone."""
+    weights = learned_file(name, DRIVER)
+    if weights is None:
+        return name
+    short = name.lower() if is_shipped(name) else Path(name).name
+    return {"name": short, "sha256": sha256_of(weights)}
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -135,11 +144,20 @@ def _differing(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
     ]
 
 
+def _identity(policy: Any) -> Any:
+    """What must be the same of a driver policy, whatever the name of its folder."""
+    if not isinstance(policy, dict):
+        return policy
+    if isinstance(mixed := policy.get(MIXTURE), list):
+        return [_identity(each) for each in mixed]
+    return policy.get("sha256")
+
+
 def _binding(about: dict[str, Any]) -> dict[str, Any]:
     """Settings and facts of a run by name, but for those of the machine."""
     settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
     for setting in POLICIES:
-        if isinstance(policy := settings.get(setting), dict):  # whatever the name of its folder
-            settings[setting] = policy.get("sha256")
+        if setting in settings:  # whatever the name of its folder
+            settings[setting] = _identity(settings[setting])
     others = {k: v for k, v in about.items() if k not in ("settings", "command")}
     return others | settings

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import pytest
 import torch
+from trait_models import save_driver
 from unchecked import unchecked
 
 import hmi_marl
@@ -19,6 +20,7 @@ from hmi_marl.agents.learned.policy import load_policy, read_policy
 from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.config import TeamConfig, as_fatigue
 from hmi_marl.envs.scene import Scene
+from hmi_marl.files import sha256_of
 from hmi_marl.training.ppo import learner
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.alternating import Alternating
@@ -358,6 +360,24 @@ def test_an_hmi_learns_beside_the_driver_of_another_run(tmp_path):
     ruled = replace(TWO_STAGE, driver_policy="rule")
     train(ruled, tmp_path / "ruled", quiet=True)
     assert not (tmp_path / "ruled" / "driver.json").exists()
+
+
+def test_an_hmi_learns_with_a_mixture_of_drivers_that_its_card_names(tmp_path):
+    first = save_driver(tmp_path / "one")
+    settings = replace(TWO_STAGE, driver_policy=f"mixture:{first},rule,random")
+    train(settings, tmp_path / "run", quiet=True)
+    digest = sha256_of(first / "driver.safetensors")
+    mixture = [{"name": "one", "sha256": digest}, "rule", "random"]
+    card = read_policy(tmp_path / "run" / "vehicle_ai.json")[0]
+    assert card.training["settings"]["driver_policy"] == {"mixture": mixture}
+    with pytest.raises(FileNotFoundError, match=r"seat of driver at .*it holds one for vehicle_ai"):
+        make_driver_policy(str(tmp_path / "run"), TEAM)
+    before = (tmp_path / "run" / "vehicle_ai.safetensors").read_bytes()
+    (tmp_path / "run" / "vehicle_ai.json").unlink()
+    train(settings, tmp_path / "run", quiet=True)
+    assert (tmp_path / "run" / "vehicle_ai.safetensors").read_bytes() == before
+    train(replace(settings, driver_policy="rule"), tmp_path / "ruled", quiet=True)
+    assert rows(tmp_path / "run") != rows(tmp_path / "ruled")
 
 
 def test_a_driver_that_is_not_there_is_told_before_anything_is_learned(tmp_path):

@@ -45,6 +45,26 @@ def test_the_same_driver_elsewhere_goes_on_and_another_is_refused(tmp_path: Path
         run_settings(replace(settings, driver_policy=str(tmp_path / "nowhere")))
 
 
+def test_a_mixture_is_told_by_what_is_in_it_in_its_order(tmp_path: Path) -> None:
+    mine, moved = (save_driver(tmp_path / name) for name in ("mine", "moved"))
+    other = save_driver(tmp_path / "other", 7)
+    settings = TwoStage(driver_policy=f"mixture:{mine},rule")
+    content = run_settings(settings)["driver_policy"]
+    digest = sha256_of(mine / "driver.safetensors")
+    assert content == {"mixture": [{"name": "mine", "sha256": digest}, "rule"]}
+    before = json.loads(json.dumps(about(settings)))
+    same = about(replace(settings, driver_policy=f"Mixture:{moved},rule"))
+    check_same(before, same, tmp_path)
+    assert settings_digest(before) == settings_digest(same)
+    for another in (f"mixture:{other},rule", f"mixture:rule,{mine}", str(mine), "rule"):
+        changed = about(replace(settings, driver_policy=another))
+        assert settings_digest(changed) != settings_digest(before)
+        with pytest.raises(ValueError, match=r"holds another run .*driver_policy"):
+            check_same(before, changed, tmp_path)
+    with pytest.raises(FileNotFoundError, match="no policy for the seat of driver"):
+        run_settings(replace(settings, driver_policy=f"mixture:rule,{tmp_path / 'nowhere'}"))
+
+
 def test_the_digest_is_that_of_what_binds_a_run(tmp_path: Path) -> None:
     one = about(TwoStage())
     assert settings_digest(one) == settings_digest(json.loads(json.dumps(one)) | {"command": "x"})

@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs import start
 from hmi_marl.training.runs.start import (
     check_processes,
+    check_start,
     default_processes,
     default_threads,
     start_together,
@@ -70,6 +72,14 @@ def test_processes_that_cannot_share_the_shards_are_refused():
             check_processes(count, SETTINGS)
     with pytest.raises(ValueError, match=r"processes lies in 1 to .*, but got 0"):
         check_processes(0, SETTINGS)
+
+
+def test_a_partner_that_is_not_there_is_refused_with_its_mixture():
+    check_start(replace(SETTINGS, driver_policy="mixture:rule,random"))
+    with pytest.raises(ValueError, match="'hal' in 'mixture:rule,hal': unknown driver policy"):
+        check_start(replace(SETTINGS, driver_policy="mixture:rule,hal"))
+    with pytest.raises(FileNotFoundError, match="'runs/no' in 'mixture:runs/no,rule': no policy"):
+        check_start(replace(SETTINGS, driver_policy="mixture:runs/no,rule"))
 
 
 def test_a_killed_one_ends_the_others_and_is_named():

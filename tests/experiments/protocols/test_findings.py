@@ -1,0 +1,269 @@
+"""What is said of made-up results: scores, differences, the sweep, cross-play, gaming, verdicts."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from comparisons import FILTER, NONE, OPTIMUM, SMALL, arm_of, comparison, number_of, without
+
+from hmi_marl.experiments.protocols.answer import answer
+from hmi_marl.experiments.protocols.cross_play import cell_of, cross_play, dependence_of
+from hmi_marl.experiments.protocols.findings import (
+    differences,
+    is_monotone,
+    judge,
+    sweep,
+    way_to_optimum,
+)
+from hmi_marl.experiments.protocols.gaming import find, gaming_of, worst_finding
+from hmi_marl.experiments.protocols.plan import Pair
+from hmi_marl.experiments.protocols.results import (
+    attainable,
+    attention,
+    hiding,
+    revealing,
+    score,
+    shortfall,
+)
+from hmi_marl.experiments.protocols.tables import given_up
+from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import Outcome
+
+SEEN = replace(SMALL, tasks=("seen",), protocols=("two-stage", "simultaneous"))
+OWN = {"two-stage": 600.0, "joint": 700.0, "simultaneous": 780.0}
+
+
+def signalling(pair: Pair) -> float:
+    """Attention return as the trial had it: pairs that learned together understand each other."""
+    driver, hmi = arm_of(pair.driver), arm_of(pair.hmi)
+    together = {"joint", "simultaneous"}
+    if pair.hmi.startswith("belief:average"):
+        return 536.0 + number_of(pair.driver)
+    if driver in together and hmi in together:
+        return 780.0 + number_of(pair.driver)
+    if driver == "two-stage" and hmi in together:
+        return 430.0 + number_of(pair.driver)
+    if "anchored" in driver or "anchored" in hmi:
+        return {"anchored-0.1": 760.0, "anchored-1": 602.0}[driver if "anch" in driver else hmi]
+    return 600.0 + number_of(pair.driver)
+
+
+def hidden(**more):
+    return comparison(SMALL, signalling, **more)
+
+
+def test_scores_lie_between_no_alerts_and_the_optimum():
+    results = comparison(SMALL, lambda pair: OPTIMUM).tasks["hidden"]
+    assert results.score(results.own("joint")) == Estimate(1.0, 1.0, 1.0)
+    results = comparison(SMALL, lambda pair: NONE).tasks["hidden"]
+    assert results.score(results.own("joint")).mean == 0.0
+    pair = results.own("joint")[0]
+    found = results.played[pair]
+    assert attention(found, "bart") == NONE
+    assert hiding(found, "bart") == OPTIMUM - FILTER
+    assert shortfall(found, "bart") == FILTER - NONE
+    assert attainable(found, "bart") == FILTER
+    assert hiding(found, "bart") + shortfall(found, "bart") == OPTIMUM - attention(found, "bart")
+
+
+def test_differences_are_paired_by_seed_and_corrected_together():
+    made = hidden()
+    found = {(c.protocol, c.metric): c.difference for c in differences(made)}
+    assert len(found) == 4  # joint and simultaneous, two metrics
+    change = found["simultaneous", "attention_return"]
+    assert change.estimate == Estimate(180.0, 180.0, 180.0)  # the same with every seed
+    assert change.pairs == 3
+    assert change.differs
+
+
+def test_nothing_differs_where_runs_do_not():
+    made = comparison(SEEN, lambda pair: 700.0 + number_of(pair.driver))
+    assert all(change.difference.differs is False for change in differences(made))
+
+
+def test_the_way_to_the_optimum_worked_by_hand():
+    found = way_to_optimum(hidden().tasks["hidden"], "simultaneous")
+    # 600, 601, 602 and 180 more, on the way to 800
+    assert found.mean == pytest.approx(180.0 / 199.0)
+    assert 180.0 / 200.0 <= found.low <= found.high <= 180.0 / 198.0
+
+
+def test_the_sweep_goes_from_the_free_driver_to_the_natural_one():
+    def apart(pair):
+        return {"simultaneous": 2.0, "anchored-0.1": 0.8, "anchored-1": 0.1}.get(
+            arm_of(pair.driver), 0.0
+        )
+
+    points = sweep(hidden(apart=apart).tasks["hidden"])
+    assert [point.weight for point in points] == [0.0, 0.1, 1.0, math.inf]
+    assert [point.divergence.mean for point in points] == pytest.approx([2.0, 0.8, 0.1, 0.0])
+    assert [point.attention_return.mean for point in points] == [781.0, 760.0, 602.0, 601.0]
+    assert is_monotone(points)
+    assert not is_monotone(points[::-1])
+    alone = replace(SMALL, anchor_kls=())
+    assert sweep(comparison(alone).tasks["hidden"]) == []
+
+
+def test_cross_play_tells_seeds_from_protocols():
+    results = hidden().tasks["hidden"]
+    cell = cell_of(results, "two-stage", "joint")
+    assert cell.same_seed.mean == cell.next_seed.mean == 431.0
+    own = cell_of(results, "joint", "joint")
+    assert own.same_seed.mean == own.next_seed.mean == 781.0
+    assert {(c.driver, c.hmi) for c in cross_play(results)} >= {
+        ("rule", "joint"),
+        ("joint", "two-stage"),
+    }
+
+
+def test_partners_that_fit_only_their_own_kind_depend_on_each_other():
+    rows = {row.arm: row for row in dependence_of(hidden().tasks["hidden"])}
+    # own 781 and 601; swapped 431 and 601
+    assert rows["joint"].on_protocol["two-stage"].mean == pytest.approx((781 + 601 - 431 - 601) / 2)
+    assert rows["joint"].on_protocol["simultaneous"].mean == 0.0
+    assert rows["joint"].on_seed.mean == 0.0
+
+    def choosy(pair):
+        return 700.0 if pair.own else 100.0
+
+    rows = {row.arm: row for row in dependence_of(comparison(SMALL, choosy).tasks["hidden"])}
+    assert rows["joint"].on_seed.mean == rows["joint"].on_protocol["two-stage"].mean == 600.0
+
+
+def test_partners_that_only_differ_in_skill_do_not_depend():
+    rng = np.random.default_rng(0)
+    skill = {}
+
+    def apart(pair):
+        return sum(skill.setdefault(key, rng.normal()) for key in ((0, pair.driver), (1, pair.hmi)))
+
+    for row in dependence_of(comparison(SMALL, apart).tasks["hidden"]):
+        for found in (*row.on_protocol.values(), row.on_seed):
+            assert found.mean == pytest.approx(0.0, abs=1e-9)
+
+
+def test_one_run_has_no_next_one():
+    made = comparison(replace(SMALL, seeds=1, few_seeds=1, protocols=("joint",)))
+    (row,) = dependence_of(made.tasks["hidden"])
+    assert math.isnan(row.on_seed.mean)
+    assert row.on_protocol == {}
+
+
+def test_what_a_driver_gives_up_is_against_the_two_stage_pair_of_the_same_seed():
+    def driving(pair):
+        return 450.0 - (13.0 if arm_of(pair.driver) == "simultaneous" else 0.0)
+
+    found = given_up(hidden(driving=driving).tasks["hidden"], "simultaneous")
+    assert found == Estimate(13.0, 13.0, 13.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "worth", "finding"),
+    [
+        (0.13, 1.0, "fine"),
+        (0.13, -1.0, "fine"),  # a step may be worth nothing: nobody crashes for it
+        (0.15, -1.0, "fine"),  # not by more than the margin
+        (0.16, -1.0, "GAMED"),
+        (0.16, 0.0, "crashes more"),
+        (0.16, 1.0, "crashes more"),
+        (math.nan, 1.0, "unknown"),
+        (0.16, math.nan, "unknown"),
+    ],
+)
+def test_the_rule_of_gaming(low: float, worth: float, finding: str) -> None:
+    assert find(Estimate(0.2, low, 0.3), Estimate(0.05, 0.0, 0.1), worth) == finding
+
+
+def crashing(pair):
+    return 60 if arm_of(pair.driver) == "simultaneous" else 0
+
+
+def test_a_driver_who_crashes_to_get_away_games():
+    made = comparison(SEEN, lambda pair: -700.0, crashes=crashing)
+    found = gaming_of(made.tasks["seen"])
+    assert worst_finding(found, "simultaneous") == "GAMED"
+    assert worst_finding(found, "two-stage") == "reference"
+    row = next(r for r in found if (r.protocol, r.driver) == ("simultaneous", "bart"))
+    assert (row.crash_rate.mean, row.two_stage_crash_rate.mean) == (0.6, 0.0)
+    assert row.worth_of_a_step == -3.0
+    claims = {v.claim: v for v in judge(made)}
+    verdict = claims["simultaneous: crashes no more than two-stage, and crashing does not pay"]
+    assert verdict.outcome is Outcome.NOT_SUPPORTED
+    assert verdict.reason == "GAMED with all, bart, homer"
+
+
+def test_a_driver_who_would_gain_by_going_on_does_not_game():
+    made = comparison(SEEN, lambda pair: 700.0, crashes=crashing)
+    assert worst_finding(gaming_of(made.tasks["seen"]), "simultaneous") == "crashes more"
+
+
+def test_a_driver_who_never_came_is_left_open():
+    made = without(comparison(SEEN, crashes=crashing), "homer")
+    rows = {(r.protocol, r.driver): r.finding for r in gaming_of(made.tasks["seen"])}
+    assert rows["simultaneous", "homer"] == "unknown"
+
+
+def outcomes(made):
+    return {verdict.claim: verdict.outcome for verdict in judge(made)}
+
+
+def test_the_trial_s_numbers_support_what_it_found():
+    def apart(pair):
+        return {"simultaneous": 2.0, "anchored-0.1": 1.9, "anchored-1": 0.1}.get(
+            arm_of(pair.driver), 0.0
+        )
+
+    found = outcomes(hidden(apart=apart))
+    assert [outcome for claim, outcome in found.items() if "of the way" in claim] == [
+        Outcome.SUPPORTED
+    ]
+    worse = [o for claim, o in found.items() if "does worse with the stage-1 driver" in claim]
+    assert worse == [Outcome.SUPPORTED] * 2
+
+
+def test_other_numbers_do_not():
+    found = outcomes(comparison(SMALL, lambda pair: 600.0 + number_of(pair.driver)))
+    assert [outcome for claim, outcome in found.items() if "of the way" in claim] == [
+        Outcome.NOT_SUPPORTED
+    ]
+    worse = [o for claim, o in found.items() if "does worse with the stage-1 driver" in claim]
+    assert worse == [Outcome.NOT_SUPPORTED] * 2
+
+
+def test_the_optimum_is_near_or_it_is_not():
+    near = outcomes(comparison(SEEN, lambda pair: OPTIMUM - 10.0))
+    far = outcomes(comparison(SEEN, lambda pair: OPTIMUM - 20.0))
+    claim = "seen, two-stage: attention return within 2 % of the exact optimum"
+    assert near[claim] is Outcome.SUPPORTED
+    assert far[claim] is Outcome.NOT_SUPPORTED
+
+
+def test_one_run_leaves_comparisons_open():
+    found = outcomes(comparison(replace(SMALL, seeds=1, few_seeds=1), signalling))
+    open_ones = [claim for claim, outcome in found.items() if outcome is Outcome.UNTESTABLE]
+    assert len(open_ones) == 4  # the way, two conventions, the sweep
+
+
+def test_the_answer_says_when_by_how_much_through_what_and_what_is_left():
+    def share(pair):
+        return 0.97 if arm_of(pair.driver) in ("joint", "simultaneous") else 0.35
+
+    text = answer(hidden(share=share)).text
+    for words in (
+        "it helps: simultaneous learning earns 180.0",
+        "0.90 [0.90, 0.91] of the way",
+        "in 97 % of the steps (35 % with the two-stage driver)",
+        "Beside a driver that learned alone nothing is left of it",
+        "the same HMI earns 431",
+        "two-stage's own 601",
+    ):
+        assert words in text
+    seen = answer(comparison(SEEN, lambda pair: 780.0)).text
+    assert "it does not help; no protocol differs" in seen
+
+
+def test_signals_are_those_that_were_measured():
+    results = hidden(share=lambda pair: 0.25).tasks["hidden"]
+    assert results.mean_of(results.own("joint"), revealing).mean == 0.25
+    assert results.mean_of(results.own("joint"), score).mean == pytest.approx(1181 / 1200)
