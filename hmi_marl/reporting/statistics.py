@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,21 +73,33 @@ def ratio(
     stays valid where the steps of an episode depend on each other.
 
     Args:
-        amounts, counts: of each episode, shape (E,); episodes without counts change nothing.
+        amounts, counts: of each episode, shape (E,); episodes with neither change nothing.
         lowest, highest: ends at which the interval is cut off.
 
     Returns:
-        NaN without counts; without interval if only one episode has counts.
+        NaN unless the counts have a sum above 0; without interval if only one episode counts.
     """
-    counted = np.asarray(counts, np.float64)
-    amount = np.asarray(amounts, np.float64)[counted > 0]
-    counted = counted[counted > 0]
-    if len(counted) == 0:
+    amount, count = np.asarray(amounts, np.float64), np.asarray(counts, np.float64)
+    holds = (amount != 0) | (count != 0)
+    amount, count = amount[holds], count[holds]
+    if not count.sum() > 0:
         return Estimate(math.nan, math.nan, math.nan)
-    middle = float(amount.sum() / counted.sum())
-    around = mean((amount - middle * counted) / counted.mean())  # of mean 0 but for rounding
+    middle = float(amount.sum() / count.sum())
+    around = mean((amount - middle * count) / count.mean())  # of mean 0 but for rounding
     half = around.high - around.mean
     return Estimate(middle, max(middle - half, lowest), min(middle + half, highest))
+
+
+def average(estimates: Sequence[Estimate]) -> Estimate:
+    """Average of independent estimates, whose half intervals add up as their squares.
+
+    NaN without estimates.
+    """
+    if not estimates:
+        return Estimate(math.nan, math.nan, math.nan)
+    middle = float(np.mean([each.mean for each in estimates]))
+    half = math.hypot(*(each.high - each.mean for each in estimates)) / len(estimates)
+    return Estimate(middle, middle - half, middle + half)
 
 
 def share(successes: int, trials: int) -> Estimate:

@@ -324,7 +324,7 @@ def play_pair(settings: ComparisonSettings, folder: Path, pair: Pair) -> dict[st
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
     sums = {ALL_DRIVERS: add(np.ones(settings.episodes, np.bool_))}
     marked = driven_by(team, episodes.seeds)
-    return sums | {name: add(which) for name, which in marked.items()}
+    return sums | {driver.name: add(which) for driver, which in marked.items()}
 
 
 def play_all(
