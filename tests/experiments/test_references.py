@@ -118,14 +118,18 @@ def test_of_episodes_of_one_length_it_is_the_optimum_for_that_length(name, lengt
 
 
 def test_no_reference_is_more_than_the_optimum_for_a_known_length():
-    # For this driver "alert exactly when distracted" is not the best rule.
+    # For this driver another rule than "alert exactly when distracted" is best, near the end too.
     odd = Driver("odd", 0.02, 0.03, 0.05, 1.0)
     team = dataclasses.replace(TEAM, driver=odd)
-    lengths = np.arange(1, 101, 9)
+    lengths = np.arange(1, 101, 11)
     found = References.of(team, lengths, 0.3)
-    for length, seen in zip(lengths, found.seen, strict=True):
-        known = oracle.solve_alerts(odd, team.alert_window, int(length), team.weights)
-        assert seen <= known.total_return + 1e-9
+    known = [
+        oracle.solve_alerts(odd, team.alert_window, int(length), team.weights).total_return
+        for length in lengths
+    ]
+    assert (found.seen <= np.array(known) + 1e-9).all()
+    assert (found.seen < np.array(known) - 1.0).any()
+    assert found.seen[-1] == pytest.approx(known[-1])
 
 
 @pytest.mark.parametrize("sequential", [True, False])
@@ -141,9 +145,6 @@ def test_the_filter_earns_its_reference_in_play(sequential):
     spread = played.attention_return().std() / np.sqrt(count)
     assert abs(score.shortfall.mean) < 4 * spread
     assert score.hiding > 10 * spread
-    assert (
-        score.shortfall.low < 0.0 < score.shortfall.high or abs(score.shortfall.mean) < 3.5 * spread
-    )
 
 
 def test_graded_alerts_have_no_filter():
