@@ -19,7 +19,7 @@ from hmi_marl.agents.hmis import strongest_alert
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.attention import Attention
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import DriverList
+from hmi_marl.envs.drivers import Driver, DriverList
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
@@ -247,22 +247,19 @@ def play_named(
     return play_episodes(team, *seats, seeds, world="batched", observers=observers)
 
 
-def driven_by(team: TeamConfig, seeds: NDArray[np.uint64]) -> dict[str, NDArray[np.bool_]]:
-    """Mark the episodes of each driver, bool, shape (E,), by the driver's name.
+def driven_by(team: TeamConfig, seeds: NDArray[np.uint64]) -> dict[Driver, NDArray[np.bool_]]:
+    """Mark the episodes of each of the team's drivers, bool, shape (E,).
 
     Raises:
-        ValueError: the team's population is no list of drivers.
+        ValueError: the team's population is no list of drivers, each with a name of its own.
     """
     if not isinstance(team.population, DriverList):
         raise ValueError("episodes are told apart by driver only if driver= lists the drivers")
-    drivers = set(team.population.drivers)
+    drivers = list(dict.fromkeys(team.population.drivers))
     if len({driver.name for driver in drivers}) < len(drivers):
         raise ValueError("two different drivers have the same name; give each its own")
     drawn = team.population.draw(seeds).as_array()
-    return {
-        driver.name: (drawn == np.array(driver.traits)).all(axis=1)
-        for driver in team.population.drivers
-    }
+    return {driver: (drawn == np.array(driver.traits)).all(axis=1) for driver in drivers}
 
 
 def evaluation_seeds(count: int) -> NDArray[np.uint64]:

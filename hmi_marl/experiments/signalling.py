@@ -58,6 +58,11 @@ class Signals:
         """Return those of the marked episodes, bool, shape (E,)."""
         return Signals(**{each.name: getattr(self, each.name)[which] for each in fields(self)})
 
+    @property
+    def share(self) -> float:
+        """Share of steps that reveal d; 0 without steps."""
+        return float(self.revealing.sum() / max(1, self.steps.sum()))
+
     def per_step(self, name: str) -> Estimate:
         """Return a sum per step, with its interval over episodes; NaN without steps."""
         highest = math.inf if name == "log_loss" else 1.0
@@ -140,15 +145,15 @@ class SignalCounter(SignalWatch):
         """
         total, parts = self.signals()
         return {
-            name: Signalling(
-                name,
+            driver.name: Signalling(
+                driver.name,
                 total.of(which),
                 {
                     group: {label: signals.of(which) for label, signals in each.items()}
                     for group, each in parts.items()
                 },
             )
-            for name, which in driven_by(team, seeds).items()
+            for driver, which in driven_by(team, seeds).items()
         }
 
 
@@ -186,7 +191,7 @@ def revealing_share(
         FileNotFoundError, ValueError: an unknown name.
     """
     total, _ = _count(team, driver_policy, hmi, seeds).signals()
-    return float(total.revealing.sum() / max(1, total.steps.sum()))
+    return total.share
 
 
 def _count(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_marl.reporting.statistics import Estimate, accuracy, mean, number, ratio, share
+from hmi_marl.reporting.statistics import Estimate, accuracy, average, mean, number, ratio, share
 
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20)
 COUNTS = st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -180,3 +180,11 @@ def test_the_interval_of_a_ratio_covers_the_truth_in_19_of_20_samples() -> None:
         estimate = ratio(counts * (rng.random(40) < 0.4), counts)
         covered += estimate.low <= 0.4 <= estimate.high
     assert abs(covered / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials) + 0.01
+
+
+def test_an_average_of_estimates_worked_by_hand() -> None:
+    one, other = Estimate(1.0, -2.0, 4.0), Estimate(2.0, -2.0, 6.0)
+    assert average([one, other]) == Estimate(1.5, 1.5 - 2.5, 1.5 + 2.5)  # (3, 4, 5) over 2
+    assert average([one]) == one
+    assert math.isnan(average([]).mean)
+    assert math.isnan(average([one, Estimate(2.0, math.nan, math.nan)]).low)

@@ -96,7 +96,7 @@ def _pair(pair: Pair, played: Played) -> dict[str, Any]:
     }
     if played.signals:
         content["signals"] = {
-            name: {"revealing": signal.revealing, "bits": signal.bits.mean}
+            name: {"revealing": signal.share.mean, "bits": signal.bits.mean}
             for name, signal in played.signals.items()
         }
     if played.divergence:

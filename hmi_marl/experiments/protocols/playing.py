@@ -167,7 +167,7 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     drawn = driven_by(team, seeds)
     signals = counter.by_driver(team, seeds)
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
-    shares = {name: signal.revealing for name, signal in signals.items()}
+    shares = {name: signal.share.mean for name, signal in signals.items()}
     scores = score_pair(team, episodes, shares, sequential=plan.task.sequential)
     return Played(
         {ALL_DRIVERS: add(np.ones(count, np.bool_))}

@@ -189,7 +189,7 @@ def shortfall(played: Played, driver: str) -> float:
 
 def revealing(played: Played, driver: str) -> float:
     """Share of steps in which a^H reveals d."""
-    return played.signals[driver].revealing
+    return played.signals[driver].share.mean
 
 
 def bits(played: Played, driver: str) -> float:
