@@ -84,8 +84,10 @@ def test_a_context_is_an_input_of_its_own(tmp_path, by_intent):
     np.testing.assert_allclose(probabilities, policy.probabilities(seen), atol=1e-5)
 
 
-def test_a_memory_goes_from_step_to_step(tmp_path):
-    policy = policy_for("vehicle_ai", NetworkConfig((6,), "elu", rnn_hidden_dim=4))
+@pytest.mark.parametrize("by_intent", [False, True])
+def test_a_memory_goes_from_step_to_step(tmp_path, by_intent):
+    network = NetworkConfig((6,), "elu", rnn_hidden_dim=4)
+    policy = policy_for("vehicle_ai", network, by_intent=by_intent)
     run = ReferenceEvaluator(exported(policy, tmp_path))
     policy.reset(np.arange(7, dtype=np.uint64))
     memory = np.zeros((7, 4), np.float32)

@@ -68,6 +68,17 @@ def card_for(env, seat, network=TINY, **choices):
     return make_card(seat, env.teaming.config, network, knows_traits=True, **choices)
 
 
+SEATS_WITH_MEMORY = ["vehicle_ai", "team"]
+
+
+def cards_for(env, seat, memory):
+    """Card of the vehicle AI, or cards of both seats, with so many recurrent units."""
+    network = NetworkConfig((8,), rnn_hidden_dim=memory)
+    if seat == "team":
+        return card_for(env, "driver"), card_for(env, "vehicle_ai", network, by_intent=True)
+    return (card_for(env, seat, network),)
+
+
 def learn_from(env, learner, seed):
     torch.manual_seed(seed)
     learner.begin(0.0)
@@ -134,10 +145,11 @@ def test_what_it_learns_from_falls_along_lines():
         assert learner.learn(env.get_observations())["learning_rate"] == pytest.approx(rate)
 
 
+@pytest.mark.parametrize("seat", SEATS_WITH_MEMORY)
 @pytest.mark.parametrize("memory", [0, 3])
-def test_what_was_saved_goes_on_as_if_nothing_had_happened(memory):
-    env = env_for("vehicle_ai")
-    cards = (card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=memory)),)
+def test_what_was_saved_goes_on_as_if_nothing_had_happened(memory, seat):
+    env = env_for(seat)
+    cards = cards_for(env, seat, memory)
     first, second = learner_for(env, cards), learner_for(env, cards, seed=1)
     for seed in range(2):
         learn_from(env, first, seed)
@@ -170,11 +182,11 @@ def test_what_was_saved_of_other_networks_is_refused():
         wider.load(first.tensors())
 
 
-def test_a_memory_is_learned_from_as_it_was_when_it_acted():
+@pytest.mark.parametrize("seat", SEATS_WITH_MEMORY)
+def test_a_memory_is_learned_from_as_it_was_when_it_acted(seat):
     # Replayed with the memory that was stored, every action is as likely as when it was drawn.
-    env = env_for("vehicle_ai", 12)
-    card = card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=4))
-    learner = learner_for(env, (card,), PPOSettings(num_mini_batches=3))
+    env = env_for(seat, 12)
+    learner = learner_for(env, cards_for(env, seat, 4), PPOSettings(num_mini_batches=3))
     for weight in learner.actor.parameters():
         torch.nn.init.normal_(weight, std=0.7)
     for seed in (1, 2):  # nothing may be left of the first batch in the second
@@ -187,6 +199,37 @@ def test_a_memory_is_learned_from_as_it_was_when_it_acted():
             policy, head = policy_of(learner.actor), learner.actor.distribution
             head.update(policy.forward(batch.actor, batch.padded)[0])
             torch.testing.assert_close(head.log_prob(batch.actions), batch.log_prob)
+
+
+@pytest.mark.parametrize("seat", SEATS_WITH_MEMORY)
+@pytest.mark.parametrize("memory", [0, 4])
+def test_written_passes_are_those_of_autograd(memory, seat):
+    env = env_for(seat, 12)
+    learner = learner_for(env, cards_for(env, seat, memory), PPOSettings(num_mini_batches=3))
+    actor = learner.actor
+    for weight in actor.parameters():
+        torch.nn.init.normal_(weight, std=0.7)
+    learner.begin(0.0)
+    play_batch(env, learner, 1)
+    (shard,) = learner.shards
+    assert shard.rollout.dones[:-1].any()
+    for batch in shard.mini_batches():
+        policy, weights = policy_of(actor), list(actor.parameters())
+        with torch.no_grad():
+            logits, passed = policy.forward(batch.actor, batch.padded)
+        inputs, masks, hidden = batch.actor, None, None
+        if memory:
+            inputs, masks = batch.padded
+            hidden = torch.zeros(1, masks.shape[1], memory)
+        seen = TensorDict({"actor": inputs}, inputs.shape[:-1])
+        known = actor.mlp(actor.get_latent(seen, masks, hidden))
+        torch.testing.assert_close(logits, known)
+        factors = torch.randn(known.shape, generator=torch.Generator().manual_seed(2))
+        expected = torch.autograd.grad((factors * known).sum(), weights)
+        found = [torch.full_like(weight, torch.nan) for weight in weights]
+        policy.backward(passed, factors, found)
+        for one, other in zip(found, expected, strict=True):
+            torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
 
 
 def two_learners(env, turns):
@@ -306,6 +349,51 @@ def test_the_composite_head_learns_an_alert_for_every_intent():
     assert learned == [[4, 0], [3, 1], [2, 0], [1, 1], [0, 0]]
 
 
+class TwoSteps:
+    """A view of episodes of two steps, in whose first step the vehicle AI sees a cue."""
+
+    def __call__(self, observations):
+        cue = observations["cue"]
+        driver = torch.ones(len(cue), 1)
+        return Inputs(torch.cat([driver, cue], dim=-1), cue)
+
+
+@pytest.mark.parametrize("memory", [0, 4])
+def test_the_composite_policy_learns_to_remember_what_an_alert_needs(memory):
+    # In the second step the alert is right that the cue of the first one says, and a^H if it is 3.
+    torch.manual_seed(0)
+    driver = PolicyCard("driver", (("speed", 1),), TINY)
+    network = NetworkConfig((8,), rnn_hidden_dim=memory)
+    vehicle_ai = PolicyCard("vehicle_ai", (("speed", 3),), network, by_intent=True)
+    teams, iterations = 64, 30
+    settings = PPOSettings(num_mini_batches=2, learning_rate=2e-2, reward_scale=1.0)
+    blank = TensorDict({"cue": torch.tensor([[0.0, 0.0, 1.0]]).expand(teams, 3)}, [teams])
+    learner = PPOLearner(
+        make_joint_actor(driver, vehicle_ai),
+        make_critic(3, TINY),
+        TwoSteps(),
+        blank,
+        4,
+        2,
+        settings,
+        "cpu",
+    )
+    never = torch.zeros(teams, dtype=torch.bool)
+    for iteration in range(iterations):
+        learner.begin(iteration / iterations)
+        with torch.inference_mode():
+            for _ in range(2):
+                cue = torch.randint(2, (teams,))
+                learner.act(TensorDict({"cue": torch.eye(3)[cue]}, [teams]))
+                learner.record(torch.zeros(teams), torch.zeros(teams), {"time_outs": never})
+                actions = learner.act(blank)
+                right = (actions[:, 1] == cue).float() * (actions[:, 0] == 3)
+                learner.record(right, torch.ones(teams), {"time_outs": never})
+        learner.learn(blank)
+    share = right.mean()
+    assert share > 0.95 if memory else share < 0.75  # without a memory the alert is a guess
+
+
 def rule_of(policy, env):
     """Whether a policy alerts in each [t, d, i, c], beside a driver who keeps speed."""
     config = env.teaming.config
@@ -350,14 +438,15 @@ def test_ppo_learns_the_exact_optimum_of_alerting(name):
     assert row["attention_return"] == pytest.approx(best.total_return, rel=0.25)
 
 
+@pytest.mark.parametrize("seat", SEATS_WITH_MEMORY)
 @pytest.mark.parametrize("memory", [0, 3])
 @pytest.mark.parametrize("count", [1, 2, 4])
-def test_it_learns_what_rsl_rls_ppo_learns(memory, count):
+def test_it_learns_what_rsl_rls_ppo_learns(memory, count, seat):
     # With one mini-batch, in which rsl_rl, too, has no order, from the same steps of 8 teams.
-    env = env_for("vehicle_ai", 8)
-    card = card_for(env, "vehicle_ai", NetworkConfig((8,), rnn_hidden_dim=memory))
+    env = env_for(seat, 8)
+    cards = cards_for(env, seat, memory)
     settings = PPOSettings(num_mini_batches=1, num_learning_epochs=3)
-    learner = learner_for(env, (card,), settings, shards=Shards(count))
+    learner = learner_for(env, cards, settings, shards=Shards(count))
     actor, critic = copy.deepcopy(learner.actor), copy.deepcopy(learner.critic)
     learner.begin(0.0, [None] * count)
     play_batch(env, learner, 0, Shards(count))
@@ -367,7 +456,7 @@ def test_it_learns_what_rsl_rls_ppo_learns(memory, count):
 
     seen = {name: of_all(name) for name in ("actor", "critic")}
     sample = TensorDict({name: values[0] for name, values in seen.items()}, [8])
-    storage = RolloutStorage("rl", 8, env.max_episode_length, sample, [1])
+    storage = RolloutStorage("rl", 8, env.max_episode_length, sample, [len(cards)])
     reference = PPO(
         actor,
         critic,

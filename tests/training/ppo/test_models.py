@@ -1,3 +1,6 @@
+import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -22,10 +25,11 @@ CONFIG = TeamConfig(driver=["bart", "lisa", "homer"])
 SMALL = NetworkConfig((7, 6), "elu")
 
 
-def cards(network=SMALL):
+def cards(memory=0):
+    remembers = replace(SMALL, rnn_hidden_dim=memory)
     return (
-        make_card("driver", CONFIG, network, knows_traits=True),
-        make_card("vehicle_ai", CONFIG, network, knows_traits=True, by_intent=True),
+        make_card("driver", CONFIG, SMALL, knows_traits=True),
+        make_card("vehicle_ai", CONFIG, remembers, knows_traits=True, by_intent=True),
     )
 
 
@@ -80,31 +84,39 @@ def test_the_policy_of_the_weights_acts_as_the_actor(memory):
             env.step(torch.from_numpy(rng.integers(0, (5, 2), (6, 2))))
 
 
-def test_the_halves_of_the_composite_policy_act_alone_as_it_acts():
+@pytest.mark.parametrize("memory", [0, 4])
+def test_the_halves_of_the_composite_policy_act_alone_as_it_acts(memory):
     torch.manual_seed(5)
-    driver, vehicle_ai = cards()
+    driver, vehicle_ai = cards(memory)
     actor = loud(make_joint_actor(driver, vehicle_ai))
     of_driver, of_vehicle_ai = weights_of_both(actor)
+    rng = np.random.default_rng(6)
     alone = (
         LearnedPolicy(driver, of_driver, CONFIG),
         LearnedPolicy(vehicle_ai, of_vehicle_ai, CONFIG),
     )
     env = TeamVecEnv(standing_teams(5, **vars(CONFIG)))
-    teams = env.teaming
-    for _ in range(4):
+    teams, seeds = env.teaming, np.arange(5, dtype=np.uint64)
+    begins = np.ones(5, bool)
+    for _ in range(6):
+        actor.reset(torch.from_numpy(begins))
+        for policy in alone:
+            policy.reset(seeds, None if begins.all() else begins)
+        begins = rng.random(5) < 0.3  # what was remembered is forgotten in some of the teams
         seen = env.get_observations()
         read = SeatView(env, (driver, vehicle_ai), centralised=True)(seen)
         with torch.no_grad():
             actor(group("actor", read.actor), stochastic_output=True)
             intent, alert = (log_probs.exp().numpy() for log_probs in actor.distribution.params)
-            greedy = actor(group("actor", read.actor)).long().numpy()
+            greedy = actor.distribution.deterministic_output(actor.output_mean).long().numpy()
         np.testing.assert_allclose(
             alone[0].probabilities(teams.observe("driver")), intent, atol=1e-5
         )
         for intended in range(5):  # taking turns, the vehicle AI sees what the driver intends
             teams.intend(np.full(5, intended))
             shown = teams.observe("vehicle_ai")
-            np.testing.assert_allclose(alone[1].probabilities(shown), alert[:, intended], atol=1e-5)
+            found = copy.deepcopy(alone[1]).probabilities(shown)  # remembers this step only once
+            np.testing.assert_allclose(found, alert[:, intended], atol=1e-5)
             teams.withdraw()
         intents = alone[0].act(teams.observe("driver"))
         teams.intend(intents)
@@ -114,12 +126,13 @@ def test_the_halves_of_the_composite_policy_act_alone_as_it_acts():
         env.step(torch.from_numpy(greedy))
 
 
-def test_each_half_reads_its_own_seat_alone():
-    driver, vehicle_ai = cards()
+@pytest.mark.parametrize("memory", [0, 4])
+def test_each_half_reads_its_own_seat_alone(memory):
+    driver, vehicle_ai = cards(memory)
     actor = loud(make_joint_actor(driver, vehicle_ai))
     assert isinstance(actor.distribution, IntentThenAlert)
     x = torch.randn(3, driver.inputs + vehicle_ai.inputs, requires_grad=True)
-    logits = actor.mlp(x)
+    logits = actor.mlp(actor.get_latent(group("actor", x)))
     for columns, seat in ((slice(0, 5), slice(0, driver.inputs)), (slice(5, 15), None)):
         (gradient,) = torch.autograd.grad(logits[:, columns].sum(), x, retain_graph=True)
         reads = gradient.abs().sum(0) > 0
@@ -131,18 +144,23 @@ def test_each_half_reads_its_own_seat_alone():
             assert not reads[driver.inputs :].any()
 
 
-def test_the_weights_of_both_halves_fit_their_cards():
-    both = cards()
-    for card, weights in zip(both, weights_of_both(make_joint_actor(*both)), strict=True):
-        FORMAT.check(card, weights)
+@pytest.mark.parametrize("memory", [0, 4])
+def test_the_weights_of_both_halves_fit_their_cards(memory):
+    both = cards(memory)
+    actor = make_joint_actor(*both)
+    assert actor.is_recurrent == bool(memory)
+    weights = weights_of_both(actor)
+    for card, its in zip(both, weights, strict=True):
+        FORMAT.check(card, its)
+    numbers = sum(values.size for its in weights for values in its.values())
+    assert numbers == sum(parameter.numel() for parameter in actor.parameters())
 
 
 def test_a_composite_policy_that_cannot_be_is_refused():
-    driver, _ = cards()
-    with pytest.raises(
-        ValueError, match="composite policy has no recurrent units; choose rnn_hidden_dim = 0"
-    ):
-        make_joint_actor(*cards(NetworkConfig((7,), rnn_hidden_dim=2)))
+    driver, vehicle_ai = cards()
+    remembers = replace(driver, network=NetworkConfig((7,), rnn_hidden_dim=2))
+    with pytest.raises(ValueError, match="choose rnn_hidden_dim = 0 for the driver"):
+        make_joint_actor(remembers, vehicle_ai)
     reads_intent = make_card("vehicle_ai", CONFIG, SMALL, knows_traits=True)
     with pytest.raises(ValueError, match="needs a vehicle AI with logits by intent"):
         make_joint_actor(driver, reads_intent)

@@ -41,6 +41,7 @@ TINY = {
 }
 TWO_STAGE = TwoStage(driver_steps=80, hmi_steps=80, **TINY)
 ALTERNATING = Alternating(rounds=2, driver_steps=160, hmi_steps=160, **TINY)
+JOINT_WITH_MEMORY = Joint(steps=80, rnn_hidden_dim=4, ai_sees_attention=False, **TINY)
 PROTOCOLS = {
     "two-stage": TWO_STAGE,
     "joint": Joint(steps=80, **TINY),
@@ -50,6 +51,7 @@ PROTOCOLS = {
     "hidden attention": replace(
         TWO_STAGE, ai_sees_attention=False, rnn_hidden_dim=4, condition="hidden"
     ),
+    "hidden attention, joint": JOINT_WITH_MEMORY,
     "graded alerts": replace(TWO_STAGE, alert_strengths=(0.3, 0.6, 1.0), fatigue=(8, 3, 0.5)),
     "graded alerts, joint": Joint(steps=80, alert_strengths=(0.3, 0.6, 1.0), **TINY),
     "two memories at once": Simultaneous(
@@ -163,6 +165,7 @@ class Killed(BaseException):
     "settings",
     [
         pytest.param(TWO_STAGE, id="two stages"),
+        pytest.param(JOINT_WITH_MEMORY, id="both seats, recurrent"),
         pytest.param(ALTERNATING, id="rounds", marks=pytest.mark.slow),
     ],
 )

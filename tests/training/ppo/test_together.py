@@ -33,6 +33,7 @@ PROTOCOLS = {
     "two-stage": TwoStage(driver_steps=80, hmi_steps=80, **TINY),
     "joint": Joint(steps=80, **TINY),
     "simultaneous": Simultaneous(steps=80, **TINY),
+    "joint, recurrent": Joint(steps=80, ai_sees_attention=False, rnn_hidden_dim=4, **TINY),
     "recurrent": TwoStage(
         driver_steps=40,
         hmi_steps=80,

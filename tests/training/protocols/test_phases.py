@@ -101,7 +101,7 @@ def test_the_vehicle_ai_may_be_told_what_to_read(protocol):
             assert everything or names(card) == {"speed", "distracted"}
 
 
-@pytest.mark.parametrize("protocol", [TwoStage, Simultaneous, Alternating])
+@pytest.mark.parametrize("protocol", [TwoStage, Joint, Simultaneous, Alternating])
 def test_only_the_vehicle_ai_has_a_memory(protocol):
     for phase in protocol(rnn_hidden_dim=6).phases():
         for card in phase.cards:

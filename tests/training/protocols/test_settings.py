@@ -89,10 +89,6 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
         (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps lies in 1 to"),
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
         (lambda: Joint(steps=0), "steps lies in 1 to"),
-        (
-            lambda: Joint(rnn_hidden_dim=4),
-            "rnn_hidden_dim = 4, but the composite policy has no recurrent units",
-        ),
         (lambda: Simultaneous(steps=-5), "steps lies in 1 to .*, but got -5"),
         (lambda: Alternating(rounds=0), "rounds lies in 1 to"),
         (lambda: Alternating(driver_steps=0), "driver_steps lies in 1 to"),
