@@ -43,7 +43,7 @@ from hmi_marl.training.jobs import train_all
 from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.runs.folder import read_curve
 
-COLOURS = ("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c")
+COLOURS = ("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c", "#8a6d3b")
 """Colours of the protocols, in the order in which they are registered."""
 CURVE_TITLES = {
     "team_return": "team return",
@@ -55,8 +55,8 @@ ABOUT_CURVES = (
     "Means over the seeds, interpolated at common environment steps, with the 95 % band of "
     "Student's t, cut off at the values that occurred (two seeds: thin lines instead). These are "
     "the training episodes, so with actions that were drawn (explored), not the likeliest, by the "
-    "policies that learn at the time. In two-stage's first part, and alternating's, there is no "
-    "HMI."
+    "policies that learn at the time. In the first part of two-stage, alternating and fine-tune "
+    "there is no HMI."
 )
 _OUTCOMES: dict[Finding, Outcome] = {
     "fine": Outcome.SUPPORTED,
@@ -149,8 +149,9 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         return [
             Text(
                 f"Every run: {settings.steps_each:,} environment steps. Two-stage and alternating "
-                f"give {driver_steps:,} of them to the driver and {hmi_steps:,} to the HMI; in the "
-                "others both learn in all."
+                f"give {driver_steps:,} of them to the driver and {hmi_steps:,} to the HMI. "
+                f"Fine-tune gives {settings.together_share:.0%} of them to both together, after "
+                "two such stages. In the others both learn in all."
             ),
             summary_table(results),
             Text(ABOUT_CURVES, "Learning curves"),

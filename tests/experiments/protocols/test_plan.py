@@ -67,6 +67,7 @@ def batches(settings: ProtocolComparison, training) -> int:
         ProtocolComparison.quick(),
         TINY,
         ProtocolComparison(steps=1),
+        ProtocolComparison(steps=1, rounds=1),
         ProtocolComparison(steps=777_777, driver_share=0.37, rounds=3, num_teams=100),
     ],
 )
@@ -87,7 +88,7 @@ def test_the_steps_are_about_those_that_were_asked_for() -> None:
 
 def test_every_run_has_its_own_folder_seed_and_setting() -> None:
     jobs = {job.folder.name: job.settings for job in replace(TINY, seed=5).jobs(Path("out"))}
-    assert len(jobs) == 15
+    assert len(jobs) == 18
     assert jobs["joint-run0"].seed == 5
     assert jobs["joint-run1"].seed == part_seed(5, 1)
     assert jobs["joint-run1"].end_at_crash
@@ -115,6 +116,10 @@ def test_the_reward_is_that_of_those_who_learn_together() -> None:
     assert replace(TINY, reward="team").driver_terms("alternating") == TERMS
     assert jobs["two-stage-run0"].driver_reward == "driving"
     assert TINY.driver_terms("two-stage") == DRIVING_TERMS
+    tuned = jobs["fine-tune-run0"]
+    assert (tuned.driver_reward, tuned.hmi_reward) == ("driving", "team")
+    assert tuned.together_reward == "individual"
+    assert TINY.driver_terms("fine-tune") == TERMS  # of the last phase
     assert TINY.driver_terms("simultaneous") == TERMS
     individual = replace(TINY, reward="individual")
     assert individual.driver_terms("alternating") == DRIVER_TERMS
@@ -124,8 +129,8 @@ def test_the_reward_is_that_of_those_who_learn_together() -> None:
 def test_everybody_plays_with_everybody_of_the_same_seed_and_protocol() -> None:
     pairs = TINY.pairs()
     assert len(pairs) == len(set(pairs))
-    # 25 of each seed, 2 across the seeds of each protocol, 2 + 2 x 2 baselines, 2 x 5 standing
-    assert len(pairs) == 2 * 25 + 5 * 2 + 6 + 10
+    # 36 of each seed, 2 across the seeds of each protocol, 2 + 2 x 2 baselines, 2 x 6 standing
+    assert len(pairs) == 2 * 36 + 6 * 2 + 6 + 12
     assert Pair("joint-run1", "alternating-run1") in pairs
     assert Pair("joint-run0", "joint-run1") in pairs
     assert Pair("joint-run0", "alternating-run1") not in pairs
