@@ -175,7 +175,7 @@ class Killed(BaseException):
     "settings",
     [
         pytest.param(TWO_STAGE, id="two stages"),
-        pytest.param(FINE_TUNE, id="fine-tune"),
+        pytest.param(FINE_TUNE, id="fine-tune", marks=pytest.mark.slow),
         pytest.param(ALTERNATING, id="rounds", marks=pytest.mark.slow),
     ],
 )
