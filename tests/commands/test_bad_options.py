@@ -63,6 +63,11 @@ TRAIN = {
     "checkpoint-every": ["nan", "-1", "inf"],
     "processes": ["0", "3", "1000"],
 }
+ANCHOR = {
+    "anchor": ["nope", "rule", "/no/such", "trained:nobody", "trained:homer"],
+    "anchor trained:driver --anchor-kl": ["-1", "nan"],
+    "anchor-kl": ["1"],
+}
 BAD: dict[str, dict[str, list[str]]] = {
     "adapt": {
         **MACHINE,
@@ -109,6 +114,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "protocols": ["nope"],
         "steps": ["0"],
         "driver-share": ["nan", "2"],
+        "together-share": ["0", "1"],
         "rounds": ["0"],
         "seeds": ["0"],
         "drivers": ["nobody"],
@@ -196,8 +202,30 @@ BAD: dict[str, dict[str, list[str]]] = {
         "device": ["nope"],
         "checkpoint-every": ["nan"],
     },
-    "train joint": {**OUT, "steps": ["0"], "device": ["nope"], "threads": ["1000"]},
-    "train simultaneous": {**OUT, "steps": ["0"], "device": ["nope"], "threads": ["1000"]},
+    "train joint": {
+        **OUT,
+        **ANCHOR,
+        "steps": ["0"],
+        "device": ["nope"],
+        "threads": ["1000"],
+        "no-sequential": [""],
+    },
+    "train simultaneous": {
+        **OUT,
+        **ANCHOR,
+        "steps": ["0"],
+        "device": ["nope"],
+        "threads": ["1000"],
+    },
+    "train fine-tune": {
+        **OUT,
+        **ANCHOR,
+        "driver-steps": ["0"],
+        "hmi-steps": ["-1"],
+        "together-steps": ["0"],
+        "together-progress": ["nan", "2"],
+        "together-reward": ["nope"],
+    },
     "traits train": {
         "demonstrations": ["/no/such"],
         "preferences": ["/no/such"],

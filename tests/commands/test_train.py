@@ -7,6 +7,7 @@ import pytest
 from hmi_marl.cli import main, parse
 from hmi_marl.commands import train as train_command
 from hmi_marl.training.protocols.alternating import Alternating
+from hmi_marl.training.protocols.fine_tune import FineTune
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 
@@ -20,6 +21,7 @@ TINY = ["--num-teams", "16", "--duration", "1"]
         ("joint", Joint),
         ("simultaneous", Simultaneous),
         ("alternating", Alternating),
+        ("fine-tune", FineTune),
     ],
 )
 def test_every_protocol_is_a_subcommand_with_the_defaults_of_python(name, protocol):

@@ -740,3 +740,41 @@ def test_traits_follow_a_change_of_drivers():
     assert observations["traits"][1].tolist() == [0.25, 0.5, 0.75, 2.0]
     shown = env.layouts["critic"]["traits"]
     assert observations["critic"][1, shown][:3].tolist() == [0.25, 0.5, 0.75]
+
+
+def test_a_partner_may_drive_at_the_same_time():
+    # The same as both seats give, if the same policy drives: the vehicle AI sees a^H_{t-1}.
+    config = TeamConfig(driver="homer", duration=1.0, scene=Scene(vehicles=(1, 3)))
+    env = make_vec(6, "vehicle_ai", "rule", threads=1, sequential=False, **vars(config))
+    both = make_vec(6, "team", threads=1, **vars(config))
+    policy = make_driver_policy("rule", config)
+    draw = torch.Generator().manual_seed(0)
+    seen, known = env.reset(3)[0], both.reset(3)[0]
+    policy.reset(both.teaming.seeds)
+    for _ in range(12):  # a second episode and some more
+        assert torch.equal(seen["vehicle_ai"], known["vehicle_ai"])
+        assert torch.equal(seen["critic"], known["critic"])
+        alerts = torch.randint(2, (6, 1), generator=draw)
+        intents = torch.from_numpy(policy.act(known["driver"].numpy())).unsqueeze(-1)
+        seen, rewards, dones, extras = env.step(alerts)
+        known, _, known_dones, known_extras = both.step(torch.cat([intents, alerts], dim=1))
+        assert torch.equal(rewards, known_extras["rewards"]["vehicle_ai"])
+        assert torch.equal(dones, known_dones)
+        if "final_teams" in extras:
+            last, known_last = (
+                each["final_observation"]["vehicle_ai"] for each in (extras, known_extras)
+            )
+            assert torch.equal(last, known_last)
+            policy.reset(both.teaming.seeds, dones.numpy().astype(bool))
+        now = both.layouts["vehicle_ai"].chosen(known["vehicle_ai"].numpy(), "intended_action")
+        assert (now == intents[:, 0].numpy())[dones.numpy() == 0].all()
+    first = make_vec(6, "vehicle_ai", "rule", threads=1, **vars(config))
+    assert not torch.equal(first.reset(3)[0]["vehicle_ai"], env.reset(3)[0]["vehicle_ai"])
+
+
+@pytest.mark.parametrize(("seat", "partner"), [("driver", "never"), ("team", None)])
+def test_only_a_partner_who_drives_is_told_when(seat, partner):
+    with pytest.raises(ValueError, match=r"sequential=False is for seat='vehicle_ai'"):
+        make_vec(2, seat, partner, sequential=False)
+    with pytest.raises(TypeError, match="sequential is True or False"):
+        make_vec(2, "vehicle_ai", sequential=1)

@@ -119,6 +119,11 @@ COMMANDS = (
     _command("train joint", TRAIN, f"--steps 160 {_RUN}"),
     _command("train simultaneous", TRAIN, f"--steps 160 {_RUN}"),
     _command("train alternating", TRAIN, f"--driver-steps 160 --hmi-steps 160 --rounds 1 {_RUN}"),
+    _command(
+        "train fine-tune",
+        TRAIN,
+        f"--driver-steps 160 --hmi-steps 160 --together-steps 160 {_RUN}",
+    ),
     _command("traits train", TRAIN | DATA, f"--supervision id {_LEARN}", before=(_COLLECT,)),
     _command(
         "traits evaluate",

@@ -33,6 +33,10 @@ TARGETS = {
     "train alternating": (
         f"train alternating {_TRAIN} --rounds 2 --driver-steps 800 --hmi-steps 800 --processes 1"
     ),
+    "train fine-tune": (
+        f"train fine-tune {_TRAIN} --driver-steps 480 --hmi-steps 480 --together-steps 640 "
+        "--anchor first-stage --anchor-kl 0.1 --processes 1"
+    ),
     "train joint": f"train joint {_TRAIN} --steps 1600 --processes 1",
     "train simultaneous": f"train simultaneous {_TRAIN} --steps 1600 --processes 1",
     "train, 2 processes": f"train two-stage {_TRAIN} --driver-steps 800 --hmi-steps 800 "

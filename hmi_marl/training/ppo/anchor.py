@@ -1,7 +1,8 @@
 """The anchor: a driver policy that a learning driver is held close to.
 
-As in human-regularised PPO (Cornelisse and Vinitsky, arXiv 2403.19648) the driver's loss gets
-λ KL(π_driver(.|s) || π_anchor(.|s)), a mean over steps and exact over the five actions.
+As in human-regularised PPO (Cornelisse and Vinitsky, arXiv 2403.19648) a divergence from the
+anchor is added to the driver's loss: λ KL(π_driver(.|s) || π_anchor(.|s)), a mean over steps and
+exact over the five actions.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ class Joint(Anchored):
         super().__post_init__()
         if not self.sequential:
             raise ValueError(
-                "the composite policy draws a^A given a^H, so its moves are sequential; use "
-                "another protocol with sequential=False"
+                "the composite policy draws a^A given a^H, so its moves are sequential; for others "
+                "use another protocol, such as simultaneous"
             )
 
     def phases(self) -> tuple[Phase, ...]:

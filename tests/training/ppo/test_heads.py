@@ -108,6 +108,29 @@ def test_written_gradients_are_those_of_autograd(alerts, shape):
 
 
 @pytest.mark.parametrize("make", [one_action, both])
+def test_the_divergence_of_a_h_and_its_gradient_are_those_of_autograd(make):
+    logits = drawn(7, 3, 5 if make is one_action else 15, seed=6).requires_grad_()
+    others = Categorical(logits=drawn(7, 3, 5, seed=7))
+    known = kl_divergence(Categorical(logits=logits[..., :5]), others)
+    factors = drawn(7, 3, seed=8)
+    (gradient,) = torch.autograd.grad((factors * known).sum(), logits)
+    found, of_intent = make(logits.detach()).first.divergence(others.logits)
+    torch.testing.assert_close(found, known)
+    torch.testing.assert_close(of_intent * factors.unsqueeze(-1), gradient[..., :5])
+    assert gradient[..., 5:].abs().sum() == 0  # the vehicle AI's half is not held
+
+
+def test_the_divergence_by_hand():
+    head = one_action(LOGITS)  # 1/8, 1/4, 1/8, 1/8, 3/8
+    even = torch.full((1, 5), math.log(1 / 5))
+    found, gradient = head.first.divergence(even)
+    expected = math.log(5) - float(head.entropy)
+    assert float(found) == pytest.approx(expected, rel=1e-5)
+    assert float(gradient[0, 4]) == pytest.approx(3 / 8 * (math.log(15 / 8) - expected), rel=1e-5)
+    assert head.first.divergence(head.first.log_probs)[0].item() == 0
+
+
+@pytest.mark.parametrize("make", [one_action, both])
 def test_draws_come_as_often_as_they_are_likely(make):
     torch.manual_seed(3)
     count = 40_000

@@ -24,6 +24,7 @@ from hmi_marl.files import sha256_of
 from hmi_marl.training.ppo import learner
 from hmi_marl.training.ppo.run import train
 from hmi_marl.training.protocols.alternating import Alternating
+from hmi_marl.training.protocols.fine_tune import FineTune
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -41,13 +42,28 @@ TINY = {
 }
 TWO_STAGE = TwoStage(driver_steps=80, hmi_steps=80, **TINY)
 ALTERNATING = Alternating(rounds=2, driver_steps=160, hmi_steps=160, **TINY)
+<<<<<<< HEAD
 JOINT_WITH_MEMORY = Joint(steps=80, rnn_hidden_dim=4, ai_sees_attention=False, **TINY)
+=======
+FINE_TUNE = FineTune(
+    driver_steps=80,
+    hmi_steps=80,
+    together_steps=80,
+    anchor="first-stage",
+    anchor_kl=0.1,
+    **TINY,
+)
+>>>>>>> i-anchor
 PROTOCOLS = {
     "two-stage": TWO_STAGE,
     "joint": Joint(steps=80, **TINY),
     "simultaneous": Simultaneous(steps=80, **TINY),
     "at once": Simultaneous(steps=80, sequential=False, critic="own", **TINY),
     "alternating": ALTERNATING,
+    "fine-tune": FINE_TUNE,
+    "human-regularised": Joint(steps=80, anchor="trained:driver", anchor_kl=0.1, **TINY),
+    "two stages, at once": replace(TWO_STAGE, sequential=False),
+    "rounds, at once": replace(ALTERNATING, sequential=False),
     "hidden attention": replace(
         TWO_STAGE, ai_sees_attention=False, rnn_hidden_dim=4, condition="hidden"
     ),
@@ -99,7 +115,7 @@ def rows(folder):
 def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
     settings = PROTOCOLS[name]
     train(settings, tmp_path, quiet=True, command_line="hmi-marl train it")
-    steps = 320 if settings is ALTERNATING else 160 if isinstance(settings, TwoStage) else 80
+    steps = sum(phase.steps for phase in settings.phases())
     curve = json.loads((tmp_path / "curve.json").read_text())
     assert [row["steps"] for row in curve] == list(range(40, steps + 1, 40))
     assert all(
@@ -119,6 +135,7 @@ def test_every_protocol_leaves_two_policies_that_act(name, tmp_path):
         policy = load_policy(tmp_path, seat, config)
         assert policy.card.training["command"] == "hmi-marl train it"
         assert policy.card.training["settings"] == about["settings"]
+        assert policy.card.sequential == settings.sequential
         assert policy.card.training["team"]["duration"] == 1.0
         policy.reset(np.arange(8, dtype=np.uint64))
         actions = policy.act(env.get_observations()[seat].numpy())
@@ -165,7 +182,11 @@ class Killed(BaseException):
     "settings",
     [
         pytest.param(TWO_STAGE, id="two stages"),
+<<<<<<< HEAD
         pytest.param(JOINT_WITH_MEMORY, id="both seats, recurrent"),
+=======
+        pytest.param(FINE_TUNE, id="fine-tune", marks=pytest.mark.slow),
+>>>>>>> i-anchor
         pytest.param(ALTERNATING, id="rounds", marks=pytest.mark.slow),
     ],
 )
@@ -481,7 +502,9 @@ def test_a_run_does_not_go_on_with_a_context_of_the_same_size_that_means_somethi
         train(beside, tmp_path, context=other, quiet=True)
 
 
-@pytest.mark.parametrize("name", ["two-stage", "joint", "simultaneous", "hidden attention"])
+@pytest.mark.parametrize(
+    "name", ["two-stage", "joint", "simultaneous", "fine-tune", "hidden attention"]
+)
 def test_policies_that_were_lost_are_written_again_from_the_checkpoint(name, tmp_path):
     train(PROTOCOLS[name], tmp_path, quiet=True)
     files = [f"{seat}.{suffix}" for seat in SEATS for suffix in ("json", "safetensors")]

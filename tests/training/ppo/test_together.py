@@ -12,6 +12,7 @@ import together
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.config import AGENTS
 from hmi_marl.training.ppo.run import train
+from hmi_marl.training.protocols.fine_tune import FineTune
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -33,7 +34,19 @@ PROTOCOLS = {
     "two-stage": TwoStage(driver_steps=80, hmi_steps=80, **TINY),
     "joint": Joint(steps=80, **TINY),
     "simultaneous": Simultaneous(steps=80, **TINY),
+<<<<<<< HEAD
     "joint, recurrent": Joint(steps=80, ai_sees_attention=False, rnn_hidden_dim=4, **TINY),
+=======
+    "anchored": Joint(steps=80, anchor="trained:driver", anchor_kl=0.5, **TINY),
+    "fine-tune": FineTune(
+        driver_steps=40,
+        hmi_steps=40,
+        together_steps=80,
+        anchor="first-stage",
+        anchor_kl=0.5,
+        **TINY,
+    ),
+>>>>>>> i-anchor
     "recurrent": TwoStage(
         driver_steps=40,
         hmi_steps=80,

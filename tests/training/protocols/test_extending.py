@@ -148,25 +148,28 @@ def test_names_are_taken_once_and_classes_are_described() -> None:
     Silent.__doc__ = None
     with pytest.raises(ValueError, match="Silent needs a docstring"):
         register("silent", Silent)
-    assert list(PROTOCOLS) == ["two-stage", "joint", "simultaneous", "alternating"]
+    assert list(PROTOCOLS) == ["two-stage", "joint", "simultaneous", "alternating", "fine-tune"]
     assert list(compared()) == [
         "two-stage",
         "joint",
         "simultaneous",
         "simultaneous-moves",
         "alternating",
+        "fine-tune",
     ]
     assert [name_of(entry.value) for entry in PROTOCOLS.values()] == list(PROTOCOLS)
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_a_budget_is_used_up_with_the_reward_that_is_given(name: str) -> None:
-    protocol, budget = PROTOCOLS[name].value, Budget(24_000, 8_000, rounds=4)
+    protocol, budget = PROTOCOLS[name].value, Budget(24_000, 8_000, rounds=4, batch=80)
     settings = protocol.for_comparison(budget, num_teams=16, duration=1.0)
     assert sum(phase.steps for phase in settings.phases()) == budget.steps == 32_000
     given = protocol.for_comparison(Budget(24_000, 8_000, 4, "attention"), num_teams=16)
-    rewards = {phase.team.reward for phase in given.phases()}
-    assert rewards == ({"driving", "team"} if name == "two-stage" else {"attention"})
+    rewards = [phase.team.reward for phase in given.phases()]
+    stages = {"two-stage": rewards, "fine-tune": rewards[:-1]}.get(name, [])  # always the paper's
+    assert stages in ([], ["driving", "team"])
+    assert set(rewards[len(stages) :]) <= {"attention"}
 
 
 def test_a_protocol_has_to_say_how_it_is_compared() -> None:
