@@ -58,7 +58,7 @@ def _task(results: TaskResults) -> dict[str, Any]:
             for name, training in results.training.items()
         },
         "curves": {
-            name: [{"steps": steps} | sums.metrics() for steps, sums in points]
+            name: [{"steps": steps} | json_value(sums.metrics()) for steps, sums in points]
             for name, points in results.curves.items()
         },
         "pairs": [_pair(pair, played) for pair, played in results.played.items()],
@@ -96,11 +96,11 @@ def _pair(pair: Pair, played: Played) -> dict[str, Any]:
     }
     if played.signals:
         content["signals"] = {
-            name: {"revealing": signal.share.mean, "bits": signal.bits.mean}
+            name: {"revealing": signal.total.share, "bits": signal.bits.mean}
             for name, signal in played.signals.items()
         }
     if played.divergence:
-        content["divergence"] = dict(played.divergence)
+        content["divergence"] = json_value(played.divergence)
     return content
 
 

@@ -193,11 +193,12 @@ class TaskPlan:
         settings = self.settings
         for field_name in ("episodes", "cross_episodes"):
             count = getattr(settings, field_name)
-            for name, which in driven_by(self.team(), evaluation_seeds(count)).items():
+            for driver, which in driven_by(self.team(), evaluation_seeds(count)).items():
                 if not which.any():
+                    enough = 8 * len(settings.drivers)
                     raise ValueError(
-                        f"{field_name} = {count}, of which {name} has none; play more, such as "
-                        f"{8 * len(settings.drivers)}"
+                        f"{field_name} = {count}, of which {driver.name} has none; {enough} or more "
+                        "have some of each"
                     )
 
     @property

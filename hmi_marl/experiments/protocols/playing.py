@@ -164,10 +164,10 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     observers = [each for each in (counter, divergence) if each is not None]
     seeds = evaluation_seeds(count)
     episodes = play_episodes(team, *seats, seeds, "batched", observers=observers)
-    drawn = driven_by(team, seeds)
+    drawn = {driver.name: which for driver, which in driven_by(team, seeds).items()}
     signals = counter.by_driver(team, seeds)
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
-    shares = {name: signal.share.mean for name, signal in signals.items()}
+    shares = {name: signal.total.share for name, signal in signals.items()}
     scores = score_pair(team, episodes, shares, sequential=plan.task.sequential)
     return Played(
         {ALL_DRIVERS: add(np.ones(count, np.bool_))}

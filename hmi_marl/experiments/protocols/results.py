@@ -189,7 +189,7 @@ def shortfall(played: Played, driver: str) -> float:
 
 def revealing(played: Played, driver: str) -> float:
     """Share of steps in which a^H reveals d."""
-    return played.signals[driver].share.mean
+    return played.signals[driver].total.share
 
 
 def bits(played: Played, driver: str) -> float:

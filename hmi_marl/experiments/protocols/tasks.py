@@ -30,8 +30,8 @@ class Task:
     options: Mapping[str, Any]
     """Settings of :class:`TrainSettings` that make it."""
     main: bool = False
-    """Whether all protocols are compared on it, with all seeds and budgets. On the others two-stage,
-    joint and simultaneous are, with few seeds."""
+    """Whether all protocols are compared on it, with all seeds and budgets. On the others only
+    two-stage, joint and simultaneous are, with few seeds."""
 
     @property
     def hidden(self) -> bool:

@@ -42,9 +42,7 @@ TINY = {
 }
 TWO_STAGE = TwoStage(driver_steps=80, hmi_steps=80, **TINY)
 ALTERNATING = Alternating(rounds=2, driver_steps=160, hmi_steps=160, **TINY)
-<<<<<<< HEAD
 JOINT_WITH_MEMORY = Joint(steps=80, rnn_hidden_dim=4, ai_sees_attention=False, **TINY)
-=======
 FINE_TUNE = FineTune(
     driver_steps=80,
     hmi_steps=80,
@@ -53,7 +51,6 @@ FINE_TUNE = FineTune(
     anchor_kl=0.1,
     **TINY,
 )
->>>>>>> i-anchor
 PROTOCOLS = {
     "two-stage": TWO_STAGE,
     "joint": Joint(steps=80, **TINY),
@@ -182,11 +179,8 @@ class Killed(BaseException):
     "settings",
     [
         pytest.param(TWO_STAGE, id="two stages"),
-<<<<<<< HEAD
         pytest.param(JOINT_WITH_MEMORY, id="both seats, recurrent"),
-=======
         pytest.param(FINE_TUNE, id="fine-tune", marks=pytest.mark.slow),
->>>>>>> i-anchor
         pytest.param(ALTERNATING, id="rounds", marks=pytest.mark.slow),
     ],
 )

@@ -34,9 +34,7 @@ PROTOCOLS = {
     "two-stage": TwoStage(driver_steps=80, hmi_steps=80, **TINY),
     "joint": Joint(steps=80, **TINY),
     "simultaneous": Simultaneous(steps=80, **TINY),
-<<<<<<< HEAD
     "joint, recurrent": Joint(steps=80, ai_sees_attention=False, rnn_hidden_dim=4, **TINY),
-=======
     "anchored": Joint(steps=80, anchor="trained:driver", anchor_kl=0.5, **TINY),
     "fine-tune": FineTune(
         driver_steps=40,
@@ -46,7 +44,6 @@ PROTOCOLS = {
         anchor_kl=0.5,
         **TINY,
     ),
->>>>>>> i-anchor
     "recurrent": TwoStage(
         driver_steps=40,
         hmi_steps=80,

@@ -168,11 +168,7 @@ def test_the_vehicle_ai_may_be_told_what_to_read(protocol):
             assert everything or names(card) == {"speed", "distracted"}
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize("protocol", [TwoStage, Joint, Simultaneous, Alternating])
-=======
-@pytest.mark.parametrize("protocol", [TwoStage, Simultaneous, Alternating, FineTune])
->>>>>>> i-anchor
+@pytest.mark.parametrize("protocol", [TwoStage, Joint, Simultaneous, Alternating, FineTune])
 def test_only_the_vehicle_ai_has_a_memory(protocol):
     for phase in protocol(rnn_hidden_dim=6).phases():
         for card in phase.cards:

@@ -90,18 +90,11 @@ def test_what_no_protocol_can_be_told(protocol, changed, error, told):
         (lambda: TwoStage(hmi_steps=0, driver_policy="rule"), "hmi_steps lies in 1 to"),
         (lambda: TwoStage(hmi_for="ned"), "unknown driver 'ned'"),
         (lambda: Joint(steps=0), "steps lies in 1 to"),
-<<<<<<< HEAD
-=======
-        (
-            lambda: Joint(rnn_hidden_dim=4),
-            "rnn_hidden_dim = 4, but the composite policy has no recurrent units",
-        ),
         (lambda: Joint(sequential=False), "composite policy draws a\\^A given a\\^H"),
         (lambda: Simultaneous(anchor_kl=0.5), "anchor_kl = 0.5 needs an anchor, such as --anchor"),
         (lambda: Joint(anchor="x", anchor_kl=-1.0), r"anchor_kl lies in \[0, "),
         (lambda: FineTune(together_steps=0), "together_steps lies in 1 to"),
         (lambda: FineTune(together_progress=1.5), r"together_progress lies in \[0, 1\]"),
->>>>>>> i-anchor
         (lambda: Simultaneous(steps=-5), "steps lies in 1 to .*, but got -5"),
         (lambda: Alternating(rounds=0), "rounds lies in 1 to"),
         (lambda: Alternating(driver_steps=0), "driver_steps lies in 1 to"),
