@@ -12,7 +12,7 @@ import numpy as np
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
-from hmi_marl.experiments.protocols.plan import Pair
+from hmi_marl.experiments.protocols.pairs import Pair, all_pairs
 from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
 from hmi_marl.experiments.protocols.results import Comparison, TaskResults, Training
 from hmi_marl.experiments.references import PairScore
@@ -104,7 +104,7 @@ def task(
             settings.driver_names,
             **{k: more[k](pair) for k in of_played if k in more},
         )
-        for pair in (*plan.pairs(), *rivals.values())
+        for pair in (*all_pairs(plan), *rivals.values())
     }
     training = {run.name: Training(8000, 120, 60.0 + run.number, ()) for run in plan.runs}
     curves = {

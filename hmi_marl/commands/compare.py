@@ -10,19 +10,21 @@ import tyro
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
+from hmi_marl.experiments.protocols.plan import coarse
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
 
 
 @dataclass(frozen=True)
 class Compare:
-    """Train by every protocol with equal environment steps and several seeds, and compare them.
+    """Compare sequential with joint training, at equal environment steps and over several seeds.
 
-    Learning curves, final returns and their terms, crashes, alerts, wall time, swapped partners,
-    and whether crashing pays. Writes text, JSON, figures and an HTML page. Goes on by itself where
-    it was cut off; a trained run is not trained again.
+    Each protocol is trained on several tasks: attention seen, hidden, and hidden with both agents
+    moving at the same time. Results stand between exact references; signals that partners learn
+    are measured, and every driver plays with every HMI. Writes text, JSON, figures and an HTML
+    page. The whole takes hours and is resumable: a run that is trained is not trained again.
 
-    Example: hmi-marl compare --protocols two-stage simultaneous --steps 1_000_000 --seeds 2
+    Example: hmi-marl compare --tasks hidden --protocols two-stage simultaneous --seeds 3
     """
 
     settings: tyro.conf.OmitArgPrefixes[ProtocolComparison] = field(
@@ -30,7 +32,7 @@ class Compare:
     )
     """Protocols to compare, and sizes."""
     quick: bool = False
-    """A coarse one instead: 300k steps, 2 seeds, 200 episodes, 128 teams."""
+    """A small one instead, in minutes: attention hidden, two-stage, joint and simultaneous."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
     out: Path | None = None
@@ -39,7 +41,7 @@ class Compare:
     def run(self, command_line: str) -> None:
         """Learn what is not learned yet, play, write and print."""
         use_quiet_threads()
-        settings = self.settings.coarse() if self.quick else self.settings
+        settings = coarse(self.settings) if self.quick else self.settings
         out = self.out or Path("runs") / ("compare-quick" if self.quick else "compare")
         place = Place(out, out, check_workers(self.workers), command_line)
         print(conduct(settings, place).text)

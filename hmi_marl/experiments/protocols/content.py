@@ -8,7 +8,7 @@ from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.cross_play import cross_play, dependence_of
 from hmi_marl.experiments.protocols.findings import differences, sweep
 from hmi_marl.experiments.protocols.gaming import gaming_of, worst_finding
-from hmi_marl.experiments.protocols.plan import Pair
+from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
 from hmi_marl.experiments.protocols.results import (
     Comparison,

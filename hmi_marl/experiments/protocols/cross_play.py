@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-from hmi_marl.experiments.protocols.arms import Arm, PlannedRun
-from hmi_marl.experiments.protocols.plan import RULE, Pair
+from hmi_marl.experiments.protocols.arms import RULE, Arm
+from hmi_marl.experiments.protocols.pairs import Pair, crossed, pairs_of, rule_pairs
 from hmi_marl.experiments.protocols.results import UNKNOWN, TaskResults
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate
@@ -45,9 +45,7 @@ class Cell:
 def drivers_of(results: TaskResults) -> list[str]:
     """Arms with a driver that plays with every HMI, and the rule-based driver."""
     listed = [arm.name for arm in _crossed(results) if DRIVER in arm.seats]
-    return (
-        [*listed, RULE] if any(pair.driver == RULE for pair in results.plan.crossed()) else listed
-    )
+    return [*listed, RULE] if any(pair.driver == RULE for pair in crossed(results.plan)) else listed
 
 
 def hmis_of(results: TaskResults) -> list[str]:
@@ -65,9 +63,9 @@ def cross_play(results: TaskResults) -> list[Cell]:
 def cell_of(results: TaskResults, driver: str, hmi: str) -> Cell:
     """Average over the runs of two arms, with Student's t intervals over runs."""
     if driver == RULE:
-        pairs = [Pair(results.plan.name, RULE, run.name) for run in results.plan.runs_of(hmi)]
+        pairs = rule_pairs(results.plan, hmi)
         return Cell(driver, hmi, results.over_runs(pairs, METRIC), UNKNOWN)
-    same, following = pairs_of(results, driver, hmi, 0), pairs_of(results, driver, hmi, 1)
+    same, following = pairs_of(results.plan, driver, hmi, 0), pairs_of(results.plan, driver, hmi, 1)
     apart = [pair for pair in following if pair not in same]
     return Cell(
         driver,
@@ -75,20 +73,6 @@ def cell_of(results: TaskResults, driver: str, hmi: str) -> Cell:
         results.over_runs(same, METRIC),
         results.over_runs(apart, METRIC) if apart else UNKNOWN,
     )
-
-
-def pairs_of(results: TaskResults, driver: str, hmi: str, step: int) -> list[Pair]:
-    """Pair run k's driver with the HMI of run k + ``step``, for every k that both arms have."""
-    arms, task = results.plan.arms, results.plan.name
-    count = min(arms[driver].seeds, arms[hmi].seeds)
-    return [
-        Pair(
-            task,
-            PlannedRun(task, driver, k).name,
-            PlannedRun(task, hmi, (k + step) % count).name,
-        )
-        for k in range(count)
-    ]
 
 
 @dataclass(frozen=True)
@@ -121,9 +105,9 @@ def dependence_of(results: TaskResults) -> list[Dependence]:
 
 def _gains(results: TaskResults, one: str, other: str) -> NDArray[np.float64]:
     """Own minus swapped pairs of runs of the same number, shape (runs,)."""
-    own = [_values(results, pairs_of(results, name, name, 0)) for name in (one, other)]
-    swapped = _values(results, pairs_of(results, one, other, 0))
-    back = _values(results, pairs_of(results, other, one, 0))
+    own = [_values(results, pairs_of(results.plan, name, name, 0)) for name in (one, other)]
+    swapped = _values(results, pairs_of(results.plan, one, other, 0))
+    back = _values(results, pairs_of(results.plan, other, one, 0))
     count = len(swapped)
     return (own[0][:count] + own[1][:count] - swapped - back) / 2.0
 
@@ -134,10 +118,10 @@ def _gains_next(results: TaskResults, arm: str) -> NDArray[np.float64]:
     Run k + 1's driver does not play with run k's HMI, so the other half of the swap is that of the
     whole circle: the mean over runs is the same.
     """
-    own = _values(results, pairs_of(results, arm, arm, 0))
+    own = _values(results, pairs_of(results.plan, arm, arm, 0))
     if len(own) < 2:
         return np.full(1, np.nan)
-    swapped = _values(results, pairs_of(results, arm, arm, 1))
+    swapped = _values(results, pairs_of(results.plan, arm, arm, 1))
     return own - swapped
 
 

@@ -21,7 +21,8 @@ from hmi_marl.experiments.protocols.figures import (
     sweep_figure,
 )
 from hmi_marl.experiments.protocols.findings import differences, judge, sweep
-from hmi_marl.experiments.protocols.plan import ComparisonSettings, Pair, Shares, TaskPlan, coarse
+from hmi_marl.experiments.protocols.pairs import Pair, all_pairs, own_pair
+from hmi_marl.experiments.protocols.plan import ComparisonSettings, coarse
 from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, play_all, play_curves
 from hmi_marl.experiments.protocols.results import (
     Comparison,
@@ -29,6 +30,7 @@ from hmi_marl.experiments.protocols.results import (
     Training,
     revealing,
 )
+from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting.blocks import Block, Figure, Heading
 from hmi_marl.reporting.verdicts import Verdict
 
@@ -67,7 +69,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         """Try out the shares of the driver's stage; team returns by arm, and the best shares."""
         runs, arms = plan.tuning_runs, plan.tuning_arms()
         place.train(plan.jobs(place.folder, runs))
-        pairs = [Pair(plan.name, run.name, run.name) for run in runs]
+        pairs = [own_pair(run) for run in runs]
         with place.playing(len(pairs), "pairs") as progress:
             played = play_all(plan, pairs, place.folder, place.workers, progress)
         returns = {
@@ -82,7 +84,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
 
     def _play(self, plan: TaskPlan, place: Place) -> TaskResults:
         """Play all pairs of a task and the snapshots of its protocols."""
-        folder, workers, pairs = place.folder, place.workers, plan.pairs()
+        folder, workers, pairs = place.folder, place.workers, all_pairs(plan)
         crossed = [run for arm in plan.protocols for run in plan.runs_of(arm)]
         with place.playing(len(pairs), "pairs") as progress:
             played = play_all(plan, pairs, folder, workers, progress)
@@ -107,7 +109,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             return {}
         rivals = {}
         for run in plan.runs_of(TWO_STAGE):
-            own = played[Pair(plan.name, run.name, run.name)]
+            own = played[own_pair(run)]
             names = plan.settings.driver_names
             share = sum(revealing(own, name) for name in names) / len(names)
             rivals[run.name] = Pair(plan.name, run.name, f"belief:average:{share:.3f}")

@@ -17,8 +17,8 @@ from hmi_marl.experiments.protocols.arms import (
     SIMULTANEOUS,
     TWO_STAGE,
 )
-from hmi_marl.experiments.protocols.cross_play import pairs_of
 from hmi_marl.experiments.protocols.gaming import Finding, gaming_of, worst_finding
+from hmi_marl.experiments.protocols.pairs import pairs_of
 from hmi_marl.experiments.protocols.results import (
     Comparison,
     TaskResults,
@@ -207,7 +207,7 @@ def _no_convention(results: TaskResults) -> list[Verdict]:
     for protocol in (JOINT, SIMULTANEOUS):
         if not {protocol, TWO_STAGE} <= set(results.plan.protocols) or not results.average_hmi:
             continue
-        pairs = pairs_of(results, TWO_STAGE, protocol, 0)
+        pairs = pairs_of(results.plan, TWO_STAGE, protocol, 0)
         rivals = [results.average_hmi[pair.driver] for pair in pairs]
         (change,) = paired_differences(
             [

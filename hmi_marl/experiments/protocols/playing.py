@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +20,13 @@ from hmi_marl.agents.learned.policy import LearnedPolicy
 from hmi_marl.agents.rollout import Observer
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
+from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.experiments.episodes import Episodes, driven_by, evaluation_seeds, play_episodes
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun
-from hmi_marl.experiments.protocols.plan import Pair, TaskPlan
+from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.snapshots import Point, points_of
+from hmi_marl.experiments.protocols.task_plan import TaskPlan
 from hmi_marl.experiments.references import PairScore, score_pair
 from hmi_marl.experiments.signalling import SignalCounter, Signalling
 from hmi_marl.workers import results
@@ -179,18 +180,18 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
 
 
 def _divergence(
-    plan: TaskPlan, folder: Path, pair: Pair, team: TeamConfig, driver: Any
+    plan: TaskPlan, folder: Path, pair: Pair, team: TeamConfig, driver: Policy
 ) -> Divergence | None:
     """Observer of the divergence from the two-stage driver of the same number, if there is one."""
     number = next((run.number for run in plan.runs if run.name == pair.driver), None)
     arm = plan.arms.get(TWO_STAGE)
     if number is None or arm is None or number >= arm.seeds:
         return None
-    natural = PlannedRun(plan.name, TWO_STAGE, number).folder(folder)
-    policies = driver, make_driver_policy(str(natural), team)
-    if not all(isinstance(policy, LearnedPolicy) for policy in policies):
+    place = PlannedRun(plan.name, TWO_STAGE, number).folder(folder)
+    natural = make_driver_policy(str(place), team)
+    if not isinstance(driver, LearnedPolicy) or not isinstance(natural, LearnedPolicy):
         return None
-    return Divergence(*policies)
+    return Divergence(driver, natural)
 
 
 def _place(plan: TaskPlan, folder: Path, name: str) -> str:

@@ -12,13 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.experiments.protocols.arms import Arm, PlannedRun
-from hmi_marl.experiments.protocols.plan import (
-    ComparisonSettings,
-    Pair,
-    Shares,
-    TaskPlan,
-)
+from hmi_marl.experiments.protocols.pairs import Pair, own_pair
+from hmi_marl.experiments.protocols.plan import ComparisonSettings
 from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
+from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.many_runs import over_runs
 from hmi_marl.reporting.statistics import Estimate
@@ -76,7 +73,7 @@ class TaskResults:
 
     def own(self, arm: str) -> list[Pair]:
         """Pairs of the driver and the HMI of each run of an arm."""
-        return [Pair(self.plan.name, run.name, run.name) for run in self.plan.runs_of(arm)]
+        return [own_pair(run) for run in self.plan.runs_of(arm)]
 
     def whole_arms(self) -> list[Arm]:
         """Arms that fill both seats."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
+from hmi_marl.envs.config import DRIVER
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.cross_play import (
@@ -16,6 +18,7 @@ from hmi_marl.experiments.protocols.cross_play import (
 )
 from hmi_marl.experiments.protocols.findings import Compared, SweepPoint, sweep
 from hmi_marl.experiments.protocols.gaming import Gaming, gaming_of
+from hmi_marl.experiments.protocols.pairs import baselines
 from hmi_marl.experiments.protocols.results import (
     Comparison,
     TaskResults,
@@ -46,7 +49,7 @@ def summary_table(results: TaskResults) -> Table:
     }
     groups = {arm.name: results.own(arm.name) for arm in results.whole_arms()}
     rows = []
-    for label, pairs in (groups | results.plan.baselines()).items():
+    for label, pairs in (groups | baselines(results.plan)).items():
         shown = [results.over_runs(pairs, name).shown(form) for name, form in metrics.values()]
         crashes = results.crash_rate(pairs).percent()
         score = results.score(pairs).shown(".3f")
@@ -76,23 +79,30 @@ def cost_table(results: TaskResults, workers: int) -> Table:
                 f"{one.gradient_steps:,}",
                 spent.shown(),
                 f"{one.steps / spent.mean:,.0f}",
-                _stages(results, arm),
+                _alone(results, arm),
             ]
         )
-    head = ["arm", "environment steps", "gradient steps", "seconds of a run", "steps/s", "driver's"]
+    head = [
+        "arm",
+        "environment steps",
+        "gradient steps",
+        "seconds of a run",
+        "steps/s",
+        "driver alone",
+    ]
     note = (
         f"Seconds: training alone, {workers} at a time. Gradient steps count both learners where "
-        "two learn at once. driver's: share of the steps in which the driver learns alone."
+        "two learn at once. driver alone: share of the steps in which only the driver learns."
     )
     return Table(f"{results.plan.name}: costs", head, rows, note)
 
 
-def _stages(results: TaskResults, arm: Arm) -> str:
-    budget = results.plan.budget(arm)
-    share = results.plan.shares.get(arm.protocol)
-    if share is None:
-        return "-"
-    return f"{budget.driver_steps / budget.steps:.2f}"
+def _alone(results: TaskResults, arm: Arm) -> str:
+    """Share of the steps in which the driver learns alone."""
+    settings = results.plan.training(results.plan.runs_of(arm.name)[0], Path())
+    steps = [phase.iterations(settings.num_teams) for phase in settings.phases()]
+    alone = [phase.seat == DRIVER for phase in settings.phases()]
+    return f"{sum(n for n, own in zip(steps, alone, strict=True) if own) / sum(steps):.2f}"
 
 
 def tuning_table(comparison: Comparison) -> Table:

@@ -8,9 +8,10 @@ import pytest
 
 from hmi_marl.envs.rewards import DRIVING_TERMS, TERMS
 from hmi_marl.envs.streams import part_seed
-from hmi_marl.experiments.protocols.arms import MAIN, ROBUST, TWO_STAGE, UNTOLD, PlannedRun
+from hmi_marl.experiments.protocols.arms import MAIN, ROBUST, RULE, TWO_STAGE, UNTOLD, PlannedRun
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
-from hmi_marl.experiments.protocols.plan import QUICK, RULE, ComparisonSettings, Pair, coarse
+from hmi_marl.experiments.protocols.pairs import Pair, all_pairs
+from hmi_marl.experiments.protocols.plan import QUICK, ComparisonSettings, coarse
 from hmi_marl.experiments.protocols.results import gradient_steps
 from hmi_marl.experiments.protocols.tasks import TASKS
 from hmi_marl.training.protocols.registry import compared
@@ -145,7 +146,7 @@ def test_gradient_steps_count_both_learners():
 
 
 def test_everyone_plays_with_everyone_of_the_same_and_of_the_next_seed():
-    pairs = HIDDEN.pairs()
+    pairs = all_pairs(HIDDEN)
     assert len(pairs) == len(set(pairs))
 
     def pair(driver: str, hmi: str) -> Pair:

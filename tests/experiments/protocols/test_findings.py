@@ -17,7 +17,7 @@ from hmi_marl.experiments.protocols.findings import (
     way_to_optimum,
 )
 from hmi_marl.experiments.protocols.gaming import find, gaming_of, worst_finding
-from hmi_marl.experiments.protocols.plan import Pair
+from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.results import (
     attainable,
     attention,
