@@ -261,7 +261,7 @@ def measure_pair(
 
 
 def score_tables(scores: Sequence[PairScore]) -> list[Table]:
-    """Show the returns between their references, and the parts of the regret."""
+    """Show returns between their references, parts of the regret, and what drivers give up."""
     returns = [
         [
             each.driver,
@@ -280,12 +280,10 @@ def score_tables(scores: Sequence[PairScore]) -> list[Table]:
             each.regret.shown(),
             number(each.hiding),
             each.shortfall.shown() if each.shortfall else "-",
-            each.given_up.driving.shown("+.1f") if each.given_up else "-",
-            each.given_up.crash_rate.percent("+.1f") if each.given_up else "-",
         ]
         for each in scores
     ]
-    return [
+    tables = [
         Table(
             "Attention return per episode, and exact references over the same lengths",
             [
@@ -300,9 +298,26 @@ def score_tables(scores: Sequence[PairScore]) -> list[Table]:
             [*returns, ["mean", *["-"] * 5, mean_score(scores).shown(".3f")]],
         ),
         Table(
-            "Regret per episode: cost of hiding attention, the HMI's shortfall, and the driving "
-            "return that the driver gives up against a natural driver",
-            ["driver", "regret", "hiding", "HMI", "driver", "more crashes [%]"],
+            "Regret per episode: cost of hiding attention, and the HMI's shortfall",
+            ["driver", "regret", "hiding", "HMI"],
             parts,
         ),
     ]
+    given_up = [(each.driver, each.given_up) for each in scores if each.given_up]
+    if given_up:
+        tables.append(
+            Table(
+                "Driving return per episode that the driver gives up against a natural driver",
+                ["driver", "driving", *DRIVING_TERMS, "more crashes [%]"],
+                [
+                    [
+                        driver,
+                        given.driving.shown("+.1f"),
+                        *(given.by_term[name].shown("+.1f") for name in DRIVING_TERMS),
+                        given.crash_rate.percent("+.1f"),
+                    ]
+                    for driver, given in given_up
+                ],
+            )
+        )
+    return tables

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from hmi_marl.experiments.references import (
     score_pair,
     score_tables,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting.blocks import as_text
 
 TEAM = TeamConfig(driver="bart", ai_sees_attention=False)
@@ -230,9 +232,12 @@ def test_a_pair_by_name_is_measured_and_scored():
         assert score.given_up.driving.low > 0.0, "random driving is worse"
         parts = sum(estimate.mean for estimate in score.given_up.by_term.values())
         assert parts == pytest.approx(score.given_up.driving.mean)
-    text = as_text(score_tables(random.scores))
-    assert "Regret per episode" in text
-    assert "mean" in text
+    shown = score_tables(random.scores)
+    assert len(shown) == 1 + len(score_tables(natural.scores)) == 3
+    text = as_text(shown)
+    for words in ("Regret per episode", "mean", "lane_change", "more crashes"):
+        assert words in text
+    assert json.dumps(json_value(random.scores))
     # The rule-based driver reveals less.
     for score in natural.scores:
         assert score.revealing < 0.6
