@@ -162,15 +162,15 @@ class SignalCounter(SignalWatch):
         """
         total, parts = self.signals()
         return {
-            driver.name: Signalling(
-                driver.name,
+            name: Signalling(
+                name,
                 total.of(which),
                 {
                     group: {label: signals.of(which) for label, signals in each.items()}
                     for group, each in parts.items()
                 },
             )
-            for driver, which in driven_by(team, seeds).items()
+            for name, which in driven_by(team, seeds).items()
         }
 
 

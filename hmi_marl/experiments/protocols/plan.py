@@ -24,7 +24,7 @@ from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.streams import Seed, part_seed
-from hmi_marl.experiments.episodes import Episodes, driven_by, play_named
+from hmi_marl.experiments.episodes import Episodes, play_named
 from hmi_marl.registry import unknown
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.registry import compared
@@ -321,10 +321,13 @@ def play_pair(settings: ComparisonSettings, folder: Path, pair: Pair) -> dict[st
     runs = {run.name for run in settings.runs}
     driver, hmi = (str(folder / name) if name in runs else name for name in (pair.driver, pair.hmi))
     episodes = play_named(team, driver, hmi, settings.episodes)
+    drawn = team.population.draw(episodes.seeds).as_array()
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
     sums = {ALL_DRIVERS: add(np.ones(settings.episodes, np.bool_))}
-    marked = driven_by(team, episodes.seeds)
-    return sums | {driver.name: add(which) for driver, which in marked.items()}
+    for name in settings.drivers:
+        known = get_driver(name)
+        sums[known.name] = add((drawn == np.array(known.traits)).all(axis=1))
+    return sums
 
 
 def play_all(
