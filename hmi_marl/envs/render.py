@@ -61,6 +61,11 @@ class TeamStatus:
     """Strength of the alert, where there is one."""
     belief: tuple[tuple[str, float], ...] = ()
     """The HMI's belief about the driver: names and their probabilities."""
+    reveals: bool = False
+    """Whether a^H showed d in the last step, as it differed from the action applied before."""
+    distracted_belief: float | None = None
+    """Exact belief p(d = 1) from a^H, v and the alerts, where attention is hidden; None where it is
+    seen or not known."""
 
 
 def team_status(teaming: Teaming, team: int) -> TeamStatus:
@@ -257,12 +262,18 @@ class Viewer:
         self._text(
             f"applied    {status.applied}", (480, second - 3), colour=RED if overridden else DARK
         )
+        taken = bool(status.belief) or status.distracted_belief is not None
         if self._perceived:
-            place = (100, first + 6) if status.belief else (680, first + 3)
-            words = "x" if status.belief else "others perceived x"
+            place = (100, first + 6) if taken else (680, first + 3)
+            words = "x" if taken else "others perceived x"
             self._text(f"{words} {status.inflation:g}", place, small=True)
         if status.belief:
             self._draw_belief(status.belief, top)
+        elif status.distracted_belief is not None:
+            words = "reveals d" if status.reveals else "silent"
+            self._badge(words, BLUE if status.reveals else None, (690, first))
+            self._text("HMI: p(d)", (690, second), small=True)
+            self._bar(status.distracted_belief, (770, second), AMBER)
 
     def _draw_belief(self, belief: tuple[tuple[str, float], ...], top: int) -> None:
         """A bar for each name, the likeliest in colour: as many as the panel has room for."""
@@ -272,9 +283,13 @@ class Viewer:
         for row, (name, probability) in enumerate(shown):
             y = top + 5 + row * (PANEL_HEIGHT - 8) // BELIEF_ROWS
             self._text(name, (700, y), small=True)
-            pygame.draw.rect(self._canvas, LIGHT, (770, y + 1, 96, 11))
-            colour = BLUE if (name, probability) == likeliest else GREY
-            pygame.draw.rect(self._canvas, colour, (770, y + 1, round(96 * probability), 11))
+            self._bar(probability, (770, y), BLUE if (name, probability) == likeliest else GREY)
+
+    def _bar(self, probability: float, at: _Place, colour: _Colour) -> None:
+        """A bar that is full at probability 1, in a row of small text."""
+        x, y = at
+        pygame.draw.rect(self._canvas, LIGHT, (x, y + 1, 96, 11))
+        pygame.draw.rect(self._canvas, colour, (x, y + 1, round(96 * probability), 11))
 
     def _text(self, text: str, at: _Place, colour: _Colour = DARK, small: bool = False) -> None:
         font = self._small if small else self._font

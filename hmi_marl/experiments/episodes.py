@@ -247,19 +247,31 @@ def play_named(
     return play_episodes(team, *seats, seeds, world="batched", observers=observers)
 
 
-def driven_by(team: TeamConfig, seeds: NDArray[np.uint64]) -> dict[Driver, NDArray[np.bool_]]:
-    """Mark the episodes of each of the team's drivers, bool, shape (E,).
+def listed_drivers(team: TeamConfig) -> dict[str, Driver]:
+    """Return the team's drivers by name.
 
     Raises:
         ValueError: the team's population is no list of drivers, each with a name of its own.
     """
     if not isinstance(team.population, DriverList):
         raise ValueError("episodes are told apart by driver only if driver= lists the drivers")
-    drivers = list(dict.fromkeys(team.population.drivers))
-    if len({driver.name for driver in drivers}) < len(drivers):
+    by_name = {driver.name: driver for driver in team.population.drivers}
+    if len(by_name) < len(set(team.population.drivers)):
         raise ValueError("two different drivers have the same name; give each its own")
+    return by_name
+
+
+def driven_by(team: TeamConfig, seeds: NDArray[np.uint64]) -> dict[str, NDArray[np.bool_]]:
+    """Mark the episodes of each of the team's drivers, bool, shape (E,), by the driver's name.
+
+    Raises:
+        ValueError: see :func:`listed_drivers`.
+    """
+    drivers = listed_drivers(team)
     drawn = team.population.draw(seeds).as_array()
-    return {driver: (drawn == np.array(driver.traits)).all(axis=1) for driver in drivers}
+    return {
+        name: (drawn == np.array(driver.traits)).all(axis=1) for name, driver in drivers.items()
+    }
 
 
 def evaluation_seeds(count: int) -> NDArray[np.uint64]:

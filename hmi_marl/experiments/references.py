@@ -41,6 +41,7 @@ from hmi_marl.experiments.episodes import (
     driven_by,
     evaluation_seeds,
     exact_settings,
+    listed_drivers,
     play_episodes,
 )
 from hmi_marl.experiments.signalling import SignalCounter, Signalling
@@ -54,15 +55,24 @@ _NOTHING = 1e-6
 
 @dataclass(frozen=True)
 class References:
-    """Exact attention returns of one driver over the lengths of E episodes. Shape (E,) each."""
+    """Exact attention returns of one driver, means over the lengths of its episodes."""
 
-    none: NDArray[np.float64]
+    none: float
     """Without alerts."""
-    belief: NDArray[np.float64] | None
+    filter: float | None
     """Of the Bayes filter that knows the traits and the share of revealing steps, attention hidden;
     None with graded alerts or fatigue."""
-    seen: NDArray[np.float64]
+    optimum: float
     """Of the optimum with attention seen."""
+
+
+@dataclass(frozen=True)
+class ReferenceReturns:
+    """The same for each of E episodes. Arrays of shape (E,)."""
+
+    none: NDArray[np.float64]
+    filter: NDArray[np.float64] | None
+    optimum: NDArray[np.float64]
 
     @classmethod
     def of(
@@ -71,7 +81,7 @@ class References:
         lengths: NDArray[np.int64],
         revealing: float,
         sequential: bool = True,
-    ) -> References:
+    ) -> ReferenceReturns:
         """Compute them for the team's driver.
 
         Args:
@@ -84,17 +94,50 @@ class References:
             ValueError, TypeError: a population, lengths or a share out of range.
         """
         problem = exact_settings(team)
-        belief = None
-        if team.alerts.plain:
-            game = team.alert_window, team.horizon, team.weights
-            rule = solve_belief(problem["driver"], *game, revealing, sequential)
-            outcome = follow_rule(rule, problem["driver"], team.weights)
-            belief = outcome.return_after(lengths)
-        return cls(
-            none=oracle.evaluate(0.0, **problem).return_after(lengths),
-            belief=belief,
-            seen=oracle.solve_alerts(**problem).return_after(lengths),
+        optimum = oracle.solve_alerts(**problem).return_after(lengths)
+        none = oracle.evaluate(0.0, **problem).return_after(lengths)
+        if not team.alerts.plain:
+            return cls(none, None, optimum)
+        driver, game = problem["driver"], (team.alert_window, team.horizon, team.weights)
+        rule = solve_belief(driver, *game, revealing, sequential)
+        return cls(none, follow_rule(rule, driver, team.weights).return_after(lengths), optimum)
+
+    def means(self) -> References:
+        """Average over the episodes."""
+        known = None if self.filter is None else float(self.filter.mean())
+        return References(float(self.none.mean()), known, float(self.optimum.mean()))
+
+
+def reference_returns(
+    team: TeamConfig, episodes: Episodes, revealing: Mapping[str, float], sequential: bool = True
+) -> dict[str, ReferenceReturns]:
+    """Compute the references of each driver that has any of the episodes, by name.
+
+    Args:
+        team: its population lists the drivers.
+        episodes: of a pair.
+        revealing: share of steps in which a^H reveals d, by driver.
+        sequential: whether the HMI sees a^H_t before its alert.
+
+    Raises:
+        ValueError: the population is no list of drivers, or a share is out of range.
+    """
+    drivers = listed_drivers(team)
+    return {
+        name: ReferenceReturns.of(
+            replace(team, driver=drivers[name]), episodes.length[which], revealing[name], sequential
         )
+        for name, which in driven_by(team, episodes.seeds).items()
+        if which.any()
+    }
+
+
+def references(
+    team: TeamConfig, episodes: Episodes, revealing: Mapping[str, float], sequential: bool = True
+) -> dict[str, References]:
+    """Average :func:`reference_returns` over each driver's episodes."""
+    returns = reference_returns(team, episodes, revealing, sequential)
+    return {name: each.means() for name, each in returns.items()}
 
 
 @dataclass(frozen=True)
@@ -142,12 +185,10 @@ class PairScore:
     revealing: float
     """Share of steps in which a^H reveals d that the Bayes filter knows."""
     attention_return: Estimate
-    none: float
-    belief: float | None
-    seen: float
+    references: References
     score: Estimate
-    """(return - none) / (seen - none): 0 without alerts, 1 for the optimum with attention seen; NaN
-    where alerts can gain nothing."""
+    """(return - none) / (optimum - none): 0 without alerts, 1 for the optimum with attention seen;
+    NaN where alerts can gain nothing."""
     regret: Estimate
     """Optimum with attention seen less the return: hiding and shortfall together."""
     hiding: float | None
@@ -162,25 +203,23 @@ class PairScore:
         cls,
         driver: str,
         returns: NDArray[np.float64],
-        references: References,
+        exact: ReferenceReturns,
         revealing: float,
         given_up: GivenUp | None = None,
     ) -> PairScore:
         """Score the attention returns of one driver's episodes, shape (E,)."""
-        none, belief, seen = references.none, references.belief, references.seen
-        gain = seen - none
-        score = statistics.ratio(returns - none, gain if gain.mean() > _NOTHING else 0 * gain)
+        gain = exact.optimum - exact.none
+        counted = gain if gain.mean() > _NOTHING else np.zeros_like(gain)
+        known = exact.filter
         return cls(
             driver=driver,
             revealing=revealing,
             attention_return=statistics.mean(returns),
-            none=float(none.mean()),
-            belief=None if belief is None else float(belief.mean()),
-            seen=float(seen.mean()),
-            score=score,
-            regret=statistics.mean(seen - returns),
-            hiding=None if belief is None else float((seen - belief).mean()),
-            shortfall=None if belief is None else statistics.mean(belief - returns),
+            references=exact.means(),
+            score=statistics.ratio(returns - exact.none, counted),
+            regret=statistics.mean(exact.optimum - returns),
+            hiding=None if known is None else float((exact.optimum - known).mean()),
+            shortfall=None if known is None else statistics.mean(known - returns),
             given_up=given_up,
         )
 
@@ -210,16 +249,17 @@ def score_pair(
     Raises:
         ValueError: the population is no list of drivers, or the seeds are not the same.
     """
-    returns, scores = episodes.attention_return(), []
-    for driver, which in driven_by(team, episodes.seeds).items():
-        if which.any():
-            share = revealing[driver.name]
-            own, lengths = replace(team, driver=driver), episodes.length[which]
-            references = References.of(own, lengths, share, sequential)
-            given_up = None if natural is None else GivenUp.of(episodes, natural, which)
-            score = PairScore.of(driver.name, returns[which], references, share, given_up)
-            scores.append(score)
-    return scores
+    marked, returns = driven_by(team, episodes.seeds), episodes.attention_return()
+    return [
+        PairScore.of(
+            name,
+            returns[marked[name]],
+            exact,
+            revealing[name],
+            None if natural is None else GivenUp.of(episodes, natural, marked[name]),
+        )
+        for name, exact in reference_returns(team, episodes, revealing, sequential).items()
+    ]
 
 
 @dataclass(frozen=True)
@@ -249,7 +289,7 @@ def measure_pair(
     """
     driver, ai = make_driver_policy(driver_policy, team), make_hmi(hmi, team)
     counter, seeds = SignalCounter(), evaluation_seeds(count)
-    driven_by(team, seeds)  # refuses a population before anything is played
+    listed_drivers(team)  # refuses a population before anything is played
     episodes = play_episodes(team, driver, ai, seeds, "batched", observers=[counter])
     signalling = counter.by_driver(team, seeds)
     revealing = {name: each.total.share for name, each in signalling.items()}
@@ -261,14 +301,14 @@ def measure_pair(
 
 
 def score_tables(scores: Sequence[PairScore]) -> list[Table]:
-    """Show the returns between their references, and the parts of the regret."""
+    """Show returns between their references, parts of the regret, and what drivers give up."""
     returns = [
         [
             each.driver,
             f"{100 * each.revealing:.1f}",
-            number(each.none),
-            number(each.belief),
-            number(each.seen),
+            number(each.references.none),
+            number(each.references.filter),
+            number(each.references.optimum),
             each.attention_return.shown(),
             each.score.shown(".3f"),
         ]
@@ -280,12 +320,10 @@ def score_tables(scores: Sequence[PairScore]) -> list[Table]:
             each.regret.shown(),
             number(each.hiding),
             each.shortfall.shown() if each.shortfall else "-",
-            each.given_up.driving.shown("+.1f") if each.given_up else "-",
-            each.given_up.crash_rate.percent("+.1f") if each.given_up else "-",
         ]
         for each in scores
     ]
-    return [
+    tables = [
         Table(
             "Attention return per episode, and exact references over the same lengths",
             [
@@ -300,9 +338,26 @@ def score_tables(scores: Sequence[PairScore]) -> list[Table]:
             [*returns, ["mean", *["-"] * 5, mean_score(scores).shown(".3f")]],
         ),
         Table(
-            "Regret per episode: cost of hiding attention, the HMI's shortfall, and the driving "
-            "return that the driver gives up against a natural driver",
-            ["driver", "regret", "hiding", "HMI", "driver", "more crashes [%]"],
+            "Regret per episode: cost of hiding attention, and the HMI's shortfall",
+            ["driver", "regret", "hiding", "HMI"],
             parts,
         ),
     ]
+    given_up = [(each.driver, each.given_up) for each in scores if each.given_up]
+    if given_up:
+        tables.append(
+            Table(
+                "Driving return per episode that the driver gives up against a natural driver",
+                ["driver", "driving", *DRIVING_TERMS, "more crashes [%]"],
+                [
+                    [
+                        driver,
+                        given.driving.shown("+.1f"),
+                        *(given.by_term[name].shown("+.1f") for name in DRIVING_TERMS),
+                        given.crash_rate.percent("+.1f"),
+                    ]
+                    for driver, given in given_up
+                ],
+            )
+        )
+    return tables

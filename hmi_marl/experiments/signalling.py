@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.experiments.episodes import driven_by
+from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Table
 from hmi_marl.reporting.statistics import Estimate
@@ -68,6 +70,12 @@ class Signals:
         highest = math.inf if name == "log_loss" else 1.0
         return statistics.ratio(getattr(self, name), self.steps, 0.0, highest)
 
+    def numbers(self) -> dict[str, int | Estimate]:
+        """Return the number of steps, and every sum per step."""
+        return {"steps": int(self.steps.sum())} | {
+            each.name: self.per_step(each.name) for each in fields(self) if each.name != "steps"
+        }
+
 
 @dataclass(frozen=True)
 class Signalling:
@@ -88,6 +96,15 @@ class Signalling:
     def bits(self) -> Estimate:
         """Information about d in each step [bits]."""
         return self.total.per_step("information")
+
+    def numbers(self) -> dict[str, Any]:
+        """Return what is shown, for JSON."""
+        situations = {
+            group: {label: signals.numbers() for label, signals in each.items()}
+            for group, each in self.by_situation.items()
+        }
+        numbers = {"driver": self.driver, **self.total.numbers(), "by_situation": situations}
+        return json_value(numbers)
 
 
 class SignalCounter(SignalWatch):
@@ -145,15 +162,15 @@ class SignalCounter(SignalWatch):
         """
         total, parts = self.signals()
         return {
-            driver.name: Signalling(
-                driver.name,
+            name: Signalling(
+                name,
                 total.of(which),
                 {
                     group: {label: signals.of(which) for label, signals in each.items()}
                     for group, each in parts.items()
                 },
             )
-            for driver, which in driven_by(team, seeds).items()
+            for name, which in driven_by(team, seeds).items()
         }
 
 

@@ -16,7 +16,8 @@ from PIL import Image
 
 from hmi_marl.agents.adaptive.hmis import AdaptiveHMI
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.rollout import HandsOver, begin, turns
+from hmi_marl.agents.rollout import HandsOver, Observer, begin, turns
+from hmi_marl.agents.signals import SignalWatch
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.render import TeamStatus, Viewer, between, team_status
@@ -53,18 +54,28 @@ def moments(
 ) -> Iterator[tuple[Snapshot, TeamStatus]]:
     """Play an episode of one team that has begun; see :func:`episode`.
 
-    In step ``hand_over[0]``, if given, a driver with these traits takes the wheel.
+    In step ``hand_over[0]``, if given, a driver with these traits takes the wheel. Where attention
+    is hidden and the driver stays and is known, the moments hold the exact belief about d.
     """
-    yield _moment(teaming, ai)
-    for _ in turns(teaming, driver, ai, [] if hand_over is None else [HandsOver(*hand_over)]):
-        yield _moment(teaming, ai)
+    observers: list[Observer] = [] if hand_over is None else [HandsOver(*hand_over)]
+    watch = None
+    if not (teaming.config.ai_sees_attention or hand_over or isinstance(ai, AdaptiveHMI)):
+        watch = SignalWatch()  # the belief of an HMI that knows the driver
+        observers.append(watch)
+    yield _moment(teaming, ai, watch)
+    for _ in turns(teaming, driver, ai, observers):
+        yield _moment(teaming, ai, watch)
 
 
-def _moment(teaming: Teaming, ai: Policy) -> tuple[Snapshot, TeamStatus]:
+def _moment(teaming: Teaming, ai: Policy, watch: SignalWatch | None) -> tuple[Snapshot, TeamStatus]:
     status = team_status(teaming, 0)
     if isinstance(ai, AdaptiveHMI):
         named = ai.estimator.belief.named()
         status = replace(status, belief=tuple((name, float(p[0])) for name, p in named.items()))
+    if watch is not None:
+        now = watch.signal
+        shown, belief = (False, 0.0) if now is None else (bool(now.reveals[0]), now.belief[0])
+        status = replace(status, reveals=shown, distracted_belief=float(belief))
     return teaming.world.snapshot(0), status
 
 

@@ -17,6 +17,7 @@ from hmi_marl.agents.partners import merge_hmi
 from hmi_marl.envs import merge_v0
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.render import (
+    AMBER,
     BLUE,
     GREY,
     LIGHT,
@@ -517,3 +518,30 @@ def test_a_belief_and_perceived_sizes_have_room_next_to_each_other() -> None:
     assert differ(panel(pictures[0])[:, :180], panel(pictures[1])[:, :180])
     assert not differ(panel(pictures[0])[:, 690:], panel(pictures[1])[:, 690:])
     assert bars(pictures[0], BLUE) == [48], "the first of equals"
+
+
+def test_the_panel_shows_whether_the_driver_reveals_d_and_the_belief_in_it(
+    viewer: Viewer, plain: Picture
+) -> None:
+    silent, shown = (
+        viewer.draw(SNAPSHOT, replace(STATUS, reveals=reveals, distracted_belief=belief))
+        for reveals, belief in ((False, 0.25), (True, 1.0))
+    )
+    for picture, length in ((silent, 24), (shown, 96)):
+        assert not differ(road(picture), road(plain))
+        assert not differ(panel(picture)[:, :690], panel(plain)[:, :690])
+        bar = (panel(picture)[44:60, 770:866] == AMBER).all(axis=2)
+        assert bar.sum(axis=1).max() == length
+    badges = panel(silent)[10:36, 690:816], panel(shown)[10:36, 690:816]
+    assert not (badges[0] == BLUE).all(axis=2).any()
+    assert (badges[1] == BLUE).all(axis=2).mean() > 0.5
+
+
+def test_a_belief_about_d_and_perceived_sizes_have_room_next_to_each_other() -> None:
+    perceived = Viewer(CONFIG, perceived=True)
+    hidden = replace(STATUS, distracted_belief=0.5)
+    pictures = [
+        perceived.draw(SNAPSHOT, replace(hidden, inflation=inflation)) for inflation in (3.0, 9.0)
+    ]
+    assert differ(panel(pictures[0])[:, :180], panel(pictures[1])[:, :180])
+    assert not differ(panel(pictures[0])[:, 690:], panel(pictures[1])[:, 690:])

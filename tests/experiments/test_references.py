@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -21,12 +22,14 @@ from hmi_marl.experiments.episodes import (
 from hmi_marl.experiments.references import (
     GivenUp,
     PairScore,
-    References,
+    ReferenceReturns,
     mean_score,
     measure_pair,
+    references,
     score_pair,
     score_tables,
 )
+from hmi_marl.files import json_value
 from hmi_marl.reporting.blocks import as_text
 
 TEAM = TeamConfig(driver="bart", ai_sees_attention=False)
@@ -63,17 +66,22 @@ def test_references_worked_by_hand():
     # An alert in step 0 instead: 0, then silence 10, in all 10, which is less than 22.5 and 20.
     lengths = np.array([2, 0, 1, 2])
     for share in (0.0, 1.0):  # step 1 shows d_1, too late
-        found = References.of(COIN, lengths, share)
+        found = ReferenceReturns.of(COIN, lengths, share)
         np.testing.assert_allclose(found.none, [2.5, 0.0, 5.0, 2.5])
-        np.testing.assert_allclose(found.belief, [20.0, 0.0, 5.0, 20.0])
-        np.testing.assert_allclose(found.seen, [22.5, 0.0, 5.0, 22.5])
+        np.testing.assert_allclose(found.filter, [20.0, 0.0, 5.0, 20.0])
+        np.testing.assert_allclose(found.optimum, [22.5, 0.0, 5.0, 22.5])
 
 
 def test_a_score_and_the_parts_of_a_regret_worked_by_hand():
     episodes = made([0, 1, 2], [2, 1, 2], returns=[12.5, 5.0, 2.5])
     (score,) = score_pair(COIN, episodes, {"coin": 0.3})
     assert score.driver == "coin"
-    assert (score.none, score.belief, score.seen) == pytest.approx((10 / 3, 15.0, 50 / 3))
+    assert (
+        score.references.none,
+        score.references.filter,
+        score.references.optimum,
+    ) == pytest.approx((10 / 3, 15.0, 50 / 3))
+    assert references(COIN, episodes, {"coin": 0.3}) == {"coin": score.references}
     # Returns above none: 10, 0, 0; the gain: 20, 0, 20.
     assert score.score.mean == pytest.approx(0.25)
     assert score.attention_return.mean == pytest.approx(20 / 3)
@@ -85,9 +93,9 @@ def test_a_score_and_the_parts_of_a_regret_worked_by_hand():
 
 
 def test_the_ends_of_the_score_are_the_references():
-    references = References.of(COIN, np.array([1, 2, 2]), 0.3)
-    for returns, expected in ((references.none, 0.0), (references.seen, 1.0)):
-        score = PairScore.of("coin", returns, references, 0.3)
+    exact = ReferenceReturns.of(COIN, np.array([1, 2, 2]), 0.3)
+    for returns, expected in ((exact.none, 0.0), (exact.optimum, 1.0)):
+        score = PairScore.of("coin", returns, exact, 0.3)
         assert score.score.mean == pytest.approx(expected)
         assert score.score.high - score.score.low == pytest.approx(0.0, abs=1e-12)
 
@@ -96,13 +104,13 @@ def test_the_ends_of_the_score_are_the_references():
 @pytest.mark.parametrize("name", PAPER_DRIVERS)
 def test_whole_episodes_have_the_exact_returns(name, share):
     team = dataclasses.replace(TEAM, driver=name)
-    found = References.of(team, np.full(3, team.horizon), share)
+    found = ReferenceReturns.of(team, np.full(3, team.horizon), share)
     settings = exact_settings(team)
     best = oracle.solve_alerts(**settings).total_return
-    np.testing.assert_allclose(found.seen, best)
+    np.testing.assert_allclose(found.optimum, best)
     np.testing.assert_allclose(found.none, oracle.evaluate(0.0, **settings).total_return)
-    assert (found.none <= found.belief + 1e-9).all()
-    assert (found.belief <= found.seen + 1e-9).all()
+    assert (found.none <= found.filter + 1e-9).all()
+    assert (found.filter <= found.optimum + 1e-9).all()
 
 
 @pytest.mark.parametrize("length", [1, 2, 7, 30, 99])
@@ -110,9 +118,9 @@ def test_whole_episodes_have_the_exact_returns(name, share):
 def test_of_episodes_of_one_length_it_is_the_optimum_for_that_length(name, length):
     # The best rule for these drivers is the same for every length.
     team = dataclasses.replace(TEAM, driver=name)
-    found = References.of(team, np.array([length, length]), 0.3)
+    found = ReferenceReturns.of(team, np.array([length, length]), 0.3)
     best = oracle.solve_alerts(name, team.alert_window, length, team.weights).total_return
-    np.testing.assert_allclose(found.seen, best)
+    np.testing.assert_allclose(found.optimum, best)
     none = oracle.evaluate(0.0, name, team.alert_window, length, team.weights).total_return
     np.testing.assert_allclose(found.none, none)
 
@@ -122,14 +130,14 @@ def test_no_reference_is_more_than_the_optimum_for_a_known_length():
     odd = Driver("odd", 0.02, 0.03, 0.05, 1.0)
     team = dataclasses.replace(TEAM, driver=odd)
     lengths = np.arange(1, 101, 11)
-    found = References.of(team, lengths, 0.3)
+    found = ReferenceReturns.of(team, lengths, 0.3)
     known = [
         oracle.solve_alerts(odd, team.alert_window, int(length), team.weights).total_return
         for length in lengths
     ]
-    assert (found.seen <= np.array(known) + 1e-9).all()
-    assert (found.seen < np.array(known) - 1.0).any()
-    assert found.seen[-1] == pytest.approx(known[-1])
+    assert (found.optimum <= np.array(known) + 1e-9).all()
+    assert (found.optimum < np.array(known) - 1.0).any()
+    assert found.optimum[-1] == pytest.approx(known[-1])
 
 
 @pytest.mark.parametrize("sequential", [True, False])
@@ -140,8 +148,8 @@ def test_the_filter_earns_its_reference_in_play(sequential):
     hmi.sequential = sequential
     world = StandingWorld(team.scene, count)
     played = play_episodes(team, RevealingDriver(team, 0.4), hmi, np.arange(count), world)
-    references = References.of(team, played.length, 0.4, sequential)
-    score = PairScore.of("lisa", played.attention_return(), references, 0.4)
+    exact = ReferenceReturns.of(team, played.length, 0.4, sequential)
+    score = PairScore.of("lisa", played.attention_return(), exact, 0.4)
     spread = played.attention_return().std() / np.sqrt(count)
     assert abs(score.shortfall.mean) < 4 * spread
     assert score.hiding > 10 * spread
@@ -150,9 +158,9 @@ def test_the_filter_earns_its_reference_in_play(sequential):
 def test_graded_alerts_have_no_filter():
     team = dataclasses.replace(TEAM, alert_strengths=(0.5, 1.0), fatigue=Fatigue(10, 2, 0.5))
     (score,) = score_pair(team, made([0, 1], [100, 50], returns=[0.0, 0.0]), {"bart": 0.3})
-    assert score.belief is score.hiding is score.shortfall is None
+    assert score.references.filter is score.hiding is score.shortfall is None
     best = oracle.solve_alerts(**exact_settings(team)).return_after([100, 50]).mean()
-    assert score.seen == pytest.approx(best)
+    assert score.references.optimum == pytest.approx(best)
     assert score.regret.mean == pytest.approx(best)
     assert "-" in as_text(score_tables([score]))
 
@@ -161,7 +169,7 @@ def test_where_alerts_gain_nothing_there_is_no_score():
     deaf = dataclasses.replace(TEAM, driver=Driver("awake", 0.0, 1.0, 0.0, 1.0))
     (score,) = score_pair(deaf, made([0, 1], [100, 100], returns=[1.0, 2.0]), {"awake": 0.0})
     assert np.isnan(score.score.mean)
-    assert score.seen == score.none == pytest.approx(1000.0)
+    assert score.references.optimum == score.references.none == pytest.approx(1000.0)
 
 
 def test_what_a_driver_gives_up_worked_by_hand():
@@ -230,9 +238,12 @@ def test_a_pair_by_name_is_measured_and_scored():
         assert score.given_up.driving.low > 0.0, "random driving is worse"
         parts = sum(estimate.mean for estimate in score.given_up.by_term.values())
         assert parts == pytest.approx(score.given_up.driving.mean)
-    text = as_text(score_tables(random.scores))
-    assert "Regret per episode" in text
-    assert "mean" in text
+    shown = score_tables(random.scores)
+    assert len(shown) == 1 + len(score_tables(natural.scores)) == 3
+    text = as_text(shown)
+    for words in ("Regret per episode", "mean", "lane_change", "more crashes"):
+        assert words in text
+    assert json.dumps(json_value(random.scores))
     # The rule-based driver reveals less.
     for score in natural.scores:
         assert score.revealing < 0.6

@@ -66,6 +66,26 @@ def test_an_hmi_that_gets_to_know_its_driver_shows_what_it_believes(
     assert {status.belief for _, status in moments} == {()}, "others believe nothing"
 
 
+def test_where_attention_is_hidden_moments_hold_what_a_h_reveals_and_the_belief(
+    moments: list[Moment],
+) -> None:
+    config = TeamConfig(driver="bart", duration=2.0, ai_sees_attention=False)
+    played = [status for _, status in clip.episode(config, "never", "random", seed=3)]
+    assert (played[0].distracted_belief, played[0].reveals) == (0.0, False)
+    assert (played[1].distracted_belief, played[1].reveals) == (0.8, False), "of v_0 = a^H_0"
+    for before, now in itertools.pairwise(played[1:]):
+        assert now.reveals == (now.intended != before.applied)
+        if now.reveals:
+            assert now.distracted_belief == now.distracted == (now.applied != now.intended)
+        else:
+            # Bart without help: 0.8 to 0.8, and 0 to 0.8 as well
+            assert now.distracted_belief == pytest.approx(0.8)
+    assert len({now.reveals for now in played[1:]}) == 2
+    assert {status.distracted_belief for _, status in moments} == {None}, "attention is seen"
+    unknown = clip.episode(config, "adapt:bayes", "random", seed=3)
+    assert {status.distracted_belief for _, status in unknown} == {None}, "the driver is not known"
+
+
 def test_another_driver_may_take_the_wheel_on_the_way() -> None:
     driver, ai = make_driver_policy("rule", CONFIG), make_hmi("never", CONFIG)
     teaming = begin(CONFIG, driver, ai, np.array([3], np.uint64), "highway")
