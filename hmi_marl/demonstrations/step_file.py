@@ -115,7 +115,8 @@ def _plain(column: pa.ChunkedArray, field: pa.Field) -> dict[str, NDArray[Any]]:
         table = np.frombuffer(b"".join([*labels, bytes(hashlib.sha256().digest_size)]), np.uint64)
         return {"texts": table.reshape(len(coded.dictionary) + 1, -1)[codes]}
     if field.nullable:
-        return {"null": column.is_null().to_numpy(), "values": column.fill_null(0).to_numpy()}
+        filled = column.fill_null(pa.scalar(0).cast(field.type))
+        return {"null": column.is_null().to_numpy(), "values": filled.to_numpy()}
     return {"values": column.to_numpy()}
 
 
