@@ -38,9 +38,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # as in `hmi-marl oracle | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or exit reports it
         return BROKEN_PIPE
-    except ERRORS as error:
-        if interrupts.was_stopped():  # some extensions turn what interrupts their import into this
+    except Exception as error:
+        if interrupts.was_stopped():  # some extensions turn what interrupts them into this
             return interrupts.report()
+        if not isinstance(error, ERRORS):
+            raise
         print(f"hmi-marl: {one_line(str(error)) or type(error).__name__}", file=sys.stderr)
         return BAD_INPUT
     return 0

@@ -57,7 +57,11 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     Raises:
         OSError: the file cannot be written, for example since the disk is full; it names ``path``.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        reason = f"{error.filename} is not a folder"
+        raise NotADirectoryError(errno.ENOTDIR, reason, str(path)) from error
     target = Path(os.path.realpath(path))
     mode = _mode_of(target)
     _remove_left_over(target)

@@ -22,6 +22,7 @@ from demonstrations import made_up
 from evidence_models import untrained_evidence
 from model_cards import with_weights
 from mutations import contents, hostile, hostile_json
+from parquet_files import write_signed
 from trait_models import save_driver, untrained
 
 from hmi_marl.agents.adaptive.evidence_model import load_evidence, save_evidence
@@ -314,23 +315,26 @@ def dataset(folder: Path) -> Path:
     return folder
 
 
-def use(folder: Path) -> None:
+def use(folder: Path) -> object:
     """Read a dataset, and what is made of its description."""
-    observed = read_demonstrations(folder).observed
-    env_spec(observed)
-    team_of(observed)
+    found = read_demonstrations(folder)
+    env_spec(found.observed)
+    team_of(found.observed)
+    return found
 
 
 def observed_file(folder: Path) -> Case:
-    return bytes_of(dataset(folder) / OBSERVED, lambda: use(folder))
+    path = dataset(folder) / OBSERVED
+    (folder / TRUTH).unlink()  # which holds the checksum of the whole observed file
+    return bytes_of(path, lambda: use(folder), checked=True)
 
 
 def truth_file(folder: Path) -> Case:
-    return bytes_of(dataset(folder) / TRUTH, lambda: use(folder))
+    return bytes_of(dataset(folder) / TRUTH, lambda: use(folder), checked=True)
 
 
-def stamp(folder: Path) -> Case:
-    """Mutate the description in a parquet file."""
+def signed_stamp(folder: Path) -> Case:
+    """Mutate the description in a parquet file, with its checksum."""
     path = dataset(folder) / OBSERVED
     (folder / TRUTH).unlink()
     table = pq.read_table(path)
@@ -338,13 +342,13 @@ def stamp(folder: Path) -> Case:
 
     def mutate(seed: int) -> None:
         text = hostile_json(value, seed)
-        pq.write_table(table.replace_schema_metadata({"hmi-marl": text}), path)
+        write_signed(path, table.replace_schema_metadata({"hmi-marl": text}))
 
     return Case(path, lambda: use(folder), mutate)
 
 
-def rows(folder: Path) -> Case:
-    """Mutate the numbers of a parquet file, which stays whole."""
+def signed_rows(folder: Path) -> Case:
+    """Mutate the numbers of a parquet file, which stays whole, with their checksum."""
     path = dataset(folder) / OBSERVED
     (folder / TRUTH).unlink()
     table = pq.read_table(path)
@@ -362,7 +366,7 @@ def rows(folder: Path) -> Case:
         made = pa.array(values, kind)
         made = made.dictionary_encode() if name == "driver" else made
         changed = table.set_column(table.column_names.index(name), field.with_nullable(True), made)
-        pq.write_table(changed, path)
+        write_signed(path, changed)
 
     return Case(path, lambda: use(folder), mutate)
 
@@ -390,7 +394,7 @@ CASES = {
         signed_record,
         observed_file,
         truth_file,
-        stamp,
-        rows,
+        signed_stamp,
+        signed_rows,
     )
 }

@@ -160,6 +160,16 @@ def test_the_benchmark_of_training_shows_where_time_goes(tmp_path):
     assert plain["ratio"] == 1
 
 
+@pytest.mark.slow  # a process that trains
+def test_the_benchmark_of_checks_times_both_kinds_of_batches(tmp_path):
+    run_benchmark("divergence", "--pairs 2 --num-teams 32", tmp_path)
+    written = json.loads((tmp_path / "runs" / "bench" / "divergence.json").read_text())
+    assert [len(written[f"seconds_{kind}"]) for kind in ("checked", "unchecked")] == [2, 2]
+    assert all(seconds > 0 for seconds in written["seconds_of_checks"])
+    assert 0 < written["share_of_checks"] < 0.5
+    assert written["ratio"] > 0
+
+
 @pytest.mark.slow
 def test_the_benchmark_of_startup_prints_ratios_to_numpy(tmp_path):
     run_benchmark("startup", "--rounds 1 --only version watch", tmp_path)

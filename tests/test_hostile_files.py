@@ -17,6 +17,7 @@ import pytest
 import torch
 from demonstrations import LAYOUT, made_up
 from model_cards import with_card
+from parquet_files import write_signed
 from trait_models import save_driver
 
 from hmi_marl.demonstrations.parquet import OBSERVED, write_demonstrations
@@ -157,7 +158,7 @@ def parquet_with(folder: Path, change: str, value: object) -> None:
     stamp = json.loads(table.schema.metadata[b"hmi-marl"])
     stamp["layout"][0][change] = value
     stamped = table.replace_schema_metadata({"hmi-marl": json.dumps(stamp)})
-    pq.write_table(stamped, folder / OBSERVED)
+    write_signed(folder / OBSERVED, stamped)
 
 
 def parquet_of_many_rows(folder: Path, one_long: bool) -> None:
@@ -179,9 +180,9 @@ def parquet_of_many_rows(folder: Path, one_long: bool) -> None:
             arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(["x"])))
         else:
             arrays.append(pa.array(columns[field.name]).cast(field.type))
-    pq.write_table(
-        pa.table(arrays, schema=schema),
+    write_signed(
         folder / OBSERVED,
+        pa.table(arrays, schema=schema),
         compression="zstd",
         use_dictionary=["driver"],
     )

@@ -52,11 +52,9 @@ class Adapt:
         workers = check_workers(self.workers)
         out = self.out or Path("runs") / ("adapt-quick" if self.quick else "adapt")
         place = Place(out, Path(self.driver_policy), workers, command_line)
-        evaluation = AdaptEvaluation(size, self.trained)
-        evaluation.check(place)
-        with owned(out):
-            print(conduct(evaluation, place).text)
-            if self.clip:
+        print(conduct(AdaptEvaluation(size, self.trained), place).text)
+        if self.clip:
+            with owned(out):
                 record_change(out / "adapt.gif", self.driver_policy, self.trained, size)
-                print(f"\nthe clip: {out / 'adapt.gif'}")
+            print(f"\nthe clip: {out / 'adapt.gif'}")
         print_page(out / PAGE)

@@ -15,7 +15,7 @@ from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.experiment import Experiment, Place, coarse, conduct
 from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.files import write_bytes
-from hmi_marl.ownership import owned
+from hmi_marl.ownership import check_free, owned
 from hmi_marl.reading import read_bytes
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.workers import check_workers
@@ -81,13 +81,9 @@ class ReproduceOne:
             experiment = coarse(experiment, experiment.quick())
         out = self.out or RUNS / (experiment.name + "-quick" * self.quick)
         driver_run = self.driver_run
-        if driver_run is not None:
-            experiment.check(Place(out, driver_run))
-        with owned(out):
-            if driver_run is None and experiment.uses_driver:
-                driver_run = _learn_driver(experiment, out, command_line)
-            place = Place(out, driver_run or out, workers, command_line)
-            print(conduct(experiment, place).text)
+        if driver_run is None and experiment.uses_driver:
+            driver_run = _learn_driver(experiment, out, command_line)
+        print(conduct(experiment, Place(out, driver_run or out, workers, command_line)).text)
         print_page(out / PAGE)
 
 
@@ -119,12 +115,17 @@ class ReproduceShip:
         from hmi_marl.reproduction.report import NUMBERS
         from hmi_marl.reproduction.suite import full_suite, shared_driver, ship
 
+        check_free(self.out)
+        pages = {}
+        if self.report is not None:  # all that can fail comes before the agents are replaced
+            check_free(self.report)
+            pages = {name: read_bytes(self.run_folder / name, 2**30) for name in (PAGE, NUMBERS)}
         suite = full_suite()
         for agent in ship(suite, self.run_folder, shared_driver(suite, self.run_folder), self.out):
             print(f"{agent.name:<20} {agent.what}")
         if self.report is not None:
-            for name in (PAGE, NUMBERS):
-                write_bytes(self.report / name, read_bytes(self.run_folder / name, 2**30))
+            for name, content in pages.items():
+                write_bytes(self.report / name, content)
 
 
 @dataclass(frozen=True)
@@ -183,5 +184,7 @@ def _learn_driver(experiment: Experiment[Any], folder: Path, command_line: str) 
     job = experiment.driver_job(folder)
     if job is None:
         return SHIPPED_DRIVER
-    Place(folder, job.folder, 1, command_line).train([job])
+    experiment.check_machine()
+    with owned(folder):
+        Place(folder, job.folder, 1, command_line).train([job])
     return job.folder

@@ -3,7 +3,8 @@
 :mod:`hmi_marl.demonstrations.dataset` describes the columns. Each file's metadata holds, under
 ``hmi-marl`` and as JSON: ``format``, the package's ``version``, and ``about``, how the data were
 made; that of the observed file also ``layout``, the parts of a state with their bounds. That of the
-truth holds the SHA-256 of its observed file, under ``hmi-marl observed``.
+truth holds the SHA-256 of its observed file, under ``hmi-marl observed``. Each file has checksums
+over its rows and over its metadata; see :class:`hmi_marl.demonstrations.step_file.Checksum`.
 
 Needs pyarrow, which comes with the ``data`` extra.
 """
@@ -30,7 +31,9 @@ with needing("reading and writing demonstrations"):
 
     from hmi_marl.demonstrations.step_file import (
         BELONGS,
+        STAMP,
         TRUTH_SCHEMA,
+        Checksum,
         StepFile,
         column_names,
         observed_schema,
@@ -78,17 +81,37 @@ def _write(chunks: Iterator[Demonstrations], observed_path: Path, truth_path: Pa
                 first = chunk
                 layout = {"layout": json_value(observed.layout.parts)}
                 schema = stamped(observed_schema(observed.layout), observed.about, layout)
-                observed_file = _open(files, observed_path, schema)
+                observed_file = _Writer(files, observed_path, schema)
                 if truth_path is not None and truth is not None:
-                    truth_file = _open(files, truth_path, stamped(TRUTH_SCHEMA, truth.about, {}))
+                    schema = stamped(TRUTH_SCHEMA, truth.about, {})
+                    truth_file = _Writer(files, truth_path, schema)
             _check_goes_on(first, chunk)
-            observed_file.write_table(_observed_rows(observed, start))
+            observed_file.write(_observed_rows(observed, start))
             if truth is not None:
-                truth_file.write_table(_truth_rows(chunk, truth, start))
+                truth_file.write(_truth_rows(chunk, truth, start))
             start += len(chunk)
         observed_file.close()
         if truth_path is not None:
-            truth_file.add_key_value_metadata({BELONGS: sha256_of(observed_path).encode()})
+            truth_file.close(belongs=sha256_of(observed_path).encode())
+
+
+class _Writer:
+    """A file that is written in chunks, with its checksums."""
+
+    def __init__(self, files: ExitStack, path: Path, schema: pa.Schema) -> None:
+        self._stamp, self._checksum = schema.metadata[STAMP], Checksum()
+        self._file = _open(files, path, schema)
+
+    def write(self, rows: pa.Table) -> None:
+        """Write a chunk."""
+        self._checksum.add(rows)
+        self._file.write_table(rows)
+
+    def close(self, belongs: bytes = b"") -> None:
+        """Write the rest; ``belongs`` is the digest of the file that it is the truth of."""
+        metadata = self._checksum.metadata(self._stamp, belongs)
+        self._file.add_key_value_metadata(metadata | ({BELONGS: belongs} if belongs else {}))
+        self._file.close()
 
 
 def _open(files: ExitStack, path: Path, schema: pa.Schema) -> pq.ParquetWriter:

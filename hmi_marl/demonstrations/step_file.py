@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,17 @@ from hmi_marl.checks import shown
 from hmi_marl.demonstrations.dataset import MISSING
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observations import Layout, Part
-from hmi_marl.files import json_value
+from hmi_marl.files import json_value, sha256
 from hmi_marl.reading import parse_json
 from hmi_marl.text import listed, quoted
 from hmi_marl.typed_json import read_value
 
-FORMAT = "hmi-marl demonstrations 1"
+FORMAT = "hmi-marl demonstrations 2"
 STAMP, BELONGS = b"hmi-marl", b"hmi-marl observed"
+_ROWS, _WHOLE = b"hmi-marl rows", b"hmi-marl sha256"
 _UNREADABLE = (pa.ArrowException, OSError)
 """Errors of pyarrow for damaged files."""
+_REMEDY = "copy it again from where it comes from, or record it again"
 KEYS = (("episode", pa.int32()), ("step", pa.int32()))
 TRUTH_SCHEMA = pa.schema(
     [
@@ -70,6 +73,53 @@ def stamped(schema: pa.Schema, about: Any, more: dict[str, Any]) -> pa.Schema:
     return schema.with_metadata({STAMP: json.dumps(stamp, allow_nan=False)})
 
 
+class Checksum:
+    """SHA-256 checksum of rows, whatever groups they are written in, and of the metadata with it.
+
+    The checksum of the rows is kept under ``hmi-marl rows``; that of the stamp, of the observed
+    file that a truth belongs to, and of the rows' checksum under ``hmi-marl sha256``.
+    """
+
+    def __init__(self) -> None:
+        self._columns: dict[tuple[str, str], Any] = {}
+
+    def add(self, rows: pa.Table) -> None:
+        """Count in rows of a file, in their order."""
+        for field in rows.schema:
+            for part, values in _plain(rows[field.name], field).items():
+                digest = self._columns.setdefault((field.name, part), hashlib.sha256())
+                digest.update(np.ascontiguousarray(values).view(np.uint8))
+
+    def of_rows(self) -> bytes:
+        """Checksum of all rows, in hexadecimal digits."""
+        columns = [(*name, each.hexdigest()) for name, each in self._columns.items()]
+        return sha256(json.dumps(columns).encode()).encode()
+
+    def metadata(self, stamp: bytes, belongs: bytes = b"") -> dict[bytes, bytes]:
+        """Entries of the file's metadata that hold the checksums."""
+        rows = self.of_rows()
+        return {_ROWS: rows, _WHOLE: _of_metadata(stamp, belongs, rows)}
+
+
+def _of_metadata(stamp: bytes, belongs: bytes, rows: bytes) -> bytes:
+    parts = (hashlib.sha256(part).digest() for part in (stamp, belongs, rows))
+    return sha256(b"".join(parts)).encode()
+
+
+def _plain(column: pa.ChunkedArray, field: pa.Field) -> dict[str, NDArray[Any]]:
+    """Values of a column as arrays, and where there are none if that may be; digests of texts."""
+    if pa.types.is_dictionary(field.type):
+        coded = column.combine_chunks().dictionary_encode()
+        codes = coded.indices.fill_null(len(coded.dictionary)).to_numpy(zero_copy_only=False)
+        labels = (hashlib.sha256(label.encode()).digest() for label in coded.dictionary.to_pylist())
+        table = np.frombuffer(b"".join([*labels, bytes(hashlib.sha256().digest_size)]), np.uint64)
+        return {"texts": table.reshape(len(coded.dictionary) + 1, -1)[codes]}
+    if field.nullable:
+        filled = column.fill_null(pa.scalar(0).cast(field.type))
+        return {"null": column.is_null().to_numpy(), "values": filled.to_numpy()}
+    return {"values": column.to_numpy()}
+
+
 MOST_GROWTH = 1000
 """Most memory that reading takes, as a multiple of the file's size. It is 18 for recorded drives,
 and 134 for their truth, which compresses well."""
@@ -101,6 +151,10 @@ class StepFile:
         metadata = self._parquet.metadata.metadata or {}
         self.belongs_to = metadata.get(BELONGS, b"").decode(errors="replace")
         self.stamp = _read_stamp(path, metadata.get(STAMP, b"{}"))
+        self._rows = metadata.get(_ROWS, b"")
+        signed = (metadata[STAMP], metadata.get(BELONGS, b""), self._rows)
+        if metadata.get(_WHOLE) != _of_metadata(*signed):
+            raise ValueError(f"{path} has a damaged stamp: its checksum differs; {_REMEDY}")
         if schema is None:
             self.layout = _read_layout(path, self.stamp, len(found))
             schema = observed_schema(self.layout)
@@ -135,11 +189,12 @@ class StepFile:
         states = column_names(self.layout) if "driver" in self._schema.names else []
         self.states = np.zeros((*shape, len(states)), np.float32)
         pieces: dict[str, list[NDArray[Any]]] = {}
-        start = 0
+        start, checksum = 0, Checksum()
         for group in range(self._parquet.num_row_groups):
             table = self._parquet.read_row_group(group)
             rows = slice(start, start + len(table))
             start = rows.stop
+            checksum.add(table)
             for name in table.column_names:
                 if name not in states:
                     for key, values in self._column(name, table[name]).items():
@@ -147,6 +202,8 @@ class StepFile:
             if states:
                 block = np.stack([table[name].to_numpy() for name in states], axis=1)
                 self.states[self.episode[rows], self.step[rows]] = block
+        if checksum.of_rows() != self._rows:
+            raise ValueError(f"{self.path} is damaged: the checksum of its rows differs; {_REMEDY}")
         return {name: np.concatenate(several) for name, several in pieces.items()}
 
     def _column(self, name: str, column: pa.ChunkedArray) -> dict[str, NDArray[Any]]:

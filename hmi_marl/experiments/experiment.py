@@ -126,6 +126,13 @@ class Experiment(Checked, ABC, Generic[R]):
         """Training of the shared driver policy, below ``folder``; None if it learns none."""
         return None
 
+    def check_machine(self) -> None:
+        """Check that this machine has what the settings ask for, such as a GPU.
+
+        Raises:
+            ValueError: it has not.
+        """
+
     def check(self, place: Place) -> None:
         """Check that there is what it starts from, before anything is made.
 
@@ -169,8 +176,10 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
 
     Raises:
         FolderInUseError: another process writes into the folder.
-        FileNotFoundError, ValueError: it lacks what it starts from; see :meth:`Experiment.check`.
+        FileNotFoundError, ValueError: it lacks what it starts from; see :meth:`Experiment.check`
+            and :meth:`Experiment.check_machine`.
     """
+    experiment.check_machine()
     experiment.check(place)
     with owned(place.folder):
         return _conduct(experiment, place)

@@ -2,24 +2,32 @@
 
 import re
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
 from hmi_marl import workers
+from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.cli import main
+from hmi_marl.commands.registry import SUBCOMMANDS
+from hmi_marl.files import sha256_of
 from hmi_marl.training.runs import start
 
 LONGEST = 20.0
 """Seconds on a busy machine. Most take a tenth; a training would take hours."""
 
+FLAG = ["nope"]
+"""A flag takes no value."""
+QUICK = ["nope", "--seed -1"]
 TEAM = {
     "alert-window": ["0"],
     "alert-strengths": ["2", "nan"],
     "fatigue": ["0 0 2"],
     "duration": ["nan", "-1", "0.3"],
     "vehicles": ["-1 5", "3 1"],
+    "end-at-crash": FLAG,
+    "ai-sees-attention": FLAG,
 }
 PPO = {
     "num-learning-epochs": ["0"],
@@ -41,6 +49,12 @@ def within(group: str, options: dict[str, list[str]]) -> dict[str, list[str]]:
     return {f"{group}.{name}": values for name, values in options.items()}
 
 
+LEARNER = {
+    "device": ["nope", "cuda:-1", "cuda:99", "mps"],
+    "threads": ["0", "1000"],
+    "checkpoint-every": ["nan", "-1", "inf"],
+}
+WEIGHTS = ("reconstruct", "information", "contrast", "regularise", "imitate")
 MACHINE = {"workers": ["0", "many"]}
 OUT = {"out": ["file", "file/below"]}
 SIZES = {"num-teams": ["0"], "seed": ["-1"], "episodes": ["0"]}
@@ -53,34 +67,87 @@ TRAIN = {
     "shards": ["3"],
     "condition": ["nope"],
     "critic": ["nope"],
+    "sequential": FLAG,
     "rnn-hidden-dim": ["-1"],
     "hmi-reads": ["wheel"],
     **within("network", NETWORK),
     **within("ppo", PPO),
-    "device": ["nope", "cuda:-1", "cuda:99", "mps"],
-    "threads": ["0", "1000"],
+    **LEARNER,
     "snapshots": ["-1"],
-    "checkpoint-every": ["nan", "-1", "inf"],
     "processes": ["0", "3", "1000"],
 }
+TRAITS = {
+    **LEARNER,
+    "supervision": ["nope"],
+    "labelled": ["0", "nan"],
+    "label-bandwidth": ["-1", "nan"],
+    "margin": ["0", "inf"],
+    "held-out": ["1", "nan"],
+    "latent": ["0"],
+    "pool": ["0", "7"],
+    "encoder-units": ["0"],
+    "steps": ["0"],
+    "num-teams": ["0"],
+    "expert-pools": ["3", "0"],
+    "imitation-updates": ["-1"],
+    "labelled-pools": ["0"],
+    "updates": ["0"],
+    "settling": ["2", "nan"],
+    "learning-rate": ["0", "nan"],
+    "imitation-rate": ["nan", "-1"],
+    "seed": ["-1"],
+    **within("weights", {name: ["-1", "nan"] for name in WEIGHTS}),
+    **within("policy", NETWORK),
+    **within("reward", NETWORK),
+    **within("potential", NETWORK),
+    **within("ppo", PPO),
+}
+ADAPT = {
+    "drivers": ["1"],
+    "population": ["1"],
+    "repeats": ["0"],
+    "candidates": ["0"],
+    "changes": ["1"],
+    "revealing": ["nan", "2"],
+    "caution": ["nan", "-1"],
+    "seed": ["-1"],
+}
+ASSESS = {"windows": ["0"], "episodes": ["0"], "ranked": ["0"], "seed": ["-1"]}
 ANCHOR = {
     "anchor": ["nope", "rule", "/no/such", "trained:nobody", "trained:homer"],
-    "anchor trained:driver --anchor-kl": ["-1", "nan"],
-    "anchor-kl": ["1"],
+    "anchor-kl": ["-1", "nan", "1"],  # the last lacks an anchor
+}
+COMPARE = {
+    **MACHINE,
+    **OUT,
+    **SIZES,
+    "tasks": ["nope"],
+    "protocols": ["nope"],
+    "steps": ["0"],
+    "budgets": ["0", "10 10"],
+    "driver-shares": ["nan", "2", "0.5 0.5"],
+    "rounds": ["0"],
+    "seeds": ["0"],
+    "few-seeds": ["0"],
+    "anchor-kls": ["-1", "nan"],
+    "partners": FLAG,
+    "snapshots": ["0"],
+    "cross-episodes": ["0", "1"],
+    "drivers": ["nobody"],
+    "reward": ["nope"],
+    "crash-check": FLAG,
+    "duration": ["nan", "-1"],
+    "vehicles": ["-1 5"],
+    "quick": [*QUICK, "--episodes 7"],
 }
 BAD: dict[str, dict[str, list[str]]] = {
     "adapt": {
         **MACHINE,
         **OUT,
+        **ADAPT,
+        "quick": [*QUICK, "--repeats 3"],
+        "clip": FLAG,
         "driver-policy": ["nope", "/no/such", "trained:nobody"],
-        "drivers": ["1"],
-        "population": ["1"],
-        "repeats": ["0"],
-        "candidates": ["0"],
-        "changes": ["1"],
-        "revealing": ["nan", "2"],
-        "caution": ["nan", "-1"],
-        "seed": ["-1"],
         "evidence": ["/no/such", "trained:homer"],
         "conditioned": ["/no/such"],
         "hidden": ["/no/such", "/no/{}"],
@@ -106,23 +173,15 @@ BAD: dict[str, dict[str, list[str]]] = {
         "driver-policy": ["nope", "/no/such"],
         "seed": ["-1"],
         "num-teams": ["0"],
+        "minari": FLAG,
+        "greedy": FLAG,
     },
-    "compare": {
-        **MACHINE,
-        **OUT,
-        **SIZES,
-        "protocols": ["nope"],
-        "steps": ["0"],
-        "driver-share": ["nan", "2"],
-        "together-share": ["0", "1"],
-        "rounds": ["0"],
-        "seeds": ["0"],
-        "drivers": ["nobody"],
-        "reward": ["nope"],
-        "duration": ["nan", "-1"],
-        "vehicles": ["-1 5"],
+    "compare": COMPARE,
+    "export": {
+        "policy": ["/no/such", "trained:nobody"],
+        "seat": ["nope"],
+        "out": ["file/below.onnx", "file/below/two.onnx"],
     },
-    "export": {"policy": ["/no/such", "trained:nobody"], "seat": ["nope"]},
     "oracle": {
         **OUT,
         "driver": ["nobody"],
@@ -131,9 +190,29 @@ BAD: dict[str, dict[str, list[str]]] = {
         "alert-strengths": ["2", "nan"],
         "fatigue": ["0 0 2"],
     },
-    "reproduce all": {**MACHINE, **OUT, "seed": ["-1"]},
-    "reproduce table": {**MACHINE, **OUT, **SIZES, "driver-steps": ["0"], "hmi-steps": ["0"]},
-    "reproduce driver": {**MACHINE, **OUT, **SIZES, "steps": ["0"], "snapshots": ["-1"]},
+    "traits train": {
+        **TRAITS,
+        **OUT,
+        "demonstrations": ["/no/such"],
+        "preferences": ["/no/such", "file"],
+    },
+    "reproduce all": {**MACHINE, **OUT, "seed": ["-1"], "quick": QUICK},
+    "reproduce table": {
+        **MACHINE,
+        **OUT,
+        **SIZES,
+        "driver-steps": ["0"],
+        "hmi-steps": ["0"],
+        "quick": [*QUICK, "--hmi-steps 7"],
+    },
+    "reproduce driver": {
+        **MACHINE,
+        **OUT,
+        **SIZES,
+        "steps": ["0"],
+        "snapshots": ["-1"],
+        "quick": [*QUICK, "--steps 7"],
+    },
     "reproduce hidden": {
         **MACHINE,
         **OUT,
@@ -142,6 +221,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "driver-steps": ["0"],
         "hmi-steps": ["0"],
         "rnn-hidden-dim": ["0"],
+        "quick": [*QUICK, "--hmi-steps 7"],
     },
     "reproduce adapt": {
         **MACHINE,
@@ -154,8 +234,8 @@ BAD: dict[str, dict[str, list[str]]] = {
         "num-teams": ["0"],
         "seed": ["-1"],
         "hidden": ["/no/such"],
-        "evaluation.drivers": ["1"],
-        "evaluation.revealing": ["nan"],
+        "quick": [*QUICK, "--drives 7"],
+        **within("evaluation", ADAPT),
     },
     "reproduce traits": {
         **MACHINE,
@@ -166,13 +246,23 @@ BAD: dict[str, dict[str, list[str]]] = {
         "population": ["2"],
         "seed": ["-1"],
         "seeds": ["0"],
-        "learn.margin": ["0"],
-        "learn.device": ["nope"],
-        "evaluation.windows": ["0"],
+        "quick": [*QUICK, "--seeds 7"],
+        **within("learn", TRAITS),
+        **within("evaluation", ASSESS),
     },
-    "reproduce graded": {**MACHINE, **OUT, **SIZES, "hmi-steps": ["0"]},
-    "reproduce protocols": {**MACHINE, **OUT, **SIZES, "protocols": ["nope"], "steps": ["0"]},
-    "reproduce ship --out out": {"run": ["/no/such", "nope"]},
+    "reproduce graded": {
+        **MACHINE,
+        **OUT,
+        **SIZES,
+        "hmi-steps": ["0"],
+        "quick": [*QUICK, "--hmi-steps 7"],
+    },
+    "reproduce protocols": COMPARE,
+    "reproduce ship": {
+        "run": ["/no/such", "nope"],
+        "out": ["file", "file/below"],
+        "report": ["file", "file/below"],
+    },
     "table": {
         **MACHINE,
         **TEAM,
@@ -183,6 +273,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "episodes": ["0"],
         "seed": ["-1"],
         "world": ["moon"],
+        "clip": FLAG,
     },
     "train two-stage": {
         **TRAIN,
@@ -190,67 +281,41 @@ BAD: dict[str, dict[str, list[str]]] = {
         "driver-policy": ["nope", "/no/such"],
         "driver-steps": ["-1"],
         "hmi-steps": ["-1"],
+        "driver-reward": ["nope"],
         "hmi-reward": ["nope"],
     },
     "train alternating": {
-        **OUT,
+        **TRAIN,
         "rounds": ["0"],
         "driver-steps": ["0"],
         "hmi-steps": ["0"],
         "driver-reward": ["nope"],
-        "threads": ["1000"],
-        "device": ["nope"],
-        "checkpoint-every": ["nan"],
+        "hmi-reward": ["nope"],
     },
-    "train joint": {
-        **OUT,
-        **ANCHOR,
-        "steps": ["0"],
-        "device": ["nope"],
-        "threads": ["1000"],
-        "no-sequential": [""],
-    },
-    "train simultaneous": {
-        **OUT,
-        **ANCHOR,
-        "steps": ["0"],
-        "device": ["nope"],
-        "threads": ["1000"],
-    },
+    "train joint": {**TRAIN, **ANCHOR, "steps": ["0"], "reward": ["nope"], "no-sequential": [""]},
+    "train simultaneous": {**TRAIN, **ANCHOR, "steps": ["0"], "reward": ["nope"]},
     "train fine-tune": {
-        **OUT,
+        **TRAIN,
         **ANCHOR,
         "driver-steps": ["0"],
         "hmi-steps": ["-1"],
         "together-steps": ["0"],
         "together-progress": ["nan", "2"],
+        "driver-reward": ["nope"],
+        "hmi-reward": ["nope"],
         "together-reward": ["nope"],
     },
-    "traits train": {
-        "demonstrations": ["/no/such"],
-        "preferences": ["/no/such"],
-        "supervision": ["nope"],
-        "labelled": ["0", "nan"],
-        "held-out": ["1", "nan"],
-        "margin": ["0"],
-        "latent": ["0"],
-        "pool": ["0", "7"],
-        "steps": ["0"],
-        "expert-pools": ["3"],
-        "learning-rate": ["0", "nan"],
-        "imitation-rate": ["nan"],
-        "device": ["nope"],
-        "threads": ["0", "1000"],
-        "checkpoint-every": ["nan"],
-        "seed": ["-1"],
-        **within("ppo", {"gamma": ["nan"]}),
-    },
     "traits evaluate": {
-        "": [""],
+        **OUT,
+        **ASSESS,
+        "runs": ["", "/no/such"],
         "demonstrations": ["/no/such"],
+        "population": ["/no/such"],
+        "driver-policy": ["/no/such", "nope"],
     },
-    "watch --out clip.gif": {
+    "watch": {
         **TEAM,
+        "perceived": FLAG,
         "driver": ["nobody"],
         "hmi": ["siren", "/no/such"],
         "policy": ["ace", "/no/such"],
@@ -260,28 +325,89 @@ BAD: dict[str, dict[str, list[str]]] = {
 }
 
 
+PRESET = {
+    "export": {"policy": "trained:homer"},
+    "reproduce ship": {"out": "out", "run": "/no/such"},
+    "traits train": {"demonstrations": "DATA"},
+    "traits evaluate": {"demonstrations": "DATA", "runs": "MODEL"},
+    "watch": {"out": "clip.gif"},
+}
+"""Options that a command needs anyway, so that nothing else is wrong with it."""
+POSITIONAL = ("runs",)
+
+
 @dataclass(frozen=True)
 class Case:
     command: str
     option: str
     value: str
 
-    @property
-    def arguments(self) -> list[str]:
-        option = f"--{self.option}" if self.option else ""
-        return f"{self.command} {option} {self.value}".split()
+    def arguments(self, places: dict[str, str]) -> list[str]:
+        """Words of the command line, with the places of what lies elsewhere."""
+        options = PRESET.get(self.command, {}) | {self.option: self.value}
+        given = [
+            value if name in POSITIONAL else f"--{name} {value}" for name, value in options.items()
+        ]
+        words = " ".join([self.command, *given]).split()
+        return [places.get(word, word) for word in words]
+
+    def is_named(self, error: str) -> bool:
+        """Whether an error is about this option: it names the option or the value."""
+        name = self.option.rpartition(".")[2]
+        names = [name, name.replace("-", "_"), name.replace("-", " "), name.removesuffix("s")]
+        words = re.findall(r"[A-Za-z][\w.-]+", self.value)
+        return any(word in error for word in (*names, *words))
 
 
-CASES = [
-    Case(command, option, value)
-    for command, options in BAD.items()
-    for option, values in options.items()
-    for value in values
-]
+OF_COMMANDS = {"out", "workers", "processes", "quick", "seed"}
+"""Options that each command reads itself; the others belong to settings that several share."""
+
+
+def cases(first: bool) -> dict[str, list[Case]]:
+    """Cases by command: one of each option, with the first command that has it; or all others."""
+    found: dict[str, list[Case]] = {}
+    tried = set()
+    for command, options in BAD.items():
+        found[command] = []
+        for option, values in options.items():
+            kind = option.rpartition(".")[2], tuple(values)
+            is_new = kind not in tried or option in OF_COMMANDS
+            tried.add(kind)
+            for number, value in enumerate(values):
+                if first == (is_new and number == 0):
+                    found[command].append(Case(command, option, value))
+    return found
+
+
+FIRST, OTHERS = cases(first=True), cases(first=False)
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """A dataset, and a model that has learned from it, by the words that stand for them."""
+    for package in ("torch", "rsl_rl", "pyarrow", "sklearn", "onnx"):
+        pytest.importorskip(package)
+    from demonstrations import made_up
+    from trait_models import untrained
+
+    from hmi_marl.demonstrations.parquet import OBSERVED, write_demonstrations
+
+    folder = tmp_path_factory.mktemp("made")
+    data = made_up([20] * 16, driver=[0, 1] * 8, names=("lisa", "homer"))
+    write_demonstrations(folder / "data", data)
+    model = untrained(data.observed.layout)
+    training = {
+        "settings": {"supervision": "id", "held_out": 0.2, "seed": 0},
+        "demonstrations": sha256_of(folder / "data" / OBSERVED),
+    }
+    save_traits(folder / "model", replace(model.card, training=training), model.weights)
+    return {"DATA": str(folder / "data"), "MODEL": str(folder / "model")}
 
 
 @pytest.fixture
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def in_an_empty_folder(
+    places: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
     """With a file in the way of ``--out file``, and no worker process."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
@@ -295,31 +421,73 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("command", BAD)
-def test_bad_values_leave_one_line_and_nothing_else(
-    command: str, in_an_empty_folder: Path, capsys: pytest.CaptureFixture[str]
+def refused(arguments: list[str]) -> object:
+    """Run a command; return its status, or what would be a traceback for its user."""
+    try:
+        return main(arguments)
+    except SystemExit as stop:
+        return stop.code
+    except BaseException as error:
+        return repr(error)
+
+
+def check(
+    several: list[Case], places: dict[str, str], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for package in ("torch", "rsl_rl", "pyarrow", "sklearn", "onnx"):
-        pytest.importorskip(package)
+    """Check that each is refused in one line that names it, soon, and leaves nothing behind."""
     wrong = []
-    for case in CASES:
-        if case.command != command:
-            continue
+    for case in several:
         began = time.monotonic()
-        try:
-            status: object = main(case.arguments)
-        except SystemExit as stop:
-            status = stop.code
-        except BaseException as error:  # a traceback for the user
-            status = repr(error)
+        status = refused(case.arguments(places))
         took, printed = time.monotonic() - began, capsys.readouterr()
-        left = sorted(str(path) for path in in_an_empty_folder.rglob("*") if path.name != "file")
+        left = sorted(str(path) for path in folder.rglob("*") if path.name != "file")
         if (
             status != 2
             or left
             or printed.out
             or not re.fullmatch(r"hmi-marl: [^\n]+\n", printed.err)
+            or not case.is_named(printed.err)
             or took > LONGEST
         ):
-            wrong.append((" ".join(case.arguments), status, left[:3], printed.err[-300:], took))
+            words = " ".join(case.arguments({}))
+            wrong.append((words, status, left[:3], printed.err[-300:], took))
     assert not wrong, "\n".join(map(str, wrong))
+
+
+@pytest.mark.parametrize("command", BAD)
+def test_a_bad_value_leaves_one_line_and_nothing_else(
+    command: str,
+    places: dict[str, str],
+    in_an_empty_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    check(FIRST[command], places, in_an_empty_folder, capsys)
+
+
+@pytest.mark.slow  # what only repeats the kind of value
+@pytest.mark.parametrize("command", BAD)
+def test_other_bad_values_leave_one_line_and_nothing_else(
+    command: str,
+    places: dict[str, str],
+    in_an_empty_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    check(OTHERS[command], places, in_an_empty_folder, capsys)
+
+
+COMMANDS = [path for each in SUBCOMMANDS for path, _ in each.leaves()]
+
+
+def test_every_command_has_bad_values() -> None:
+    assert sorted(BAD) == sorted(COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_has_a_bad_value(
+    command: str, places: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refused([*command.split(), "--help"]) == 0
+    shown = re.findall(r"^[ │]{1,3}(?:-\w, )?--(\w[\w.-]*)", capsys.readouterr().out, re.MULTILINE)
+    options = set(shown) - {"help"}
+    assert set(BAD[command]) - set(POSITIONAL) == options
+    assert all(BAD[command].values())

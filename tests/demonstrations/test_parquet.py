@@ -14,6 +14,7 @@ import pytest
 from demonstrations import LAYOUT, assert_same_observed, assert_same_truth, made_up
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from parquet_files import metadata_of, write_signed
 
 import hmi_marl
 from hmi_marl.demonstrations.dataset import Demonstrations
@@ -171,14 +172,46 @@ def test_altered_numbers_are_found(folder: Path, data: Demonstrations) -> None:
             read = read_observed(folder)
         except ValueError:
             found += 1
-        else:  # what is written about the data has no checksum
-            about = {"about": data.observed.about, "layout": data.observed.layout}
-            assert_same_observed(dataclasses.replace(read, **about), data.observed)
+        else:  # something that is not read here, such as the name of the program
+            assert_same_observed(read, data.observed)
+            assert read.about == data.observed.about
     assert found > 100
 
 
+@pytest.mark.parametrize("name", [OBSERVED, TRUTH])
+def test_a_changed_description_is_found(folder: Path, name: str) -> None:
+    table = pq.read_table(folder / name)
+    stamp = json.loads(table.schema.metadata[b"hmi-marl"])
+    changed = json.dumps(stamp | {"version": "9"}).encode()
+    kept = metadata_of(folder / name) | {b"hmi-marl": changed}
+    pq.write_table(table.replace_schema_metadata(kept), folder / name)
+    if name == OBSERVED:
+        (folder / TRUTH).unlink()  # which would notice as well
+    refused(folder, rf"{name} has a damaged stamp: its checksum differs; copy it again")
+
+
+def with_metadata(path: Path) -> pa.Table:
+    return pq.read_table(path).replace_schema_metadata(metadata_of(path))
+
+
+def test_rows_that_do_not_belong_to_their_checksum_are_found(folder: Path) -> None:
+    (folder / TRUTH).unlink()
+    table = with_metadata(folder / OBSERVED)
+    alerts = [1 - alert for alert in table["alert"].to_pylist()]
+    pq.write_table(replace_rows(table, "alert", alerts), folder / OBSERVED)
+    refused(folder, r"observed\.parquet is damaged: the checksum of its rows differs; copy it")
+
+
+def test_checksums_do_not_depend_on_groups_of_rows(folder: Path, data: Demonstrations) -> None:
+    (folder / TRUTH).unlink()
+    table = with_metadata(folder / OBSERVED)
+    for size in (1, 3, 1000):
+        pq.write_table(table, folder / OBSERVED, row_group_size=size)
+        assert_same_observed(read_observed(folder), data.observed)
+
+
 def write_table(folder: Path, table: pa.Table, name: str = OBSERVED) -> None:
-    pq.write_table(table, folder / name)
+    write_signed(folder / name, table)
 
 
 def test_foreign_files_and_other_formats_are_refused(folder: Path) -> None:
@@ -186,7 +219,7 @@ def test_foreign_files_and_other_formats_are_refused(folder: Path) -> None:
     write_table(folder, table.replace_schema_metadata({}))
     refused(folder, "no demonstrations that can be read here: format None")
     for stamp, message in (
-        ({"format": "hmi-marl demonstrations 2"}, "format 'hmi-marl demonstrations 2'"),
+        ({"format": "hmi-marl demonstrations 1"}, "format 'hmi-marl demonstrations 1'"),
         ({"format": FORMAT}, "does not say how the data were made"),
         ({"format": FORMAT, "about": {}}, "its stamp has no layout"),
         ({"format": FORMAT, "about": {}, "layout": [{"name": "lidar"}]}, "damaged layout"),

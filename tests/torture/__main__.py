@@ -23,6 +23,7 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--kills", type=int, default=60, help="SIGKILLs in all (60)")
     parser.add_argument("--signals", type=int, default=20, help="SIGINTs and SIGTERMs in all (20)")
+    parser.add_argument("--early", type=int, default=20, help="signals to starting commands (20)")
     parser.add_argument("--disks", type=int, default=20, help="full disks in all (20)")
     parser.add_argument("--mutations", type=int, default=500, help="altered files a reader (500)")
     parser.add_argument("--seed", type=int, default=0, help="seed of all moments (0)")
@@ -33,7 +34,7 @@ def parse() -> argparse.Namespace:
 
 def main() -> int:
     chosen = parse()
-    options = Options(chosen.kills, chosen.signals, chosen.disks, chosen.mutations)
+    options = Options(chosen.kills, chosen.signals, chosen.early, chosen.disks, chosen.mutations)
     found: dict[str, Counts] = {}
     with tempfile.TemporaryDirectory(prefix="hmi-marl-torture-") as place:
         bench = Bench(Path(place))

@@ -5,7 +5,10 @@ To add one, write ``attack(bench, options, rng) -> list[Counts]`` and add it to 
 
 import os
 import random
+import re
+import shutil
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -25,6 +28,7 @@ class Options:
 
     kills: int
     signals: int
+    early: int
     disks: int
     mutations: int
 
@@ -121,6 +125,94 @@ def signals(bench: Bench, options: Options, rng: random.Random) -> list[Counts]:
     return list(rows.values())
 
 
+_STARTING = 4.0
+"""Time in which a command starts, and half of the early signals come [s]."""
+_EARLY = "collect --steps 300 --duration 1 --vehicles 1 2 --num-teams 16 --out out"
+_UNHANDLED = re.compile(r'File "[^"]*hmi_marl/(?!__init__\.py|interrupts\.py)')
+"""A line of a traceback from a module of the package that signals should not reach."""
+
+
+def _started(
+    folder: Path, number: int, cache: Path, moment: float = 0.0, sent: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """Start a command as a shell does, by its script or as a module; send it a signal."""
+    script = [str(Path(sys.executable).with_name("hmi-marl"))]
+    how = script if number % 2 else [sys.executable, "-m", "hmi_marl"]
+    process = subprocess.Popen(
+        [*how, *_EARLY.split()],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+        start_new_session=True,
+    )
+    if sent:
+        time.sleep(moment)
+        process.send_signal(sent)
+    _, errors = process.communicate()
+    return subprocess.CompletedProcess(how, process.returncode, "", errors)
+
+
+def _compiled(cache: Path) -> dict[str, Path]:
+    """Files of compiled code and what is written of them, by their names."""
+    return {path.name: path for path in cache.rglob("*") if path.suffix in (".nbc", ".part")}
+
+
+def _untidy_start(ended: subprocess.CompletedProcess[str], sent: int) -> list[str]:
+    """What is wrong with how a command ended by a signal while it started or compiled."""
+    if ended.returncode == -sent and _UNHANDLED.search(ended.stderr) is None:
+        return []  # before the first line of the package: by Python itself, or by the system
+    last = ended.stderr.replace("\r", "\n").rstrip().rpartition("\n")[2]
+    told = {signal.SIGINT: "hmi-marl: interrupted", signal.SIGTERM: "hmi-marl: terminated"}[sent]
+    return [
+        "" if ended.returncode == 128 + sent else f"status {ended.returncode}",
+        "" if last.endswith(told) else f"no line that says why: {last!r}",
+        f"a traceback: {ended.stderr[-600:]!r}" if "Traceback" in ended.stderr else "",
+    ]
+
+
+def early_signals(bench: Bench, options: Options, rng: random.Random) -> list[Counts]:
+    """SIGINT and SIGTERM while the interpreter starts, modules are imported or loops are compiled.
+
+    Each command is a process of its own with an empty cache of compiled code. Then the same command
+    works, and takes what the first has kept; what is missing is put there, which saves a minute.
+    """
+    place = bench.folder / "early"
+    place.mkdir()
+    began = time.monotonic()
+    whole_run = _started(place, 0, place / "whole")
+    assert whole_run.returncode == 0, whole_run.stderr
+    whole, longest = content(place / "out"), time.monotonic() - began
+    spans = {"starting": (0.0, _STARTING), "compiling": (_STARTING, longest)}
+    rows = [Counts(f"{name} while {what}") for what in spans for name in ("SIGINT", "SIGTERM")]
+    for number in range(options.early):
+        row = rows[number % len(rows)]
+        sent = getattr(signal, row.name.split()[0])
+        moment = rng.uniform(*spans[row.name.split()[-1]])
+        shutil.rmtree(place / "out", ignore_errors=True)
+        shutil.rmtree(place / "cache", ignore_errors=True)
+        ended = _started(place, number // len(rows), place / "cache", moment, sent)
+        reasons = _untidy_start(ended, sent) if ended.returncode else []
+        kept = _compiled(place / "cache")
+        reasons += [f"{name} left behind" for name in kept if not name.endswith(".nbc")]
+        for name, path in _compiled(place / "whole").items():
+            if name not in kept:
+                there = place / "cache" / path.relative_to(place / "whole")
+                there.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(path, there)
+        again = _started(place, number, place / "cache")
+        compiled = "compiling" in again.stderr or "cannot use" in again.stderr
+        differ = difference(content(place / "out"), whole) if not again.returncode else ""
+        reasons += [
+            f"the next command ended with {again.returncode}" if again.returncode else "",
+            "the next command could not use what was compiled" if compiled else "",
+            f"{differ} differ" if differ else "",
+        ]
+        row.note(f"after {moment:.2f} s, status {ended.returncode}", *reasons)
+    return rows
+
+
 def disks(bench: Bench, options: Options, rng: random.Random) -> list[Counts]:
     """Full disks: one line, and with room again it ends as if undisturbed."""
     row = Counts("full disk")
@@ -201,4 +293,4 @@ def readers(bench: Bench, options: Options, rng: random.Random) -> list[Counts]:
     return rows
 
 
-ATTACKS = [kills, signals, disks, owners, read_only, readers]
+ATTACKS = [kills, signals, early_signals, disks, owners, read_only, readers]

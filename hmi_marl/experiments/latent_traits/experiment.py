@@ -31,6 +31,7 @@ from hmi_marl.ownership import owned
 from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
+from hmi_marl.training.runs.start import check_machine
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
@@ -181,6 +182,10 @@ class LatentTraits(TraitReport):
             learn=TraitSettings(steps=150_000, imitation_updates=200),
             evaluation=AssessSettings(windows=200, episodes=60, ranked=40),
         )
+
+    def check_machine(self) -> None:
+        """See :meth:`Experiment.check_machine`."""
+        check_machine(self.learn.device, self.learn.threads)
 
     def driver_job(self, folder: Path) -> Job:
         """See :meth:`Experiment.driver_job`."""

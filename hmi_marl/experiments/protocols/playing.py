@@ -165,7 +165,7 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     observers = [each for each in (counter, divergence) if each is not None]
     seeds = evaluation_seeds(count)
     episodes = play_episodes(team, *seats, seeds, "batched", observers=observers)
-    drawn = {driver.name: which for driver, which in driven_by(team, seeds).items()}
+    drawn = driven_by(team, seeds)
     signals = counter.by_driver(team, seeds)
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
     shares = {name: signal.total.share for name, signal in signals.items()}

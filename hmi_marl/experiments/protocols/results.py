@@ -161,7 +161,7 @@ def score(played: Played, driver: str) -> float:
 
 def optimum(played: Played, driver: str) -> float:
     """Exact optimum that sees attention, over episodes as long as those that were played."""
-    return played.scores[driver].seen
+    return played.scores[driver].references.optimum
 
 
 def attainable(played: Played, driver: str) -> float:
@@ -170,8 +170,8 @@ def attainable(played: Played, driver: str) -> float:
     With attention hidden that is the Bayes filter that knows the traits and how often a^H reveals
     d; with attention seen, or where there is no such filter, the optimum.
     """
-    known = played.scores[driver]
-    return known.seen if known.belief is None else known.belief
+    known = played.scores[driver].references
+    return known.optimum if known.filter is None else known.filter
 
 
 def hiding(played: Played, driver: str) -> float:

@@ -82,11 +82,11 @@ class TaskPlan:
         settings = self.settings
         for field_name in ("episodes", "cross_episodes"):
             count = getattr(settings, field_name)
-            for driver, which in driven_by(self.team(), evaluation_seeds(count)).items():
+            for name, which in driven_by(self.team(), evaluation_seeds(count)).items():
                 if not which.any():
                     enough = 8 * len(settings.drivers)
                     raise ValueError(
-                        f"{field_name} = {count}, of which {driver.name} has none; with {enough} "
+                        f"{field_name} = {count}, of which {name} has none; with {enough} "
                         "each driver has some"
                     )
 

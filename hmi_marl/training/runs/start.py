@@ -86,6 +86,19 @@ def check_processes(count: int, settings: TrainSettings) -> int:
     return count
 
 
+def check_machine(device: str, threads: int | None) -> None:
+    """Check that this machine has a device, and a core for each of so many threads.
+
+    Raises:
+        ValueError: it has not.
+    """
+    check_threads_here(threads)
+    if device.startswith("cuda"):
+        from hmi_marl.training.runs.processes import ALONE  # imports torch, which takes seconds
+
+        ALONE.device(device)
+
+
 def check_start(settings: TrainSettings) -> None:
     """Check that a run can start, before anything is made.
 
@@ -94,11 +107,7 @@ def check_start(settings: TrainSettings) -> None:
     Raises:
         FileNotFoundError, ValueError: it cannot; the message says what to use instead.
     """
-    check_threads_here(settings.threads)
-    if settings.device.startswith("cuda"):
-        from hmi_marl.training.runs.processes import ALONE  # imports torch, which takes seconds
-
-        ALONE.device(settings.device)
+    check_machine(settings.device, settings.threads)
     for phase in settings.phases():
         if phase.partner not in (None, LEARNED):
             make = make_hmi if phase.seat == DRIVER else make_driver_policy

@@ -146,10 +146,11 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
             part.write_bytes(_checksum(path, code) + code)
             part.replace(path)
         except Exception as error:  # the compiled code is there all the same
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
             _say_once(f"cannot keep compiled code in {folder} ({_reason(error)})")
             return
+        finally:  # at a signal too
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
         with suppress(OSError):
             _tidy(path)
 
