@@ -15,7 +15,7 @@ from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs
 from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
 from hmi_marl.experiments.protocols.results import Comparison, TaskResults, Training
-from hmi_marl.experiments.references import PairScore
+from hmi_marl.experiments.references import PairScore, References
 from hmi_marl.experiments.signalling import SITUATIONS, Signalling, Signals
 from hmi_marl.reporting.statistics import Estimate
 
@@ -57,8 +57,10 @@ def scored(name: str, of: Sums, share: float) -> PairScore:
     """Score of a driver's episodes between the references that all drivers have."""
     earned = of.metrics()["attention_return"]
     gain = (earned - NONE) / (OPTIMUM - NONE)
-    exact = (exactly(earned), NONE, FILTER, OPTIMUM, exactly(gain), exactly(OPTIMUM - earned))
-    return PairScore(name, share, *exact, OPTIMUM - FILTER, exactly(FILTER - earned), None)
+    references = References(NONE, FILTER, OPTIMUM)
+    regret, short = exactly(OPTIMUM - earned), exactly(FILTER - earned)
+    found = exactly(earned), references, exactly(gain), regret
+    return PairScore(name, share, *found, OPTIMUM - FILTER, short, None)
 
 
 def exactly(value: float) -> Estimate:

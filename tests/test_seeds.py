@@ -1,6 +1,5 @@
 """Seeds that are apart have nothing in common: neither episodes nor runs nor drivers."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +34,8 @@ def seeds_of_demonstrations(seed):
 
 
 def seeds_of_comparison(seed):
-    jobs = ComparisonSettings(seed=seed, seeds=5, protocols=("joint",), crash_check=False).jobs
-    return [job.settings.seed for job in jobs(Path())]
+    (plan,) = ComparisonSettings(seed=seed, seeds=5, tasks=("hidden",)).plans()
+    return [job.settings.seed for job in plan.jobs(Path(), plan.runs_of("joint"))]
 
 
 def seeds_of_traits(seed):
@@ -95,4 +94,5 @@ def test_parts_have_seeds_of_their_own_and_the_first_that_of_the_whole():
     seeds = part_seed(3, np.arange(100))
     assert seeds[0] == 3
     assert len(np.unique(seeds)) == 100
-    assert replace(ComparisonSettings(), seed=3).jobs(Path())[0].settings.seed == 3
+    (plan,) = ComparisonSettings(seed=3, tasks=("seen",)).plans()
+    assert plan.training(plan.runs[0], Path()).seed == 3

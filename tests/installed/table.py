@@ -57,8 +57,9 @@ _LEARN = "--pool 2 --num-teams 8 --held-out 0.5 --steps 800 --imitation-updates 
 _ASSESS = "--windows 64 --episodes 2 --ranked 2"
 _TRAITS = f"traits train --supervision id {_LEARN}"
 _COMPARED = (
-    "--protocols two-stage joint --steps 320 --seeds 1 --episodes 2 --drivers homer"
-    f" --no-crash-check --workers 1 {_RUN}"
+    "--tasks hidden --protocols two-stage joint --steps 320 --budgets 160 --seeds 1 --rounds 1 "
+    "--driver-shares 0.5 --snapshots 1 --episodes 2 --cross-episodes 2 --drivers homer "
+    f"--no-partners --no-crash-check --workers 1 {_RUN}"
 )
 
 
