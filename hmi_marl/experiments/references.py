@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import DRIVING_TERMS
-from hmi_marl.envs.seats import moves_sequentially
 from hmi_marl.exact import oracle
 from hmi_marl.exact.hidden_attention import follow_rule, solve_belief
 from hmi_marl.experiments.episodes import (
@@ -274,7 +273,12 @@ class PairResult:
 
 
 def measure_pair(
-    team: TeamConfig, driver_policy: str, hmi: str, count: int, natural: Episodes | None = None
+    team: TeamConfig,
+    driver_policy: str,
+    hmi: str,
+    count: int,
+    natural: Episodes | None = None,
+    sequential: bool = True,
 ) -> PairResult:
     """Play the first evaluation episodes with policies by name; measure signals and score them.
 
@@ -283,17 +287,18 @@ def measure_pair(
         driver_policy, hmi: names as in the catalogue.
         count: number of episodes.
         natural: see :func:`score_pair`; for example the ``episodes`` of another result.
+        sequential: False for an HMI that moves at the same time as the driver.
 
     Raises:
         FileNotFoundError, ValueError: an unknown name, or a population that is no list of drivers.
     """
-    driver, ai = make_driver_policy(driver_policy, team), make_hmi(hmi, team)
+    driver, ai = make_driver_policy(driver_policy, team), make_hmi(hmi, team, sequential)
     counter, seeds = SignalCounter(), evaluation_seeds(count)
     listed_drivers(team)  # refuses a population before anything is played
     episodes = play_episodes(team, driver, ai, seeds, "batched", observers=[counter])
     signalling = counter.by_driver(team, seeds)
     revealing = {name: each.total.share for name, each in signalling.items()}
-    scores = score_pair(team, episodes, revealing, natural, moves_sequentially(ai))
+    scores = score_pair(team, episodes, revealing, natural, sequential)
     played = {each.driver for each in scores}
     return PairResult(
         episodes, {name: each for name, each in signalling.items() if name in played}, scores
