@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Picture = bytes | Callable[[], bytes]
-"""PNG, or a function that draws one."""
+"""PNG or GIF, or a function that draws one."""
 COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
 """Colours of figures, in their order."""
 _CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPORTED: "bad"}
@@ -206,9 +206,20 @@ class Clip(Block):
     name: str
     """Name of its file, without the suffix."""
     caption: str
-    content: bytes
+    content: Picture
+    """GIF, or a function that draws it when it is first shown."""
     kind: ClassVar = "clip"
     suffix: ClassVar = "gif"
+
+    @cached_property
+    def drawn(self) -> bytes:
+        """The GIF."""
+        return self.content if isinstance(self.content, bytes) else self.content()
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON content, with the clip drawn."""
+        about = {"kind": self.kind, "name": self.name, "caption": self.caption}
+        return about | {"content": _base64(self.drawn)}
 
     def as_text(self) -> str:
         """Render the caption for a terminal."""
@@ -217,7 +228,7 @@ class Clip(Block):
     def as_html(self) -> str:
         """Render for a page, with the clip inside it."""
         alt = in_html(self.caption or "clip of one episode")
-        source = _data(self.suffix, self.content)
+        source = _data(self.suffix, self.drawn)
         return f'<img class="clip" alt="{alt}" src="{source}"><p>{in_html(self.caption)}</p>'
 
 

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,6 +133,16 @@ def record(
     write_clip(path, progress(pictures), config.scene.policy_frequency * per_step, still)
 
 
+def as_gif(
+    config: TeamConfig, moments: Iterator[tuple[Snapshot, TeamStatus]], per_step: int = 1
+) -> bytes:
+    """Draw an episode as the content of a GIF."""
+    content = BytesIO()
+    pictures = frames(moments, Viewer(config), per_step)
+    _write_gif(content, pictures, config.scene.policy_frequency * per_step, NO_HOLDS)
+    return content.getvalue()
+
+
 def check_suffix(path: Path) -> Path:
     """Return ``path`` if it names a clip that can be written, else raise."""
     if path.suffix.lower() not in SUFFIXES:
@@ -155,7 +167,7 @@ def write_clip(
 
 
 def _write_gif(
-    path: Path, pictures: Pictures, frequency: float, holds: Mapping[int, float]
+    file: Path | BytesIO, pictures: Pictures, frequency: float, holds: Mapping[int, float]
 ) -> None:
     first, *rest = (
         Image.fromarray(picture).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
@@ -164,7 +176,8 @@ def _write_gif(
     # GIF counts in hundredths of a second.
     pauses = [10 * round(100 * holds.get(k, 1 / frequency)) for k in range(1 + len(rest))]
     duration = pauses[0] if len(set(pauses)) == 1 else pauses
-    first.save(path, save_all=True, append_images=rest, duration=duration, loop=0, optimize=True)
+    how: dict[str, Any] = {"duration": duration, "loop": 0, "optimize": True}
+    first.save(file, "GIF", save_all=True, append_images=rest, **how)
 
 
 def _write_mp4(

@@ -89,7 +89,7 @@ class Report:
         self.write_results(folder)
         for block in self.blocks:
             if isinstance(block, (Figure, Clip)):
-                content = block.drawn if isinstance(block, Figure) else block.content
+                content = block.drawn
                 write_bytes(folder / f"{block.name}.{block.suffix}", content)
         write_text(folder / PAGE, self.page)
         return folder / PAGE

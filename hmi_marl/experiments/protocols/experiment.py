@@ -30,6 +30,7 @@ from hmi_marl.experiments.protocols.results import (
     Training,
     revealing,
 )
+from hmi_marl.experiments.protocols.signal_clip import signal_clips
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting.blocks import Block, Figure, Heading
 from hmi_marl.reporting.verdicts import Verdict
@@ -97,7 +98,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             run.name: Training.of(plan.training(run, folder), run.folder(folder))
             for run in plan.runs
         }
-        return TaskResults(plan, played, training, curves, rivals)
+        return TaskResults(plan, played, training, curves, rivals, folder)
 
     @staticmethod
     def _average_hmis(plan: TaskPlan, played: Mapping[Pair, Any]) -> dict[str, Pair]:
@@ -151,6 +152,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         ]
         if plan.task.hidden:
             blocks += [tables.signal_table(results), tables.situation_table(results)]
+            blocks += signal_clips(results) if plan.task.sequential else []
         blocks += [
             Figure(
                 f"{name}-cross",

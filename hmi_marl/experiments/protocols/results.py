@@ -70,6 +70,8 @@ class TaskResults:
     """Environment steps and sums of the snapshots of each run, by its name."""
     average_hmi: Mapping[str, Pair] = field(default_factory=dict)
     """Pairs of a two-stage run's driver, by its name, with the HMI for the average driver."""
+    folder: Path | None = None
+    """Folder of the comparison, with the runs' policies, for clips; None for none."""
 
     def own(self, arm: str) -> list[Pair]:
         """Pairs of the driver and the HMI of each run of an arm."""

@@ -211,7 +211,8 @@ def test_points_of_a_curve_have_what_each_seat_had_learned(folder: Path) -> None
 def test_the_command_writes_everything(folder: Path, content: dict) -> None:
     files = {path.name for path in folder.iterdir() if path.is_file()}
     pictures = {f"hidden-{kind}.png" for kind in ("curves", "cross", "sweep", "profile")}
-    assert files == {"compare.txt", "compare.json", "index.html"} | pictures
+    clips = {"hidden-two-stage.gif", "hidden-simultaneous.gif"}
+    assert files == {"compare.txt", "compare.json", "index.html"} | pictures | clips
     assert content["command"].startswith("hmi-marl compare --tasks hidden")
     assert content["workers"] == 1
 
