@@ -253,10 +253,16 @@ def signed_checkpoint(folder: Path) -> Case:
 
 
 def settings_file(folder: Path) -> Case:
-    path = folder / "run.json"
+    """Mutate a run's settings: its checkpoint, which holds their digest, is read or refused."""
+    path, checkpoint = folder / "run.json", folder / "checkpoint.safetensors"
     about = {"version": "1", "settings": run_settings(TwoStage()), "command": "hmi-marl train"}
     path.write_text(json.dumps(about))
-    return json_of(path, lambda: settings_digest(read_settings(path)))
+    Checkpoint(1, 2, 3, 4.0, settings=settings_digest(about)).save(checkpoint)
+
+    def read() -> object:
+        return Checkpoint.load(checkpoint, settings_digest(read_settings(path)), 2)
+
+    return json_of(path, read, checked=True)
 
 
 def curve(folder: Path) -> Case:

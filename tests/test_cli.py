@@ -1,5 +1,6 @@
 import json
 import re
+import signal
 import subprocess
 import sys
 from contextlib import redirect_stdout
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 
 import hmi_marl
+from hmi_marl import interrupts
 from hmi_marl.agents.catalogue import known_names
 from hmi_marl.cli import main
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
@@ -309,6 +311,19 @@ def test_an_interrupt_is_reported_in_one_line(
     monkeypatch.setattr("hmi_marl.commands.oracle.alert_problem", interrupt)
     assert main(["oracle"]) == 130
     assert capsys.readouterr().err == "hmi-marl: interrupted\n"
+
+
+def test_an_interrupt_that_a_library_turns_into_another_error_is_reported_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object) -> None:
+        interrupts._received.append(signal.SIGTERM)
+        raise SystemError("returned a result with an exception set")
+
+    monkeypatch.setattr(interrupts, "_received", [])
+    monkeypatch.setattr("hmi_marl.commands.oracle.alert_problem", interrupt)
+    assert main(["oracle"]) == 143
+    assert capsys.readouterr().err == "hmi-marl: terminated\n"
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["oracle", "--horizon", "3"]])

@@ -255,8 +255,11 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
 def _copy(agent: Agent, folder: Path) -> dict[str, Any]:
     """Copy a card, without this machine's paths, and its weights; returns the index's entry."""
     card = folder / agent.name / agent.card.name
-    about = without_places(without_checksum(read_json(agent.card)))
-    write_json(card, with_checksum(about))
+    try:
+        about = without_checksum(read_json(agent.card))
+    except ValueError as error:
+        raise ValueError(f"{agent.card} is damaged: {error}; run its experiment again") from None
+    write_json(card, with_checksum(without_places(about)))
     weights = card.with_suffix(".safetensors")
     write_bytes(weights, read_bytes(agent.card.with_suffix(".safetensors"), MOST_WEIGHTS))
     return {"what": agent.what, "kind": card.stem, "files": _digests((card, weights), folder)}

@@ -100,14 +100,15 @@ def need_training() -> None:
 
 
 def _train(job: Job, command_line: str, quiet: bool, limit: int) -> None:
+    """Train a job that :func:`train_all` has checked."""
     settings = replace(job.settings, threads=1)
     shown: dict[str, Any] = {"quiet": quiet, "command_line": command_line, "line": own_line()}
     if (processes := default_processes(settings, limit)) > 1:
-        train_together(settings, job.folder, processes, **shown)
+        start_together(processes, _train_rank, settings, job.folder, shown)
         return
-    from hmi_marl.training.ppo.run import train  # torch, with the threads that were just set
+    from hmi_marl.training.ppo.run import train_rank  # torch, with the threads that were just set
 
-    train(settings, job.folder, **shown)
+    train_rank(settings, job.folder, None, shown)
 
 
 def _train_rank(

@@ -55,6 +55,16 @@ def test_weights_that_changed_since_are_not_shipped(run: Path, tmp_path: Path) -
         ship(stages, run, run, tmp_path / "trained")
 
 
+def test_a_card_that_changed_since_is_not_shipped(run: Path, tmp_path: Path) -> None:
+    stages = [Learning("one")]
+    run_suite(stages, run, run, line=str)
+    card = run / "one" / "driver.json"
+    card.write_text(card.read_text().replace('"by_intent": false', '"by_intent": true'))
+    with pytest.raises(ValueError, match=r"driver\.json is damaged: its checksum differs; run its"):
+        ship(stages, run, run, tmp_path / "trained")
+    assert not (tmp_path / "trained").exists()
+
+
 def test_a_folder_of_other_things_is_left_alone(run: Path, tmp_path: Path) -> None:
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious" / "thesis.txt").touch()

@@ -189,7 +189,8 @@ def early_signals(bench: Bench, options: Options, rng: random.Random) -> list[Co
     for number in range(options.early):
         row = rows[number % len(rows)]
         sent = getattr(signal, row.name.split()[0])
-        moment = rng.uniform(*spans[row.name.split()[-1]])
+        first, last = spans[row.name.split()[-1]]
+        moment = first + (last - first) * rng.random() ** 2  # more of them early
         shutil.rmtree(place / "out", ignore_errors=True)
         shutil.rmtree(place / "cache", ignore_errors=True)
         ended = _started(place, number // len(rows), place / "cache", moment, sent)

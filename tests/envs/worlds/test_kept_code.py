@@ -44,6 +44,10 @@ if "no locks" in sys.argv:
 if "impatient" in sys.argv:
     from hmi_marl.envs.worlds.batched import compiler
     compiler._PATIENCE = 1.0
+if "interrupted" in sys.argv:
+    def replace(self, target):
+        raise KeyboardInterrupt
+    Path.replace = replace
 if "full disk" in sys.argv:
     def write_bytes(self, data):
         self.touch()
@@ -62,6 +66,7 @@ CHANGED = [
     (caching.CacheImpl, "_locator_classes"),
     (compiler, "_PATIENCE"),
     (Path, "write_bytes"),
+    (Path, "replace"),
     *([(fcntl, "flock")] if fcntl else []),
 ]
 """What the program changes."""
@@ -220,6 +225,13 @@ def test_a_full_disk_costs_a_line_and_leaves_no_part_of_a_file(run_here, tmp_pat
     assert compiled == 2
     assert sum("No space left on device" in line for line in said) == 1
     assert not [path for path in (tmp_path / "code").rglob("*") if path.suffix in (".nbc", ".part")]
+
+
+def test_a_signal_while_code_is_written_leaves_no_part_of_a_file(run_here, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run_here(tmp_path / "code", "interrupted")
+    assert not [path for path in (tmp_path / "code").rglob("*") if path.suffix in (".nbc", ".part")]
+    assert run_here(tmp_path / "code")[0] == 2
 
 
 def test_where_files_cannot_be_locked_it_compiles_all_the_same(run_here, tmp_path):
