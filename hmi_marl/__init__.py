@@ -10,12 +10,12 @@ Importing this package registers ``hmi_marl/merge-v0`` with PettingZoo (AEC and 
 they are first used.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
 from hmi_marl import interrupts
 
 interrupts.end_at_once()  # in the command alone; what is imported below takes a while
+
+import importlib  # noqa: E402
+from typing import TYPE_CHECKING, Any  # noqa: E402
 
 import pettingzoo  # noqa: E402
 from gymnasium.envs import registration  # noqa: E402

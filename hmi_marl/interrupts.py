@@ -6,6 +6,9 @@ behind; a second signal, or one that was raised where Python ignores errors, end
 
 Only a process that was started as the command handles signals. In a program that imports the
 package they stay as they are.
+
+Until :func:`end_at_once` is called, SIGINT makes Python itself print a traceback. So the package
+imports this module before anything else, and it imports next to nothing.
 """
 
 from __future__ import annotations
@@ -13,13 +16,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from itertools import pairwise
-from pathlib import Path
-from types import FrameType
-from typing import NoReturn
+
+TYPE_CHECKING = False  # typing takes longer to import than all of this
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType, TracebackType
+    from typing import NoReturn
 
 _REPORTS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 _received: list[int] = []
@@ -33,34 +35,47 @@ class Terminated(KeyboardInterrupt):
 def is_command() -> bool:
     """Whether this process was started as ``hmi-marl`` or ``python -m hmi_marl``."""
     given = sys.orig_argv
-    by_name = ("-m", "hmi_marl") in pairwise(given)
-    return by_name or any(Path(part).stem == "hmi-marl" for part in given[:2])
+    by_name = ("-m", "hmi_marl") in zip(given, given[1:])  # noqa: B905, RUF007
+    names = (part.replace("\\", "/").rpartition("/")[2] for part in given[:2])
+    return by_name or any(name in ("hmi-marl", "hmi-marl.exe") for name in names)
 
 
 def end_at_once() -> None:
     """Let a signal end this process at once, if it is the command; for the time of imports."""
-    if is_command() and threading.current_thread() is threading.main_thread():
-        for number in _REPORTS:
-            signal.signal(number, _end)
+    if is_command():
+        _handle(_end)
 
 
-@contextmanager
-def raised() -> Iterator[None]:
+class raised:  # noqa: N801  # reads as "with interrupts.raised():"; contextlib is not imported yet
     """Raise signals as exceptions within the block, if this process is the command.
 
     Afterwards they are ignored: what is left to do is to end.
     """
-    if not is_command() or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    sys.unraisablehook = _ignored
-    for number in _REPORTS:
-        signal.signal(number, _raise)
+
+    def __enter__(self) -> None:
+        self._handled = False
+        if is_command():
+            sys.unraisablehook = _ignored
+            self._handled = _handle(_raise)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._handled:
+            _handle(signal.SIG_IGN)
+
+
+def _handle(handler: Callable[[int, FrameType | None], object] | signal.Handlers) -> bool:
+    """Let a handler have the signals; False in a thread other than the main one, which cannot."""
     try:
-        yield
-    finally:
         for number in _REPORTS:
-            signal.signal(number, signal.SIG_IGN)
+            signal.signal(number, handler)
+    except ValueError:
+        return False
+    return True
 
 
 def was_stopped() -> bool:

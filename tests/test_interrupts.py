@@ -88,6 +88,24 @@ def test_a_signal_during_the_first_imports_takes_one_line(number):
     assert (process.returncode, err) == (128 + number, f"hmi-marl: {told}\n")
 
 
+def test_the_package_handles_signals_before_it_imports_anything_else():
+    """Until then, Ctrl-C makes Python print a traceback."""
+    program = """
+import sys, signal
+sys.orig_argv[:] = ["python", "-m", "hmi_marl"]
+before = set(sys.modules)
+def handle(number, handler, original=signal.signal):
+    print(*sorted(set(sys.modules) - before))
+    original(number, handler)
+    raise SystemExit
+signal.signal = handle
+import hmi_marl
+"""
+    process = start("-c", program)
+    out, err = process.communicate(timeout=60)
+    assert (out.split(), err) == (["__future__", "hmi_marl", "hmi_marl.interrupts"], "")
+
+
 SWALLOWED = """
 import os, signal, sys
 from hmi_marl import interrupts
