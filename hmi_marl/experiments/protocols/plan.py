@@ -45,7 +45,7 @@ class ComparisonSettings(Checked):
     """Runs of the others, and of each budget and each anchor."""
     seed: Seed = 0
     """Seed of the first run of each arm; those of the others are mixed from it."""
-    driver_shares: tuple[OpenShare, ...] = (0.5, 0.25, 0.75)
+    driver_shares: tuple[OpenShare, ...] = (0.5, 0.25, 0.125, 0.75)
     """Shares of the steps in which the driver learns, where the seats learn one after the other. If
     there are several, each protocol takes the best of them, by a run with half of the steps, and
     tasks on which none is tried take the first."""

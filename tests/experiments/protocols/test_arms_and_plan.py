@@ -116,7 +116,7 @@ def test_partners_fill_one_seat():
 def test_shares_are_tried_where_seats_learn_one_after_the_other():
     arms = HIDDEN.tuning_arms()
     assert {arm.protocol for arm in arms} == {"two-stage", "alternating", "fine-tune"}
-    assert Counter(arm.driver_share for arm in arms) == {0.25: 3, 0.5: 3, 0.75: 3}
+    assert Counter(arm.driver_share for arm in arms) == {0.125: 3, 0.25: 3, 0.5: 3, 0.75: 3}
     assert {arm.steps for arm in arms} == {4_000_000}
     assert replace(DEFAULT, driver_shares=(0.6,)).plans()[1].tuning_arms() == []
 
