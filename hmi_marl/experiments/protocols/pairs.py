@@ -26,6 +26,11 @@ class Pair:
         """Whether both are of one run."""
         return self.driver == self.hmi
 
+    @property
+    def learned(self) -> bool:
+        """Whether the HMI is that of a run."""
+        return self.hmi.startswith(f"{self.task}/")
+
 
 def own_pair(run: PlannedRun) -> Pair:
     """Pair a run's driver with its own HMI."""

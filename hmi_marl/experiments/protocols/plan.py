@@ -68,9 +68,9 @@ class ComparisonSettings(Checked):
     snapshots: Count = 8
     """Points of the learning curves at which the policies are played."""
     episodes: Count = 1000
-    """Episodes that driver and HMI of one run play."""
+    """Episodes that driver and HMI of one run play, and drivers with known HMIs."""
     cross_episodes: Count = 250
-    """Episodes of every other pair, and of every snapshot."""
+    """Episodes of every other pair, and of every snapshot: the first of these."""
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     num_teams: Count = 512
