@@ -131,4 +131,4 @@ def _values(results: TaskResults, pairs: Sequence[Pair]) -> NDArray[np.float64]:
 
 
 def _crossed(results: TaskResults) -> list[Arm]:
-    return [arm for arm in results.plan.arms.values() if arm.crossed or not arm.whole]
+    return [arm for arm in results.plan.arms.values() if arm.in_cross_play]

@@ -70,6 +70,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
     def _tune(self, plan: TaskPlan, place: Place) -> tuple[dict[str, float], Shares]:
         """Try out the shares of the driver's stage; team returns by arm, and the best shares."""
         runs, arms = plan.tuning_runs, plan.tuning_arms()
+        if not runs:
+            return {}, {}
         place.train(plan.jobs(place.folder, runs))
         pairs = [own_pair(run) for run in runs]
         with place.playing(len(pairs), "pairs") as progress:

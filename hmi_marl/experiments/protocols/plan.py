@@ -55,8 +55,8 @@ class ComparisonSettings(Checked):
     """Weights λ of the divergence from the two-stage driver, in human-regularised learning, with
     attention hidden."""
     partners: bool = True
-    """With attention hidden also train a driver that is not told its traits, and an HMI that learns
-    with a mixture of drivers."""
+    """With attention hidden also train a driver that does not see its traits, and an HMI that
+    learns with a mixture of drivers."""
     reward: Literal["default", "team", "individual"] = "default"
     """Reward to learn from: each protocol's own (where the seats learn one after the other, the
     driver learns from driving and the HMI from the team's reward; where they learn together, both

@@ -23,7 +23,7 @@ from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.experiments.episodes import Episodes, driven_by, evaluation_seeds, play_episodes
-from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun
+from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun, is_run
 from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.snapshots import Point, points_of
 from hmi_marl.experiments.protocols.task_plan import TaskPlan
@@ -214,7 +214,7 @@ def _divergence(
 
 def _place(plan: TaskPlan, folder: Path, name: str) -> str:
     """Policy of a run by its folder; names of the catalogue stay as they are."""
-    return str(folder / name) if name.startswith(f"{plan.name}/") else name
+    return str(folder / name) if is_run(plan.name, name) else name
 
 
 def play_all(

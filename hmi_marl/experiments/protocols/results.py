@@ -82,6 +82,10 @@ class TaskResults:
         """Arms that fill both seats."""
         return [arm for arm in self.plan.arms.values() if arm.whole]
 
+    def main_arms(self) -> list[Arm]:
+        """Arms that fill both seats, with the largest budget; see the table of budgets."""
+        return [arm for arm in self.whole_arms() if arm.steps == self.plan.steps]
+
     def over_runs(self, pairs: Sequence[Pair], metric: str, shared: bool = False) -> Estimate:
         """Average a metric over runs, with Student's t interval; see :meth:`values`."""
         lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf

@@ -40,7 +40,7 @@ from hmi_marl.reporting.statistics import number
 
 
 def summary_table(results: TaskResults) -> Table:
-    """Show the protocols, and known policies beside them."""
+    """Show the protocols and known policies, each with the largest budget."""
     metrics = {
         "team return": ("team_return", "z.1f"),
         "attention return": ("attention_return", "z.1f"),
@@ -48,7 +48,7 @@ def summary_table(results: TaskResults) -> Table:
         "alerts/min": ("alerts_per_minute", "z.1f"),
         "steps": ("length", "z.1f"),
     }
-    groups = {arm.name: results.own(arm.name) for arm in results.whole_arms()}
+    groups = {arm.name: results.own(arm.name) for arm in results.main_arms()}
     rows = []
     for label, pairs in (groups | baselines(results.plan)).items():
         shown = [results.over_runs(pairs, name).shown(form) for name, form in metrics.values()]
@@ -181,7 +181,7 @@ def regret_table(results: TaskResults) -> Table:
     """Show what is missing to the optimum, and on whose side."""
     natural = results.own(TWO_STAGE) if TWO_STAGE in results.plan.protocols else []
     rows = []
-    for arm in results.whole_arms():
+    for arm in results.main_arms():
         pairs = results.own(arm.name)
         rows.append(
             [
@@ -209,7 +209,7 @@ def signal_table(results: TaskResults) -> Table:
     """Show how often drivers reveal d, and how much the HMI learns by it."""
     names = results.plan.settings.driver_names
     rows = []
-    for arm in results.whole_arms():
+    for arm in results.main_arms():
         pairs = results.own(arm.name)
         by_driver = results.by_driver(pairs, revealing).mean(axis=0)
         rows.append(

@@ -218,7 +218,7 @@ def test_what_a_driver_gives_up_is_against_the_two_stage_pair_of_the_same_seed()
     ("low", "worth", "finding"),
     [
         (0.13, 1.0, "fine"),
-        (0.13, -1.0, "fine"),  # a step may be worth nothing: nobody crashes for it
+        (0.13, -1.0, "fine"),  # crashes are no more than two-stage's
         (0.15, -1.0, "fine"),  # not by more than the margin
         (0.16, -1.0, "GAMED"),
         (0.16, 0.0, "crashes more"),
