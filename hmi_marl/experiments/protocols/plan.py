@@ -89,6 +89,13 @@ class ComparisonSettings(Checked):
         names = Counter(get_driver(driver).name for driver in self.drivers)
         if names.total() > len(names):
             raise ValueError(f"drivers names {names.most_common(1)[0][0]!r} twice")
+        alike: dict[tuple[float, ...], str] = {}
+        for driver in map(get_driver, self.drivers):
+            first = alike.setdefault(driver.traits, driver.name)
+            if first != driver.name:
+                raise ValueError(
+                    f"drivers {first} and {driver.name} have the same traits; leave one out"
+                )
         for values, what in (
             (self.budgets, "budgets"),
             (self.anchor_kls, "anchor_kls"),
@@ -99,6 +106,11 @@ class ComparisonSettings(Checked):
         if not self.driver_shares:
             raise ValueError("driver_shares is a tuple of at least one share")
         for plan in self.plans():
+            if not plan.protocols:
+                raise ValueError(
+                    f"task {plan.name} allows none of {', '.join(self.protocols)}; leave it out of "
+                    "--tasks, or add another to --protocols"
+                )
             plan.jobs(Path(), plan.runs)  # checks the rest
             plan.check_drivers()
 
