@@ -71,6 +71,7 @@ def played(of: Sums, names: tuple[str, ...], share: float = 0.5, apart: float = 
     """The same for every driver."""
     return Played(
         dict.fromkeys((ALL_DRIVERS, *names), of),
+        dict.fromkeys(names, of),
         {name: scored(name, of, share) for name in names},
         {name: signals(name, share) for name in names},
         dict.fromkeys(names, apart),

@@ -89,3 +89,6 @@ MORE_CRASHES = 0.05
 SIGNALLING_GAIN = 0.75
 """Least share of the way from the two-stage HMI to the optimum that sees attention that learning
 together closes, if drivers learn to signal."""
+SWEEP_END = 0.1
+"""Largest difference of the smallest λ from the free driver, and of the largest from the two-stage
+one, as a share of the attention return between both."""

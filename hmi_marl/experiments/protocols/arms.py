@@ -2,8 +2,8 @@
 
 Some arms need what others have learned, so runs are trained in waves: first those that start from
 nothing, then those that are anchored to a driver or meet a mixture of drivers. Arms that fill one
-seat only are partners for the others: a driver that is not told its traits, and an HMI that has met
-several drivers.
+seat only are partners for the others: a driver that does not see its traits, and an HMI that has
+met several drivers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ANCHORED = "anchored-{:g}"
 TEAM_ALONE = "two-stage-team"
 """Two-stage with the reward of the team in both stages."""
 UNTOLD, ROBUST = "untold", "robust"
-"""The driver that is not told its traits, and the HMI for a mixture of drivers."""
+"""The driver that does not see its traits, and the HMI for a mixture of drivers."""
 RULE = "rule"
 """Driver policy of the catalogue that is not trained."""
 AT_SHARE = "{}-share-{:g}"
@@ -54,7 +54,7 @@ class Arm:
     partners: tuple[str, ...] = ()
     """Arms whose drivers of the same number its HMI learns with, as a mixture."""
     crossed: bool = False
-    """Whether its policies also play with those of every other such arm."""
+    """Whether it is a protocol that is compared: it has snapshots and is in cross-play."""
 
     @property
     def wave(self) -> int:
@@ -65,6 +65,11 @@ class Arm:
     def whole(self) -> bool:
         """Whether it fills both seats."""
         return set(self.seats) == {DRIVER, VEHICLE_AI}
+
+    @property
+    def in_cross_play(self) -> bool:
+        """Whether its policies play with those of every other such arm: crossed, or a partner."""
+        return self.crossed or not self.whole
 
 
 @dataclass(frozen=True)
@@ -86,3 +91,8 @@ class PlannedRun:
     def folder(self, comparison: Path) -> Path:
         """Folder of the run in the folder of a comparison."""
         return comparison / self.name
+
+
+def is_run(task: str, name: str) -> bool:
+    """Whether a policy's name is that of a run of this task, rather than one of the catalogue."""
+    return name.startswith(f"{task}/")

@@ -6,6 +6,7 @@ from typing import Any
 
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.cross_play import cross_play, dependence_of
+from hmi_marl.experiments.protocols.equal_gradients import at_equal_gradients
 from hmi_marl.experiments.protocols.findings import differences, sweep
 from hmi_marl.experiments.protocols.gaming import gaming_of, worst_finding
 from hmi_marl.experiments.protocols.pairs import Pair
@@ -16,12 +17,12 @@ from hmi_marl.experiments.protocols.results import (
     attention,
     bits,
     divergence,
+    given_up,
     hiding,
     optimum,
     revealing,
     shortfall,
 )
-from hmi_marl.experiments.protocols.tables import given_up
 from hmi_marl.files import json_value
 
 
@@ -30,6 +31,7 @@ def content_of(comparison: Comparison) -> dict[str, Any]:
     return {
         "workers": comparison.workers,
         "differences": json_value(differences(comparison)),
+        "differences_at_equal_gradient_steps": json_value(at_equal_gradients(comparison)),
         "driver_shares": json_value(comparison.shares),
         "driver_shares_tried": json_value(comparison.tried),
         "tasks": {name: _task(results) for name, results in comparison.tasks.items()},
@@ -40,6 +42,7 @@ def _task(results: TaskResults) -> dict[str, Any]:
     gaming = gaming_of(results) if results.plan.standing_runs else []
     protocols = results.plan.protocols
     return {
+        "scored_drivers": list(results.scored_drivers),
         "arms": {arm.name: _arm(results, arm.name) for arm in results.whole_arms()},
         "sweep": json_value(sweep(results)),
         "cross_play": json_value(cross_play(results)),
@@ -67,7 +70,7 @@ def _task(results: TaskResults) -> dict[str, Any]:
 
 def _arm(results: TaskResults, arm: str) -> dict[str, Any]:
     pairs = results.own(arm)
-    values = {"attention_return": attention, "optimum": optimum, "hmi_shortfall": shortfall}
+    values = {"attention_return": attention, "optimum": optimum}
     if results.plan.task.hidden:
         values["cost_of_hiding"] = hiding
     values |= {"revealing": revealing, "bits": bits, "divergence": divergence}
@@ -79,6 +82,7 @@ def _arm(results: TaskResults, arm: str) -> dict[str, Any]:
         "mean_over_drivers": {
             name: results.mean_of(pairs, value).as_json() for name, value in values.items()
         },
+        "hmi_shortfall": results.against_exact(pairs, shortfall).as_json(),
         "crash_rate_pooled": json_value(results.crash_rate(pairs)),
     }
     if TWO_STAGE in results.plan.protocols:

@@ -8,7 +8,8 @@ two runs a, b
 own pairs minus swapped pairs, is the gain from partners that fit each other: it is 0 wherever the
 return is a driver's part plus an HMI's part, however good each of them is. Between protocols it
 compares runs of one seed; within a protocol, each run with that of the next seed: there it shows
-whether partners agreed on something that others of the same protocol do not know.
+whether partners agreed on something that others of the same protocol do not know. All pairs are
+compared by the same episodes.
 """
 
 from __future__ import annotations
@@ -64,14 +65,14 @@ def cell_of(results: TaskResults, driver: str, hmi: str) -> Cell:
     """Average over the runs of two arms, with Student's t intervals over runs."""
     if driver == RULE:
         pairs = rule_pairs(results.plan, hmi)
-        return Cell(driver, hmi, results.over_runs(pairs, METRIC), UNKNOWN)
+        return Cell(driver, hmi, results.over_runs(pairs, METRIC, shared=True), UNKNOWN)
     same, following = pairs_of(results.plan, driver, hmi, 0), pairs_of(results.plan, driver, hmi, 1)
     apart = [pair for pair in following if pair not in same]
     return Cell(
         driver,
         hmi,
-        results.over_runs(same, METRIC),
-        results.over_runs(apart, METRIC) if apart else UNKNOWN,
+        results.over_runs(same, METRIC, shared=True),
+        results.over_runs(apart, METRIC, shared=True) if apart else UNKNOWN,
     )
 
 
@@ -126,8 +127,8 @@ def _gains_next(results: TaskResults, arm: str) -> NDArray[np.float64]:
 
 
 def _values(results: TaskResults, pairs: Sequence[Pair]) -> NDArray[np.float64]:
-    return np.array(results.values(pairs, METRIC))
+    return results.values(pairs, METRIC, shared=True)
 
 
 def _crossed(results: TaskResults) -> list[Arm]:
-    return [arm for arm in results.plan.arms.values() if arm.crossed or not arm.whole]
+    return [arm for arm in results.plan.arms.values() if arm.in_cross_play]

@@ -14,6 +14,7 @@ from hmi_marl.experiments.protocols import tables
 from hmi_marl.experiments.protocols.answer import answer
 from hmi_marl.experiments.protocols.arms import MAIN, TWO_STAGE, PlannedRun
 from hmi_marl.experiments.protocols.content import content_of
+from hmi_marl.experiments.protocols.equal_gradients import at_equal_gradients
 from hmi_marl.experiments.protocols.figures import (
     cross_figure,
     curves_figure,
@@ -69,6 +70,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
     def _tune(self, plan: TaskPlan, place: Place) -> tuple[dict[str, float], Shares]:
         """Try out the shares of the driver's stage; team returns by arm, and the best shares."""
         runs, arms = plan.tuning_runs, plan.tuning_arms()
+        if not runs:
+            return {}, {}
         place.train(plan.jobs(place.folder, runs))
         pairs = [own_pair(run) for run in runs]
         with place.playing(len(pairs), "pairs") as progress:
@@ -130,6 +133,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         changes = differences(results)
         if changes:
             blocks.append(tables.difference_table(changes))
+        if rows := at_equal_gradients(results):
+            blocks.append(tables.equal_gradients_table(rows))
         for task in results.tasks.values():
             blocks += self._blocks_of(task, results.workers)
         if any(results.tried.values()):
@@ -166,7 +171,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             description = f"{name}: returns against divergence from the natural driver"
             figure = Figure(f"{name}-sweep", description, partial(sweep_figure, results))
             blocks += [figure, tables.sweep_table(results)]
-        if TWO_STAGE in plan.protocols and len(plan.protocols) > 1:
+        if TWO_STAGE in plan.protocols and len(plan.protocols) > 1 and results.scored_drivers:
             description = f"{name}: share of runs and drivers above each score"
             figure = Figure(f"{name}-profile", description, partial(profile_figure, results))
             blocks += [figure, tables.improvement_table(results)]

@@ -5,34 +5,35 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.protocols.arms import (
-    ANCHORED,
     JOINT,
-    MAIN,
     SIMULTANEOUS,
     TWO_STAGE,
 )
 from hmi_marl.experiments.protocols.gaming import Finding, gaming_of, worst_finding
 from hmi_marl.experiments.protocols.pairs import pairs_of
 from hmi_marl.experiments.protocols.results import (
+    UNKNOWN,
     Comparison,
     TaskResults,
-    attention,
     divergence,
     optimum,
+    regret,
 )
-from hmi_marl.reporting import statistics
 from hmi_marl.reporting.many_runs import Difference, over_runs, paired_differences
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 
 COMPARED_METRICS = ("team_return", "attention_return")
 """Metrics in which protocols are compared with two-stage."""
+SWEPT = ("divergence", "attention_return")
+"""Quantities that should fall with λ."""
 _OUTCOMES: dict[Finding, Outcome] = {
     "fine": Outcome.SUPPORTED,
     "crashes more": Outcome.PARTLY,
@@ -108,29 +109,41 @@ def sweep(results: TaskResults) -> list[SweepPoint]:
     ]
 
 
-def is_monotone(points: Sequence[SweepPoint]) -> bool:
-    """Whether divergence and attention return fall with rising λ, as far as intervals tell.
+def rises(results: TaskResults, points: Sequence[SweepPoint]) -> list[str]:
+    """List rises with λ between any two points, paired by seed.
 
-    A rise counts where the intervals of two neighbours do not overlap.
+    A rise counts if it differs from 0, corrected for all pairs of points, or if its mean is more
+    than ``criteria.SWEEP_END`` of the way between the ends: few runs find no difference anywhere.
     """
-    return all(
-        not _surely_less(getattr(before, name), getattr(after, name))
-        for before, after in pairwise(points)
-        for name in ("divergence", "attention_return")
-    )
+    found = []
+    for name in SWEPT:
+        values = [_swept(results, point.arm, name) for point in points]
+        most = criteria.SWEEP_END * abs(float(values[0].mean() - values[-1].mean()))
+        steps = list(combinations(range(len(points)), 2))
+        changes = paired_differences([(values[b], values[a]) for a, b in steps])
+        found += [
+            f"{name.replace('_', ' ')} from λ = {points[a].weight:g} to {points[b].weight:g}"
+            for (a, b), change in zip(steps, changes, strict=True)
+            if change.estimate.mean > (0.0 if change.differs else most)
+        ]
+    return found
 
 
-def _surely_less(one: Estimate, other: Estimate) -> bool:
-    return math.isfinite(one.high) and math.isfinite(other.low) and one.high < other.low
+def _swept(results: TaskResults, arm: str, name: str) -> NDArray[np.float64]:
+    """Values of a quantity of the sweep, one for each run."""
+    own = results.own(arm)
+    if name == "divergence":
+        return results.by_driver(own, divergence).mean(axis=1)
+    return results.values(own, name)
 
 
 def judge(comparison: Comparison) -> list[Verdict]:
     """Judge the comparison's statements, and whether each protocol is gamed."""
     verdicts: list[Verdict] = []
     changes = differences(comparison)
-    for name, results in comparison.tasks.items():
-        if not results.plan.task.hidden and results.plan.name == "seen":
-            verdicts += [*_near_optimum(results), *_no_difference(name, changes)]
+    for results in comparison.tasks.values():
+        if results.plan.name == "seen":
+            verdicts += [*_near_optimum(results), *_no_difference(results, changes)]
         if results.plan.task.hidden and results.plan.task.sequential:
             verdicts += [*_signalling_pays(results), *_no_convention(results), *_sweep(results)]
         if results.plan.standing_runs:
@@ -139,55 +152,85 @@ def judge(comparison: Comparison) -> list[Verdict]:
 
 
 def _near_optimum(results: TaskResults) -> list[Verdict]:
-    """Attention seen: the exact optimum of attention is reached."""
+    """Attention seen: the exact optimum of attention is reached.
+
+    The interval must lie within the tolerance too, so that a wide one supports nothing.
+    """
     verdicts = []
     for protocol in results.plan.protocols:
         pairs = results.own(protocol)
-        ours = results.mean_of(pairs, attention)
-        best = results.mean_of(pairs, optimum)
-        near = ours.agrees(best.mean, criteria.EXACT_TOLERANCE)
+        missing = results.against_exact(pairs, regret)
+        best = results.mean_of(pairs, optimum).mean
+        most = criteria.EXACT_TOLERANCE * abs(best)
         claim = (
             f"{results.plan.name}, {protocol}: attention return within "
             f"{100 * criteria.EXACT_TOLERANCE:g} % of the exact optimum"
         )
-        reason = f"{ours.shown()}, optimum {best.mean:.1f}, {len(pairs)} runs"
-        verdicts.append(Verdict.of_parts(claim, [near], reason))
+        reason = (
+            f"optimum {best:.1f}, less the return {missing.shown('+z.1f')}, "
+            f"{len(pairs)} runs, at most {most:.1f} apart"
+        )
+        verdicts.append(_within(claim, missing, most, reason))
     return verdicts
 
 
-def _no_difference(task: str, changes: Sequence[Compared]) -> list[Verdict]:
-    """Attention seen: protocols do not differ in attention return."""
+def _within(claim: str, difference: Estimate, most: float, reason: str) -> Verdict:
+    """Judge whether a difference is small: supported by its whole interval, in part by its mean."""
+    if not math.isfinite(difference.low):
+        return Verdict(claim, Outcome.UNTESTABLE, reason)
+    widest = max(abs(difference.low), abs(difference.high))
+    return Verdict.of_parts(claim, [abs(difference.mean) <= most, widest <= most], reason)
+
+
+def _no_difference(results: TaskResults, changes: Sequence[Compared]) -> list[Verdict]:
+    """Attention seen: protocols do not differ in attention return.
+
+    Supported if no difference excludes 0 and all intervals lie within the tolerance; in part if
+    only one of both holds, since few runs find no difference anywhere.
+    """
+    task = results.plan.name
     found = [c for c in changes if c.task == task and c.metric == "attention_return"]
     if not found:
         return []
+    known = [c.difference for c in found if c.difference.differs is not None]
+    best = results.mean_of(results.own(TWO_STAGE), optimum).mean
+    most = criteria.EXACT_TOLERANCE * abs(best)
     apart = [c for c in found if c.difference.differs]
-    known = [c for c in found if c.difference.differs is not None]
-    claim = f"{task}: no protocol differs from two-stage in attention return"
+    claim = (
+        f"{task}: no protocol differs from two-stage in attention return, by intervals within "
+        f"{100 * criteria.EXACT_TOLERANCE:g} % of the optimum"
+    )
     reason = "; ".join(
         f"{c.protocol} {c.difference.estimate.shown('+z.1f')}" for c in apart or found
     )
     if not known:
         return [Verdict(claim, Outcome.UNTESTABLE, reason)]
-    return [Verdict(claim, Outcome.NOT_SUPPORTED if apart else Outcome.SUPPORTED, reason)]
+    narrow = all(max(-d.estimate.low, d.estimate.high) <= most for d in known)
+    return [Verdict.of_parts(claim, [not apart, narrow], f"{reason}; within {most:.1f}")]
 
 
 def way_to_optimum(results: TaskResults, protocol: str) -> Estimate:
-    """Share of the way from two-stage's HMI to the optimum that sees attention, over runs."""
-    theirs = results.own(TWO_STAGE)
-    ours = results.own(protocol)
-    count = min(len(ours), len(theirs))
-    gained = results.scores(ours[:count]).mean(axis=1) - results.scores(theirs[:count]).mean(axis=1)
-    left = 1.0 - results.scores(theirs[:count]).mean(axis=1)
-    return over_runs(np.stack([gained, left], axis=1), _ratio_of_means)
+    """Share of the way from two-stage's HMI to the optimum that sees attention, over runs.
+
+    Unknown where two-stage is at the optimum, or no driver has a score.
+    """
+    own = [results.own(protocol), results.own(TWO_STAGE)]
+    count = min(map(len, own))
+    if not results.scored_drivers:
+        return UNKNOWN
+    ours, theirs = (results.scores(pairs[:count]).mean(axis=1) for pairs in own)
+    if theirs.mean() >= 1.0:
+        return UNKNOWN
+    return over_runs(np.stack([ours - theirs, 1.0 - theirs], axis=1), _ratio_of_means)
 
 
-def _ratio_of_means(parts: np.ndarray) -> np.ndarray:
+def _ratio_of_means(parts: NDArray[np.float64]) -> NDArray[np.float64]:
     means = parts.mean(axis=-2)
     return np.asarray(means[..., 0] / means[..., 1])
 
 
 def _signalling_pays(results: TaskResults) -> list[Verdict]:
-    """Attention hidden: learning together closes most of the gap."""
+    """Attention hidden: learning together closes most of the gap, by its whole interval."""
     if not {TWO_STAGE, SIMULTANEOUS} <= set(results.plan.protocols):
         return []
     way = way_to_optimum(results, SIMULTANEOUS)
@@ -195,29 +238,43 @@ def _signalling_pays(results: TaskResults) -> list[Verdict]:
         f"{results.plan.name}, {SIMULTANEOUS}: at least {criteria.SIGNALLING_GAIN:g} of the way "
         "from the two-stage HMI to the optimum that sees attention"
     )
-    known = math.isfinite(way.low)
-    outcome = Outcome.SUPPORTED if way.mean >= criteria.SIGNALLING_GAIN else Outcome.NOT_SUPPORTED
     reason = f"{way.shown('.2f')} over {len(results.own(SIMULTANEOUS))} runs"
-    return [Verdict(claim, outcome if known else Outcome.UNTESTABLE, reason)]
+    if not math.isfinite(way.low):
+        return [Verdict(claim, Outcome.UNTESTABLE, reason)]
+    held = [value >= criteria.SIGNALLING_GAIN for value in (way.mean, way.low)]
+    return [Verdict.of_parts(claim, held, reason)]
+
+
+def against_average_hmi(results: TaskResults) -> dict[str, Difference]:
+    """Compare jointly trained HMIs with the HMI for the average driver, with the stage-1 driver.
+
+    Attention return by protocol, paired by seed over the same episodes, corrected for their number.
+    """
+    own = results.plan.protocols
+    if TWO_STAGE not in own or not results.average_hmi:
+        return {}
+    pairs = {
+        name: pairs_of(results.plan, TWO_STAGE, name, 0)
+        for name in (JOINT, SIMULTANEOUS)
+        if name in own
+    }
+    rivals = {
+        name: [results.average_hmi[pair.driver] for pair in each] for name, each in pairs.items()
+    }
+    metric = "attention_return"
+    changes = paired_differences(
+        [
+            (results.values(pairs[name], metric, True), results.values(rivals[name], metric, True))
+            for name in pairs
+        ]
+    )
+    return dict(zip(pairs, changes, strict=True))
 
 
 def _no_convention(results: TaskResults) -> list[Verdict]:
     """Attention hidden: a jointly trained HMI does not help a driver that learned alone."""
     verdicts = []
-    for protocol in (JOINT, SIMULTANEOUS):
-        if not {protocol, TWO_STAGE} <= set(results.plan.protocols) or not results.average_hmi:
-            continue
-        pairs = pairs_of(results.plan, TWO_STAGE, protocol, 0)
-        rivals = [results.average_hmi[pair.driver] for pair in pairs]
-        (change,) = paired_differences(
-            [
-                (
-                    results.values(pairs, "attention_return"),
-                    results.values(rivals, "attention_return"),
-                )
-            ],
-            comparisons=2,
-        )
+    for protocol, change in against_average_hmi(results).items():
         below = change.estimate.mean < 0.0 and bool(change.differs)
         claim = (
             f"{results.plan.name}, {protocol}: its HMI does worse with the stage-1 driver than the "
@@ -232,30 +289,43 @@ def _no_convention(results: TaskResults) -> list[Verdict]:
 
 
 def _sweep(results: TaskResults) -> list[Verdict]:
-    """Human-regularised learning: between the natural driver and the free one."""
+    """Human-regularised learning: from the free driver to the natural one.
+
+    The ends are judged by paired differences in attention return: each must lie within a share of
+    the way between the free driver and the natural one. Without such a way nothing is supported.
+    """
     points = sweep(results)
     if not points:
         return []
-    free, natural, inner = points[0], points[-1], points[1:-1]
-    ends = [
-        _overlap(inner[0].attention_return, free.attention_return),
-        _overlap(inner[-1].attention_return, natural.attention_return),
-    ]
-    claim = (
-        f"{results.plan.name}: divergence and attention return fall with λ, from those of the free "
-        "driver to those of the two-stage one"
+    values = [_swept(results, point.arm, "attention_return") for point in points]
+    whole, first, last = (
+        difference.estimate
+        for difference in paired_differences(
+            [(values[0], values[-1]), (values[0], values[1]), (values[-2], values[-1])]
+        )
     )
-    reason = ", ".join(
+    name, most = results.plan.name, criteria.SWEEP_END * abs(whole.mean)
+    shown = ", ".join(
         f"λ = {p.weight:g}: {p.divergence.mean:.3f} nats, {p.attention_return.mean:.0f}"
         for p in points
     )
-    if not all(math.isfinite(p.attention_return.low) for p in points):
-        return [Verdict(claim, Outcome.UNTESTABLE, reason)]
-    return [Verdict.of_parts(claim, [is_monotone(points), *ends], reason)]
-
-
-def _overlap(one: Estimate, other: Estimate) -> bool:
-    return not (_surely_less(one, other) or _surely_less(other, one))
+    claims = {
+        "falls": f"{name}: divergence and attention return fall with λ",
+        "free": f"{name}: with the smallest λ as with the free driver",
+        "natural": f"{name}: with the largest λ as with the two-stage driver",
+    }
+    if not all(math.isfinite(each.low) for each in (whole, first, last)):
+        return [Verdict(claim, Outcome.UNTESTABLE, shown) for claim in claims.values()]
+    rising = rises(results, points)
+    reason = f"{shown}; free minus two-stage {whole.shown('+z.1f')}"
+    if rising:
+        reason += f"; rises: {', '.join(rising)}"
+    limit = f"at most {most:.1f} apart, {criteria.SWEEP_END:g} of the way"
+    return [
+        Verdict.of_parts(claims["falls"], [not rising, whole.low > 0.0], reason),
+        _within(claims["free"], first, most, f"{first.shown('+z.1f')} less, {limit}"),
+        _within(claims["natural"], last, most, f"{last.shown('+z.1f')} more, {limit}"),
+    ]
 
 
 def _not_gamed(results: TaskResults) -> list[Verdict]:
@@ -272,21 +342,3 @@ def _not_gamed(results: TaskResults) -> list[Verdict]:
         claim = f"{protocol}: crashes no more than {TWO_STAGE}, and crashing does not pay"
         verdicts.append(Verdict(claim, _OUTCOMES[worst], reason))
     return verdicts
-
-
-def main_protocols(results: TaskResults) -> list[str]:
-    """Protocols with all seeds that this task has."""
-    return [name for name in MAIN if name in results.plan.protocols]
-
-
-def anchored_name(weight: float) -> str:
-    """Name of the arm with this λ."""
-    return ANCHORED.format(weight)
-
-
-def gap(results: TaskResults, protocol: str) -> Estimate:
-    """Attention return of a protocol minus two-stage's, paired by seed, one comparison."""
-    ours = results.values(results.own(protocol), "attention_return")
-    theirs = results.values(results.own(TWO_STAGE), "attention_return")
-    count = min(len(ours), len(theirs))
-    return statistics.mean(np.array(ours[:count]) - np.array(theirs[:count]))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-from hmi_marl.experiments.protocols.arms import RULE, TWO_STAGE, Arm, PlannedRun
+from hmi_marl.experiments.protocols.arms import RULE, TWO_STAGE, Arm, PlannedRun, is_run
 from hmi_marl.experiments.protocols.task_plan import TaskPlan
 
 
@@ -25,6 +25,11 @@ class Pair:
     def own(self) -> bool:
         """Whether both are of one run."""
         return self.driver == self.hmi
+
+    @property
+    def learned(self) -> bool:
+        """Whether the HMI is that of a run."""
+        return is_run(self.task, self.hmi)
 
 
 def own_pair(run: PlannedRun) -> Pair:
@@ -47,9 +52,9 @@ def all_pairs(plan: TaskPlan) -> list[Pair]:
 def crossed(plan: TaskPlan) -> list[Pair]:
     """List pairs of crossed arms, by number and with the next number, and with partners.
 
-    Run k's driver plays with the HMIs of run k and of run k + 1 of every crossed arm, so that
-    conventions of one seed and of one protocol are told apart at a cost that does not grow with the
-    square of the seeds.
+    Run k's driver plays with the HMIs of run k and of run k + 1 of every crossed arm, which
+    separates the conventions of a seed from those of a protocol at a cost that does not grow with
+    the square of the seeds.
     """
     wanted = []
     for one, other in product(plan.arms.values(), repeat=2):
@@ -57,7 +62,7 @@ def crossed(plan: TaskPlan) -> list[Pair]:
             for step in (0, 1):
                 wanted += pairs_of(plan, one.name, other.name, step)
     for arm in plan.arms.values():
-        if plan.signals and VEHICLE_AI in arm.seats and (arm.crossed or not arm.whole):
+        if plan.signals and VEHICLE_AI in arm.seats and arm.in_cross_play:
             wanted += rule_pairs(plan, arm.name)
     return list(dict.fromkeys(wanted))
 
@@ -99,8 +104,7 @@ def _meets(one: Arm, other: Arm) -> bool:
     """Whether drivers of one arm play with HMIs of another."""
     if DRIVER not in one.seats or VEHICLE_AI not in other.seats:
         return False
-    both = [arm.crossed or not arm.whole for arm in (one, other)]
     anchored = TWO_STAGE in (one.name, other.name) and (
         one.anchor_kl is not None or other.anchor_kl is not None
     )
-    return all(both) or anchored
+    return (one.in_cross_play and other.in_cross_play) or anchored

@@ -55,8 +55,8 @@ class ComparisonSettings(Checked):
     """Weights λ of the divergence from the two-stage driver, in human-regularised learning, with
     attention hidden."""
     partners: bool = True
-    """With attention hidden also train a driver that is not told its traits, and an HMI that learns
-    with a mixture of drivers."""
+    """With attention hidden also train a driver that does not see its traits, and an HMI that
+    learns with a mixture of drivers."""
     reward: Literal["default", "team", "individual"] = "default"
     """Reward to learn from: each protocol's own (where the seats learn one after the other, the
     driver learns from driving and the HMI from the team's reward; where they learn together, both
@@ -68,9 +68,9 @@ class ComparisonSettings(Checked):
     snapshots: Count = 8
     """Points of the learning curves at which the policies are played."""
     episodes: Count = 1000
-    """Episodes that driver and HMI of one run play."""
+    """Episodes that driver and HMI of one run play, and drivers with known HMIs."""
     cross_episodes: Count = 250
-    """Episodes of every other pair, and of every snapshot."""
+    """Episodes of every other pair, and of every snapshot: the first of these."""
     drivers: tuple[str, ...] = PAPER_DRIVERS
     """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     num_teams: Count = 512
@@ -89,6 +89,13 @@ class ComparisonSettings(Checked):
         names = Counter(get_driver(driver).name for driver in self.drivers)
         if names.total() > len(names):
             raise ValueError(f"drivers names {names.most_common(1)[0][0]!r} twice")
+        alike: dict[tuple[float, ...], str] = {}
+        for driver in map(get_driver, self.drivers):
+            first = alike.setdefault(driver.traits, driver.name)
+            if first != driver.name:
+                raise ValueError(
+                    f"drivers {first} and {driver.name} have the same traits; leave one out"
+                )
         for values, what in (
             (self.budgets, "budgets"),
             (self.anchor_kls, "anchor_kls"),
@@ -99,6 +106,11 @@ class ComparisonSettings(Checked):
         if not self.driver_shares:
             raise ValueError("driver_shares is a tuple of at least one share")
         for plan in self.plans():
+            if not plan.protocols:
+                raise ValueError(
+                    f"task {plan.name} allows none of {', '.join(self.protocols)}; leave it out of "
+                    "--tasks, or add another to --protocols"
+                )
             plan.jobs(Path(), plan.runs)  # checks the rest
             plan.check_drivers()
 

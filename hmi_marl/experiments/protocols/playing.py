@@ -23,7 +23,7 @@ from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.experiments.episodes import Episodes, driven_by, evaluation_seeds, play_episodes
-from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun
+from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun, is_run
 from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.snapshots import Point, points_of
 from hmi_marl.experiments.protocols.task_plan import TaskPlan
@@ -108,10 +108,13 @@ def _ratio(amount: float, count: float) -> float:
 
 @dataclass(frozen=True)
 class Played:
-    """What a pair's episodes came to."""
+    """Results of a pair's episodes."""
 
     sums: Mapping[str, Sums]
     """By driver, and for ``ALL_DRIVERS``."""
+    shared: Mapping[str, Sums]
+    """By driver, of the episodes that every pair of the task plays: the first ones. Pairs with
+    different numbers of episodes are compared by these."""
     scores: Mapping[str, PairScore]
     """Scores between exact references over as many steps, by driver."""
     signals: Mapping[str, Signalling]
@@ -154,11 +157,24 @@ def _log(probability: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.log(np.maximum(probability, np.finfo(np.float64).tiny))
 
 
+def shared_episodes(plan: TaskPlan) -> int:
+    """Count the episodes that every pair plays."""
+    return min(plan.settings.episodes, plan.settings.cross_episodes)
+
+
+def episodes_of(plan: TaskPlan, pair: Pair) -> int:
+    """Count the episodes of a pair: all of them for one run's driver and HMI, and for known HMIs.
+
+    These are compared with exact values; the others are many, and show which partners fit.
+    """
+    return plan.settings.episodes if pair.own or not pair.learned else shared_episodes(plan)
+
+
 def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     """Play a pair's episodes; sum them up for each driver and for ``ALL_DRIVERS``."""
     team = plan.team(pair.end_at_crash)
     driver, hmi = (_place(plan, folder, name) for name in (pair.driver, pair.hmi))
-    count = plan.settings.episodes if pair.own else plan.settings.cross_episodes
+    count = episodes_of(plan, pair)
     seats = make_driver_policy(driver, team), make_hmi(hmi, team, plan.task.sequential)
     counter = SignalCounter()
     divergence = _divergence(plan, folder, pair, team, seats[0]) if pair.own else None
@@ -170,9 +186,11 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
     shares = {name: signal.total.share for name, signal in signals.items()}
     scores = score_pair(team, episodes, shares, sequential=plan.task.sequential)
+    first = np.arange(count) < shared_episodes(plan)
     return Played(
         {ALL_DRIVERS: add(np.ones(count, np.bool_))}
         | {n: add(which) for n, which in drawn.items()},
+        {n: add(which & first) for n, which in drawn.items()},
         {each.driver: each for each in scores},
         signals if pair.own else {},
         {} if divergence is None else {n: divergence.mean(which) for n, which in drawn.items()},
@@ -196,7 +214,7 @@ def _divergence(
 
 def _place(plan: TaskPlan, folder: Path, name: str) -> str:
     """Policy of a run by its folder; names of the catalogue stay as they are."""
-    return str(folder / name) if name.startswith(f"{plan.name}/") else name
+    return str(folder / name) if is_run(plan.name, name) else name
 
 
 def play_all(
@@ -223,7 +241,7 @@ def play_point(plan: TaskPlan, folder: Path, point: Point) -> Sums:
     team = plan.team()
     driver = make_driver_policy(point.driver, team)
     hmi = make_hmi(point.hmi, team, plan.task.sequential)
-    count = plan.settings.cross_episodes
+    count = shared_episodes(plan)
     episodes = play_episodes(team, driver, hmi, evaluation_seeds(count), "batched")
     return Sums.of(episodes, np.ones(count, np.bool_), team.scene.policy_frequency)
 

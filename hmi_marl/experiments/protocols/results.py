@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.experiments.protocols.arms import Arm, PlannedRun
+from hmi_marl.experiments.protocols.arms import TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings
 from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
@@ -81,33 +82,68 @@ class TaskResults:
         """Arms that fill both seats."""
         return [arm for arm in self.plan.arms.values() if arm.whole]
 
-    def over_runs(self, pairs: Sequence[Pair], metric: str) -> Estimate:
-        """Average a metric over runs, with Student's t interval: each run's mean is one value."""
-        lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf
-        return statistics.mean(self.values(pairs, metric), lowest)
+    def main_arms(self) -> list[Arm]:
+        """Arms that fill both seats, with the largest budget; see the table of budgets."""
+        return [arm for arm in self.whole_arms() if arm.steps == self.plan.steps]
 
-    def values(self, pairs: Sequence[Pair], metric: str) -> list[float]:
-        """Values of a metric, one for each pair, all drivers together."""
-        return [self.played[pair].sums[ALL_DRIVERS].metrics()[metric] for pair in pairs]
+    def over_runs(self, pairs: Sequence[Pair], metric: str, shared: bool = False) -> Estimate:
+        """Average a metric over runs, with Student's t interval; see :meth:`values`."""
+        lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf
+        return statistics.mean(self.values(pairs, metric, shared), lowest)
+
+    def values(
+        self, pairs: Sequence[Pair], metric: str, shared: bool = False
+    ) -> NDArray[np.float64]:
+        """Values of a metric, averages over drivers, shape (pairs,).
+
+        Every driver counts the same, however many episodes were drawn for it. With ``shared`` they
+        are those of the episodes that all pairs play, so that any pairs can be compared.
+        """
+        names = self.plan.settings.driver_names
+        rows = []
+        for pair in pairs:
+            played = self.played[pair]
+            sums = played.shared if shared else played.sums
+            found = np.array([sums[name].metrics()[metric] for name in names])
+            known = found[np.isfinite(found)]  # no vehicle ahead, no headway
+            rows.append(float(known.mean()) if len(known) else math.nan)
+        return np.array(rows)
 
     def by_driver(
-        self, pairs: Sequence[Pair], value: Callable[[Played, str], float]
+        self,
+        pairs: Sequence[Pair],
+        value: Callable[[Played, str], float],
+        names: Sequence[str] | None = None,
     ) -> NDArray[np.float64]:
-        """Values of pairs by driver, shape (pairs, drivers)."""
-        names = self.plan.settings.driver_names
-        return np.array([[value(self.played[pair], name) for name in names] for pair in pairs])
+        """Values of pairs by driver, shape (pairs, drivers); of all drivers unless named."""
+        listed = self.plan.settings.driver_names if names is None else names
+        return np.array(
+            [[value(self.played[pair], name) for name in listed] for pair in pairs]
+        ).reshape(len(pairs), len(listed))
+
+    @cached_property
+    def scored_drivers(self) -> tuple[str, ...]:
+        """Drivers that have a score: those to whom alerts can gain anything, in every pair."""
+        return tuple(
+            name
+            for name in self.plan.settings.driver_names
+            if all(math.isfinite(score(played, name)) for played in self.played.values())
+        )
 
     def scores(self, pairs: Sequence[Pair]) -> NDArray[np.float64]:
-        """Normalised scores of pairs by driver, shape (pairs, drivers).
+        """Normalised scores of pairs, shape (pairs, scored drivers).
 
         Attention returns, 0 without alerts and 1 for the optimum that sees attention, both exact
         and over episodes of the same lengths.
         """
-        return self.by_driver(pairs, score)
+        return self.by_driver(pairs, score, self.scored_drivers)
 
     def score(self, pairs: Sequence[Pair]) -> Estimate:
-        """Interquartile mean of the normalised scores, with its bootstrap interval over runs."""
-        return over_runs(self.scores(pairs))
+        """Interquartile mean of the normalised scores, with its bootstrap interval over runs.
+
+        Unknown if no driver has a score.
+        """
+        return over_runs(self.scores(pairs)) if self.scored_drivers else UNKNOWN
 
     def mean_of(
         self,
@@ -117,6 +153,21 @@ class TaskResults:
     ) -> Estimate:
         """Average a value over drivers, and over runs with Student's t interval."""
         return statistics.mean(self.by_driver(pairs, value).mean(axis=1), lowest)
+
+    def against_exact(
+        self, pairs: Sequence[Pair], value: Callable[[Played, str], Estimate]
+    ) -> Estimate:
+        """Average a difference from an exact value over drivers and runs.
+
+        All runs play the same episodes, whose luck does not average out over runs: the half
+        interval over episodes is added to that over runs, as squares.
+        """
+        names = self.plan.settings.driver_names
+        each = [statistics.average([value(self.played[p], name) for name in names]) for p in pairs]
+        over = statistics.mean([found.mean for found in each])
+        luck = float(np.mean([found.high - found.mean for found in each]))
+        half = math.hypot(over.high - over.mean, luck)
+        return Estimate(over.mean, over.mean - half, over.mean + half)
 
     def pooled(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Sums:
         """Join the episodes of several pairs."""
@@ -181,9 +232,15 @@ def hiding(played: Played, driver: str) -> float:
     return optimum(played, driver) - attainable(played, driver)
 
 
-def shortfall(played: Played, driver: str) -> float:
-    """What the HMI itself gives up: the best there is for this driver minus what it earns."""
-    return attainable(played, driver) - attention(played, driver)
+def regret(played: Played, driver: str) -> Estimate:
+    """Optimum that sees attention minus what the HMI earns, with its interval over episodes."""
+    return played.scores[driver].regret
+
+
+def shortfall(played: Played, driver: str) -> Estimate:
+    """The HMI's own part of the regret: the best there is for this driver minus what it earns."""
+    own = played.scores[driver].shortfall
+    return regret(played, driver) if own is None else own
 
 
 def revealing(played: Played, driver: str) -> float:
@@ -206,6 +263,9 @@ def crash_rate(sums: Sums) -> Estimate:
     return statistics.share(sums.crashes, sums.episodes) if sums.episodes else UNKNOWN
 
 
-def runs_by_number(plan: TaskPlan, arm: str) -> dict[int, PlannedRun]:
-    """Runs of an arm by their number."""
-    return {run.number: run for run in plan.runs_of(arm)}
+def given_up(results: TaskResults, arm: str) -> Estimate:
+    """Driving return that the driver gives up against the two-stage driver, paired by seed."""
+    ours = results.by_driver(results.own(arm), driving).mean(axis=1)
+    theirs = results.by_driver(results.own(TWO_STAGE), driving).mean(axis=1)
+    count = min(len(ours), len(theirs))
+    return statistics.mean(theirs[:count] - ours[:count])

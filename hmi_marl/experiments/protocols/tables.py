@@ -16,30 +16,31 @@ from hmi_marl.experiments.protocols.cross_play import (
     drivers_of,
     hmis_of,
 )
+from hmi_marl.experiments.protocols.equal_gradients import AtEqualGradients
 from hmi_marl.experiments.protocols.findings import Compared, SweepPoint, sweep
 from hmi_marl.experiments.protocols.gaming import Gaming, gaming_of
 from hmi_marl.experiments.protocols.pairs import baselines
+from hmi_marl.experiments.protocols.playing import shared_episodes
 from hmi_marl.experiments.protocols.results import (
     Comparison,
     TaskResults,
     attention,
     bits,
     divergence,
-    driving,
+    given_up,
     hiding,
     optimum,
     revealing,
     shortfall,
 )
 from hmi_marl.experiments.signalling import SITUATIONS
-from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Table
 from hmi_marl.reporting.many_runs import probability_of_improvement
-from hmi_marl.reporting.statistics import Estimate, number
+from hmi_marl.reporting.statistics import number
 
 
 def summary_table(results: TaskResults) -> Table:
-    """Show the protocols, and known policies beside them."""
+    """Show the protocols and known policies, each with the largest budget."""
     metrics = {
         "team return": ("team_return", "z.1f"),
         "attention return": ("attention_return", "z.1f"),
@@ -47,21 +48,24 @@ def summary_table(results: TaskResults) -> Table:
         "alerts/min": ("alerts_per_minute", "z.1f"),
         "steps": ("length", "z.1f"),
     }
-    groups = {arm.name: results.own(arm.name) for arm in results.whole_arms()}
+    groups = {arm.name: results.own(arm.name) for arm in results.main_arms()}
     rows = []
     for label, pairs in (groups | baselines(results.plan)).items():
         shown = [results.over_runs(pairs, name).shown(form) for name, form in metrics.values()]
         crashes = results.crash_rate(pairs).percent()
         score = results.score(pairs).shown(".3f")
         rows.append([label, f"{len(pairs)}", score, *shown, crashes])
-    settings = results.plan.settings
     note = (
-        f"Likeliest actions, {settings.episodes} episodes for driver and HMI of one run, the same "
-        "for all. score: attention return, 0 without alerts and 1 for the optimum that sees "
-        "attention, both exact and over as many steps; interquartile mean over runs and drivers, "
+        f"Likeliest actions, {results.plan.settings.episodes} episodes, the same for all; every "
+        "driver counts the same. score: attention return, 0 without alerts and 1 for the optimum "
+        "that sees attention, both exact and over as many steps; interquartile mean over runs and "
+        "drivers, "
         "with the bootstrap interval over runs. Other brackets: Student's t interval over runs "
         "(95 %). Crashes: all episodes together, Wilson's interval."
     )
+    unscored = set(results.plan.settings.driver_names) - set(results.scored_drivers)
+    if unscored:
+        note += f" Without a score, since alerts gain nothing: {', '.join(sorted(unscored))}."
     head = ["driver and HMI", "runs", "score", *metrics, "crashes [%]"]
     return Table(f"{results.plan.name}: results", head, rows, note)
 
@@ -139,6 +143,27 @@ def difference_table(changes: Sequence[Compared]) -> Table:
     return Table.of(f"Protocols minus {TWO_STAGE}", changes, columns, note)
 
 
+def equal_gradients_table(rows: Sequence[AtEqualGradients]) -> Table:
+    """Show each protocol minus two-stage at equal gradient steps."""
+    columns: dict[str, Callable[[AtEqualGradients], str]] = {
+        "task": lambda row: row.task,
+        "protocol": lambda row: row.protocol,
+        "gradient steps": lambda row: f"{row.gradient_steps:,}",
+        f"{TWO_STAGE}'s": lambda row: f"{row.two_stage_gradient_steps:,}",
+        "environment steps": lambda row: f"{row.steps:,}",
+        f"of {TWO_STAGE}": lambda row: f"{row.two_stage_steps:,}",
+        f"minus {TWO_STAGE}": lambda row: row.difference.estimate.shown("+z.1f"),
+        "runs": lambda row: f"{row.difference.pairs}",
+        "p": lambda row: number(row.difference.p, ".4f"),
+    }
+    note = (
+        "Attention return per episode, paired by seed; intervals by Bonferroni and p by Holm, for "
+        f"all {len(rows)}. Budgets with about as many gradient steps; protocols that take as many "
+        "as two-stage at equal environment steps are compared above."
+    )
+    return Table.of(f"At equal gradient steps, minus {TWO_STAGE}", rows, columns, note)
+
+
 def improvement_table(results: TaskResults) -> Table:
     """Show the probability that a run of each protocol scores more than one of two-stage."""
     theirs = results.scores(results.own(TWO_STAGE))
@@ -156,7 +181,7 @@ def regret_table(results: TaskResults) -> Table:
     """Show what is missing to the optimum, and on whose side."""
     natural = results.own(TWO_STAGE) if TWO_STAGE in results.plan.protocols else []
     rows = []
-    for arm in results.whole_arms():
+    for arm in results.main_arms():
         pairs = results.own(arm.name)
         rows.append(
             [
@@ -164,7 +189,7 @@ def regret_table(results: TaskResults) -> Table:
                 results.mean_of(pairs, optimum).shown(),
                 results.mean_of(pairs, attention).shown(),
                 results.mean_of(pairs, hiding).shown() if results.plan.task.hidden else "-",
-                results.mean_of(pairs, shortfall).shown("z.1f"),
+                results.against_exact(pairs, shortfall).shown(),
                 given_up(results, arm.name).shown("+z.1f") if natural else "-",
             ]
         )
@@ -172,26 +197,19 @@ def regret_table(results: TaskResults) -> Table:
         "Per episode, mean over drivers. optimum: exact, sees attention, over as many steps. "
         "hiding: optimum minus the Bayes filter that knows the driver's traits and how often its "
         "actions reveal d (exact if steps reveal it independently). HMI: that filter (with "
-        "attention seen, the optimum) minus what the HMI earns. driver: driving return of the "
+        "attention seen, the optimum) minus what the HMI earns; its interval is over runs and over "
+        "episodes, which are the same for all runs. driver: driving return of the "
         "two-stage pair of the same seed minus this one's, what the driver gives up in driving."
     )
     head = ["arm", "optimum", "attention return", "hiding", "HMI", "driver"]
     return Table(f"{results.plan.name}: regret by cause", head, rows, note)
 
 
-def given_up(results: TaskResults, arm: str) -> Estimate:
-    """Driving return that the driver gives up against the two-stage driver, paired by seed."""
-    ours = results.by_driver(results.own(arm), driving).mean(axis=1)
-    theirs = results.by_driver(results.own(TWO_STAGE), driving).mean(axis=1)
-    count = min(len(ours), len(theirs))
-    return statistics.mean(theirs[:count] - ours[:count])
-
-
 def signal_table(results: TaskResults) -> Table:
     """Show how often drivers reveal d, and how much the HMI learns by it."""
     names = results.plan.settings.driver_names
     rows = []
-    for arm in results.whole_arms():
+    for arm in results.main_arms():
         pairs = results.own(arm.name)
         by_driver = results.by_driver(pairs, revealing).mean(axis=0)
         rows.append(
@@ -244,9 +262,9 @@ def cross_table(results: TaskResults) -> Table:
             [driver, *(f"{c.same_seed.shown('z.0f')}\n{c.next_seed.shown('z.0f')}" for c in cells)]
         )
     note = (
-        f"Attention return per episode ({results.plan.settings.cross_episodes} episodes, of one "
-        f"run's own pair {results.plan.settings.episodes}); above: runs of the same seed, below: "
-        "the driver's run with the HMI of the next seed. Intervals over runs."
+        f"Attention return per episode, by the same {shared_episodes(results.plan)} episodes; "
+        "above: runs of the same seed, below: the driver's run with the HMI of the next seed. "
+        "Intervals over runs."
     )
     head = ["driver of", *(f"HMI of {name}" for name in hmis)]
     return Table(f"{results.plan.name}: every driver with every HMI", head, rows, note)

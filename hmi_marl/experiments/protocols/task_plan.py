@@ -82,13 +82,20 @@ class TaskPlan:
         settings = self.settings
         for field_name in ("episodes", "cross_episodes"):
             count = getattr(settings, field_name)
-            for name, which in driven_by(self.team(), evaluation_seeds(count)).items():
-                if not which.any():
-                    enough = 8 * len(settings.drivers)
-                    raise ValueError(
-                        f"{field_name} = {count}, of which {name} has none; with {enough} "
-                        "each driver has some"
-                    )
+            absent = self._absent(count)
+            if absent:
+                enough = 2 * count
+                while self._absent(enough):
+                    enough *= 2
+                raise ValueError(
+                    f"{field_name} = {count}, of which {absent[0]} has none; with {enough} each "
+                    "driver has some"
+                )
+
+    def _absent(self, episodes: int) -> list[str]:
+        """Names of the drivers that none of so many episodes has."""
+        drawn = driven_by(self.team(), evaluation_seeds(episodes))
+        return [name for name, which in drawn.items() if not which.any()]
 
     @property
     def protocols(self) -> tuple[str, ...]:

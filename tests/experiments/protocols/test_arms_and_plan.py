@@ -1,5 +1,6 @@
 """The plan of a comparison: tasks, arms, budgets, waves and pairs."""
 
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -145,7 +146,7 @@ def test_gradient_steps_count_both_learners():
     assert gradient_steps(runs["simultaneous"]) == 2 * batches * each
 
 
-def test_everyone_plays_with_everyone_of_the_same_and_of_the_next_seed():
+def test_all_play_with_all_of_the_same_and_of_the_next_seed():
     pairs = all_pairs(HIDDEN)
     assert len(pairs) == len(set(pairs))
 
@@ -194,7 +195,7 @@ def test_the_reward_is_the_same_for_all_that_learn_together():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"tasks": ()}, "at least one of seen"),
         ({"tasks": ("sen",)}, "unknown task 'sen'; did you mean seen"),
@@ -225,12 +226,15 @@ def test_the_reward_is_the_same_for_all_that_learn_together():
         ({"drivers": "homer"}, "a tuple of at least one name"),
         ({"drivers": ("bob",)}, "unknown driver 'bob'"),
         ({"drivers": ("homer", "Homer")}, "'homer' twice"),
+        ({"drivers": ("homer", "bob:0.8,0.2,1,9")}, "homer and bob have the same traits"),
+        ({"protocols": ("joint",)}, "task hidden-parallel allows none of joint; leave it out"),
+        ({"tasks": ("hidden",), "protocols": ("simultaneous-moves",)}, "task hidden allows none"),
         ({"duration": 0.33}, "whole number of steps"),
         ({"vehicles": (3, 1)}, "vehicles"),
     ],
 )
-def test_impossible_settings_are_refused(change: dict, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_impossible_settings_are_refused(change: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         replace(SMALL, **change)
 
 
@@ -248,3 +252,10 @@ def test_every_task_makes_teams_and_runs():
         (plan,) = replace(SMALL, tasks=(name,)).plans()
         assert entry.value.name == name
         assert plan.jobs(FOLDER, plan.runs)
+
+
+def test_too_few_episodes_say_how_many_are_enough():
+    with pytest.raises(ValueError, match=r"cross_episodes = 1, of which \w+ has none") as refused:
+        replace(SMALL, cross_episodes=1)
+    enough = int(re.search(r"with (\d+) each driver", str(refused.value))[1])
+    assert replace(SMALL, cross_episodes=enough).cross_episodes == enough

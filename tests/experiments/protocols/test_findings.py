@@ -1,32 +1,38 @@
 """What is said of made-up results: scores, differences, the sweep, cross-play, gaming, verdicts."""
 
+import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from comparisons import FILTER, NONE, OPTIMUM, SMALL, arm_of, comparison, number_of, without
+from comparisons import FILTER, NONE, OPTIMUM, SMALL, arm_of, comparison, number_of, sums, without
 
 from hmi_marl.experiments.protocols.answer import answer
+from hmi_marl.experiments.protocols.content import content_of
 from hmi_marl.experiments.protocols.cross_play import cell_of, cross_play, dependence_of
 from hmi_marl.experiments.protocols.findings import (
     differences,
-    is_monotone,
     judge,
+    rises,
     sweep,
     way_to_optimum,
 )
 from hmi_marl.experiments.protocols.gaming import find, gaming_of, worst_finding
 from hmi_marl.experiments.protocols.pairs import Pair
+from hmi_marl.experiments.protocols.playing import Sums
 from hmi_marl.experiments.protocols.results import (
+    UNKNOWN,
     attainable,
     attention,
+    given_up,
     hiding,
+    regret,
     revealing,
     score,
     shortfall,
 )
-from hmi_marl.experiments.protocols.tables import given_up
+from hmi_marl.reporting.blocks import Verdicts, as_text
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Outcome
 
@@ -62,9 +68,11 @@ def test_scores_lie_between_no_alerts_and_the_optimum():
     found = results.played[pair]
     assert attention(found, "bart") == NONE
     assert hiding(found, "bart") == OPTIMUM - FILTER
-    assert shortfall(found, "bart") == FILTER - NONE
+    assert shortfall(found, "bart").mean == FILTER - NONE
     assert attainable(found, "bart") == FILTER
-    assert hiding(found, "bart") + shortfall(found, "bart") == OPTIMUM - attention(found, "bart")
+    assert hiding(found, "bart") + shortfall(found, "bart").mean == OPTIMUM - attention(
+        found, "bart"
+    )
 
 
 def test_differences_are_paired_by_seed_and_corrected_together():
@@ -99,10 +107,58 @@ def test_the_sweep_goes_from_the_free_driver_to_the_natural_one():
     assert [point.weight for point in points] == [0.0, 0.1, 1.0, math.inf]
     assert [point.divergence.mean for point in points] == pytest.approx([2.0, 0.8, 0.1, 0.0])
     assert [point.attention_return.mean for point in points] == [781.0, 760.0, 602.0, 601.0]
-    assert is_monotone(points)
-    assert not is_monotone(points[::-1])
+    results = hidden(apart=apart).tasks["hidden"]
+    assert rises(results, points) == []
+    assert len(rises(results, points[::-1])) > 2
     alone = replace(SMALL, anchor_kls=())
     assert sweep(comparison(alone).tasks["hidden"]) == []
+
+
+def test_pairs_are_compared_by_the_episodes_that_all_of_them_play():
+    made = comparison(SMALL, lambda pair: 500.0)
+    results = made.tasks["hidden"]
+    lucky = {
+        pair: replace(played, sums=dict.fromkeys(played.sums, sums(600.0))) if pair.own else played
+        for pair, played in results.played.items()
+    }
+    for row in dependence_of(replace(results, played=lucky)):
+        assert {found.mean for found in (*row.on_protocol.values(), row.on_seed)} == {0.0}
+
+
+def test_every_driver_counts_the_same_however_often_it_was_drawn():
+    results = comparison(SMALL).tasks["hidden"]
+    pair = results.own("joint")[0]
+    drawn = {"bart": sums(100.0, episodes=10), "homer": sums(300.0, episodes=90)}
+    played = replace(results.played[pair], sums=drawn | {"all": Sums.join(drawn.values())})
+    results = replace(results, played={**results.played, pair: played})
+    assert results.values([pair], "attention_return").tolist() == [200.0]
+    assert results.mean_of([pair], attention).mean == 200.0
+
+
+def unscored(made, *names):
+    """The same, where alerts gain these drivers nothing."""
+    tasks = {}
+    for task, results in made.tasks.items():
+        emptied = {
+            pair: replace(
+                each,
+                scores=each.scores | {n: replace(each.scores[n], score=UNKNOWN) for n in names},
+            )
+            for pair, each in results.played.items()
+        }
+        tasks[task] = replace(results, played=emptied)
+    return replace(made, tasks=tasks)
+
+
+@pytest.mark.parametrize("names", [("homer",), ("bart", "homer")])
+def test_drivers_to_whom_alerts_gain_nothing_have_no_score(names):
+    made = unscored(hidden(), *names)
+    results = made.tasks["hidden"]
+    assert results.scored_drivers == tuple(n for n in ("bart", "homer") if n not in names)
+    assert math.isnan(results.score(results.own("joint")).mean) == (len(names) == 2)
+    text = as_text([*made.settings.blocks(made), Verdicts(judge(made))])
+    assert f"alerts gain nothing: {', '.join(names)}" in text
+    assert json.dumps(content_of(made), allow_nan=False)
 
 
 def test_cross_play_tells_seeds_from_protocols():
@@ -162,7 +218,7 @@ def test_what_a_driver_gives_up_is_against_the_two_stage_pair_of_the_same_seed()
     ("low", "worth", "finding"),
     [
         (0.13, 1.0, "fine"),
-        (0.13, -1.0, "fine"),  # a step may be worth nothing: nobody crashes for it
+        (0.13, -1.0, "fine"),  # crashes are no more than two-stage's
         (0.15, -1.0, "fine"),  # not by more than the margin
         (0.16, -1.0, "GAMED"),
         (0.16, 0.0, "crashes more"),
@@ -239,10 +295,73 @@ def test_the_optimum_is_near_or_it_is_not():
     assert far[claim] is Outcome.NOT_SUPPORTED
 
 
+def test_noise_supports_no_equality_and_no_threshold():
+    rng = np.random.default_rng(1)
+    luck = {}
+
+    def noisy(pair):
+        return OPTIMUM + luck.setdefault(pair, rng.normal(scale=60.0))
+
+    found = outcomes(comparison(SEEN, noisy))
+    near = [o for claim, o in found.items() if "within 2 % of the exact optimum" in claim]
+    assert near
+    assert Outcome.SUPPORTED not in near, "an interval that holds everything shows nothing"
+    same = next(o for claim, o in found.items() if "no protocol differs" in claim)
+    assert same is Outcome.PARTLY, "nothing differs, by intervals too wide to see it"
+
+    def apart(pair):
+        way = {0: 1.0, 1: 0.3, 2: 1.0}[number_of(pair.driver)]
+        return 600.0 + 200.0 * way * (arm_of(pair.driver) == "simultaneous")
+
+    found = outcomes(comparison(SMALL, apart))
+    (way,) = (outcome for claim, outcome in found.items() if "of the way" in claim)
+    assert way is Outcome.PARTLY, "its mean is above the threshold, its interval is not"
+
+
+def test_luck_of_the_episodes_that_all_runs_share_widens_intervals_against_exact_values():
+    results = comparison(SEEN, lambda pair: OPTIMUM).tasks["seen"]
+    pairs = results.own("two-stage")
+    assert results.against_exact(pairs, regret) == Estimate(0.0, 0.0, 0.0)
+
+    def unlucky(played, name):
+        return replace(regret(played, name), low=-30.0, high=30.0)
+
+    found = results.against_exact(pairs, unlucky)
+    assert found.high == pytest.approx(30.0 / math.sqrt(2))  # two drivers' episodes are independent
+
+
+def swept(returns):
+    """Outcomes of the sweep for attention returns by arm, spread by the seed."""
+
+    def attention_return(pair):
+        return returns.get(arm_of(pair.driver), 500.0) + 0.1 * number_of(pair.driver)
+
+    def apart(pair):
+        return {"simultaneous": 2.0, "anchored-0.1": 1.9, "anchored-1": 0.1}.get(
+            arm_of(pair.driver), 0.0
+        )
+
+    settings = replace(SMALL, seeds=4, few_seeds=4)
+    found = outcomes(comparison(settings, attention_return, apart=apart))
+    return [outcome for claim, outcome in found.items() if "λ" in claim]
+
+
+def test_the_sweep_falls_and_ends_where_the_free_and_the_natural_driver_are():
+    ends = {"simultaneous": 780.0, "two-stage": 600.0}
+    good = swept(ends | {"anchored-0.1": 775.0, "anchored-1": 605.0})
+    assert good == [Outcome.SUPPORTED] * 3
+    early = swept(ends | {"anchored-0.1": 700.0, "anchored-1": 690.0})
+    assert early == [Outcome.SUPPORTED, Outcome.NOT_SUPPORTED, Outcome.NOT_SUPPORTED]
+    risen = swept(ends | {"anchored-0.1": 610.0, "anchored-1": 700.0})
+    assert risen[0] is Outcome.PARTLY
+    flat = swept(dict.fromkeys((*ends, "anchored-0.1", "anchored-1"), 600.0))
+    assert flat[0] is not Outcome.SUPPORTED, "no way between the ends"
+
+
 def test_one_run_leaves_comparisons_open():
     found = outcomes(comparison(replace(SMALL, seeds=1, few_seeds=1), signalling))
     open_ones = [claim for claim, outcome in found.items() if outcome is Outcome.UNTESTABLE]
-    assert len(open_ones) == 4  # the way, two conventions, the sweep
+    assert len(open_ones) == 6  # the way, two conventions, three of the sweep
 
 
 def test_the_answer_says_when_by_how_much_through_what_and_what_is_left():
@@ -254,13 +373,13 @@ def test_the_answer_says_when_by_how_much_through_what_and_what_is_left():
         "it helps: simultaneous learning earns 180.0",
         "0.90 [0.90, 0.91] of the way",
         "in 97 % of the steps (35 % with the two-stage driver)",
-        "Beside a driver that learned alone nothing is left of it",
-        "the same HMI earns 431",
+        "With a driver that learned alone its HMI earns 431",
+        "that is surely less than the HMI for the average driver",
         "two-stage's own 601",
     ):
         assert words in text
     seen = answer(comparison(SEEN, lambda pair: 780.0)).text
-    assert "it does not help; no protocol differs" in seen
+    assert "no protocol is found to differ" in seen
 
 
 def test_signals_are_those_that_were_measured():

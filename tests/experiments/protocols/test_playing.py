@@ -21,10 +21,13 @@ from hmi_marl.experiments.protocols.playing import (
     ALL_DRIVERS,
     Divergence,
     Sums,
+    episodes_of,
     play_all,
     play_pair,
 )
+from hmi_marl.experiments.protocols.results import hiding, shortfall
 from hmi_marl.experiments.protocols.snapshots import points_of
+from hmi_marl.experiments.protocols.tasks import TASKS
 from hmi_marl.training.jobs import train_all
 
 TINY = ProtocolComparison(
@@ -242,3 +245,37 @@ def test_help_gives_an_example(capsys: pytest.CaptureFixture[str]) -> None:
         main(["compare", "--help"])
     assert stop.value.code == 0
     assert "Example: hmi-marl compare --tasks hidden" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_every_task_plays_known_policies_and_scores_them(task: str, tmp_path: Path) -> None:
+    """No run is needed: references, signals and both kinds of episodes work on every task."""
+    (plan,) = replace(TINY, tasks=(task,), episodes=24).plans()
+    hmis = ["when-distracted"] if not plan.task.hidden else ["belief:average:0.3"]
+    for hmi in ("never", *hmis):
+        pair = Pair(task, "rule", hmi)
+        found = play_pair(plan, tmp_path, pair)
+        assert found.sums[ALL_DRIVERS].episodes == episodes_of(plan, pair) == 24
+        assert sum(part.episodes for part in found.shared.values()) == 16
+        for name in TINY.driver_names:
+            known = found.scores[name].references
+            assert (known.filter is None) == (task in ("graded", "fatigue"))
+            assert np.isfinite(shortfall(found, name).mean)
+            assert hiding(found, name) >= 0.0
+
+
+def test_alerts_gain_nothing_for_a_driver_who_is_never_distracted(tmp_path: Path) -> None:
+    (plan,) = replace(TINY, drivers=("bart", "awake:0,0.5,1,1")).plans()
+    found = play_pair(plan, tmp_path, Pair("hidden", "rule", "never"))
+    assert math.isnan(found.scores["awake"].score.mean)
+    assert math.isfinite(found.scores["bart"].score.mean)
+
+
+def test_pairs_share_the_first_episodes(folder: Path) -> None:
+    (plan,) = replace(TINY, cross_episodes=12).plans()
+    own = play_pair(plan, folder, own_pair(PlannedRun("hidden", "joint", 0)))
+    (few,) = replace(TINY, episodes=12).plans()
+    again = play_pair(few, folder, own_pair(PlannedRun("hidden", "joint", 0)))
+    assert {n: s.terms for n, s in own.shared.items()} == {
+        n: again.sums[n].terms for n in TINY.driver_names
+    }

@@ -107,12 +107,13 @@ def test_it_is_trained_and_offered_by_help_and_by_errors(commands, tmp_path: Pat
 
 @pytest.mark.slow
 def test_it_is_compared_with_the_others(commands, tmp_path: Path) -> None:
-    words = f"compare --protocols two-stage reversed --steps 160 --rounds 1 --seeds 1 {SIZE}"
-    for printed in commands(
-        "compare --help", f"{words} --episodes 4 --no-crash-check --workers 1 --out out"
-    ):
+    words = (
+        "compare --tasks seen --protocols two-stage reversed --steps 160 --budgets --rounds 1 "
+        f"--seeds 1 --driver-shares 0.5 --snapshots 1 --episodes 16 --cross-episodes 16 {SIZE}"
+    )
+    for printed in commands("compare --help", f"{words} --no-crash-check --workers 1 --out out"):
         assert "reversed" in printed
-    runs = [tmp_path / "out" / f"{name}-run0" for name in ("two-stage", "reversed")]
+    runs = [tmp_path / "out" / "seen" / f"{name}-run0" for name in ("two-stage", "reversed")]
     steps = [json.loads((run / "curve.json").read_text())[-1]["steps"] for run in runs]
     assert steps[0] == steps[1]
 
