@@ -17,7 +17,7 @@ from hmi_marl.workers import check_workers
 
 @dataclass(frozen=True)
 class Compare:
-    """Compare sequential with joint training, at equal environment steps and over several seeds.
+    """Compare sequential with joint training at equal environment steps, over several seeds.
 
     Each protocol is trained on several tasks: attention seen, hidden, and hidden with both agents
     moving at the same time. Results stand between exact references; signals that partners learn

@@ -129,7 +129,7 @@ SUBCOMMANDS = (
     ),
     Subcommand(
         "compare",
-        "Train by every protocol with equal environment steps and several seeds, and compare them.",
+        "Compare sequential with joint training at equal environment steps, over several seeds.",
         "commands.compare:Compare",
         TRAINING,
     ),
