@@ -96,7 +96,10 @@ def _pair(pair: Pair, played: Played) -> dict[str, Any]:
         "hmi": pair.hmi,
         "end_at_crash": pair.end_at_crash,
         "by_driver": {name: _sums(sums) for name, sums in played.sums.items()},
-        "scores": json_value(played.scores),
+        "scores": {
+            name: {"score": json_value(each.score.mean), **json_value(each.references)}
+            for name, each in played.scores.items()
+        },
     }
     if played.signals:
         content["signals"] = {
@@ -109,5 +112,5 @@ def _pair(pair: Pair, played: Played) -> dict[str, Any]:
 
 
 def _sums(sums: Sums) -> dict[str, Any]:
-    counted = {name: getattr(sums, name) for name in ("episodes", "crashes", "steps", "alerts")}
-    return counted | dict(json_value(sums.metrics()))
+    """Sums over the episodes, from which every metric follows."""
+    return dict(json_value(sums))

@@ -24,7 +24,7 @@ from hmi_marl.experiments.protocols.figures import (
 from hmi_marl.experiments.protocols.findings import differences, judge, sweep
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings, coarse
-from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, play_all, play_curves
+from hmi_marl.experiments.protocols.playing import play_all, play_curves, tuning_return
 from hmi_marl.experiments.protocols.results import (
     Comparison,
     TaskResults,
@@ -35,6 +35,7 @@ from hmi_marl.experiments.protocols.signal_clip import signal_clips
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting.blocks import Block, Figure, Heading
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.workers import results
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,14 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         """See :meth:`Experiment.run`. Tasks come one after the other, each trained in waves."""
         shares: dict[str, Shares] = {}
         tried: dict[str, dict[str, float]] = {}
-        results = {}
+        found = {}
         for plan in self.plans():
             tried[plan.name], shares[plan.name] = self._tune(plan, place)
             (plan,) = (p for p in self.plans(shares) if p.name == plan.name)
             for wave in plan.waves():
                 place.train(plan.jobs(place.folder, wave))
-            results[plan.name] = self._play(plan, place)
-        return Comparison(self, results, shares, tried, place.workers)
+            found[plan.name] = self._play(plan, place)
+        return Comparison(self, found, shares, tried, place.workers)
 
     def _tune(self, plan: TaskPlan, place: Place) -> tuple[dict[str, float], Shares]:
         """Try out the shares of the driver's stage; team returns by arm, and the best shares."""
@@ -73,13 +74,12 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         if not runs:
             return {}, {}
         place.train(plan.jobs(place.folder, runs))
-        pairs = [own_pair(run) for run in runs]
-        with place.playing(len(pairs), "pairs") as progress:
-            played = play_all(plan, pairs, place.folder, place.workers, progress)
-        returns = {
-            arm.name: played[pair].sums[ALL_DRIVERS].per_episode()
-            for arm, pair in zip(arms, pairs, strict=True)
-        }
+        returns = {}
+        play = partial(tuning_return, plan, place.folder)
+        with place.playing(len(runs), "runs") as progress:
+            for arm, found in zip(arms, results(play, runs, place.workers), strict=True):
+                returns[arm.name] = found
+                progress(1)
         best: dict[str, float] = {}
         for protocol in {arm.protocol: None for arm in arms}:
             own = [arm for arm in arms if arm.protocol == protocol]

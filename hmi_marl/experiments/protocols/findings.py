@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.protocols.arms import (
     JOINT,
+    MAIN,
     SIMULTANEOUS,
     TWO_STAGE,
 )
@@ -53,7 +54,11 @@ class Compared:
 
 
 def differences(comparison: Comparison) -> list[Compared]:
-    """Compare every protocol with two-stage, corrected for all comparisons of the report."""
+    """Compare every protocol with two-stage, corrected for the number of comparisons.
+
+    Protocols with all seeds are one family, of which the report speaks; those with a few seeds are
+    another, which can only show large differences.
+    """
     kinds, pairs = [], []
     for name, results in comparison.tasks.items():
         if TWO_STAGE not in results.plan.protocols:
@@ -67,10 +72,17 @@ def differences(comparison: Comparison) -> list[Compared]:
                         results.values(results.own(TWO_STAGE), metric),
                     )
                 )
-    return [
-        Compared(*kind, difference)
-        for kind, difference in zip(kinds, paired_differences(pairs), strict=True)
+    families = [
+        [k for k, kind in enumerate(kinds) if (kind[1] in MAIN) == main] for main in (True, False)
     ]
+    found = {
+        place: difference
+        for family in families
+        for place, difference in zip(
+            family, paired_differences([pairs[place] for place in family]), strict=True
+        )
+    }
+    return [Compared(*kind, found[place]) for place, kind in enumerate(kinds)]
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from hmi_marl.agents.rollout import Observer
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
+from hmi_marl.envs.streams import part_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.experiments.episodes import Episodes, driven_by, evaluation_seeds, play_episodes
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun, is_run
@@ -234,6 +235,18 @@ def play_all(
         played[pair] = result
         progress(1)
     return played
+
+
+def tuning_return(plan: TaskPlan, folder: Path, run: PlannedRun) -> float:
+    """Team return per episode of a run that tries something out.
+
+    Its episodes are others than those by which arms are compared.
+    """
+    team, place = plan.team(), str(run.folder(folder))
+    seats = make_driver_policy(place, team), make_hmi(place, team, plan.task.sequential)
+    seeds = part_seed(evaluation_seeds(plan.settings.episodes), 1)
+    episodes = play_episodes(team, *seats, seeds, "batched")
+    return float(np.sum([values.mean() for values in episodes.returns.values()]))
 
 
 def play_point(plan: TaskPlan, folder: Path, point: Point) -> Sums:

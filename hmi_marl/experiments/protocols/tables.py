@@ -60,7 +60,8 @@ def summary_table(results: TaskResults) -> Table:
         "driver counts the same. score: attention return, 0 without alerts and 1 for the optimum "
         "that sees attention, both exact and over as many steps; interquartile mean over runs and "
         "drivers, "
-        "with the bootstrap interval over runs. Other brackets: Student's t interval over runs "
+        "with the bootstrap interval over runs, which covers less than 95 % with fewer than five of "
+        "them. Other brackets: Student's t interval over runs "
         "(95 %). Crashes: all episodes together, Wilson's interval."
     )
     unscored = set(results.plan.settings.driver_names) - set(results.scored_drivers)
@@ -136,9 +137,10 @@ def difference_table(changes: Sequence[Compared]) -> Table:
         "differs": lambda row: {True: "yes", False: "no", None: "-"}[row.difference.differs],
     }
     note = (
-        f"Paired by seed, per episode. All {len(changes)} comparisons are corrected for their "
-        "number: intervals by Bonferroni (all hold together with 95 %), p of the paired t test by "
-        "Holm."
+        "Paired by seed, per episode, and corrected for the number of comparisons, those of "
+        "protocols with all seeds by themselves: intervals by Bonferroni (all of them hold "
+        "together with 95 %), p of the paired t test by Holm. A few seeds show large differences "
+        "only."
     )
     return Table.of(f"Protocols minus {TWO_STAGE}", changes, columns, note)
 

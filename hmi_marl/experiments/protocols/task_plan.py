@@ -18,12 +18,12 @@ from hmi_marl.experiments.protocols.arms import (
     AT_SHARE,
     JOINT,
     MAIN,
+    NO_TRAITS,
     ROBUST,
     RULE,
     SIMULTANEOUS,
     TEAM_ALONE,
     TWO_STAGE,
-    UNTOLD,
     Arm,
     PlannedRun,
 )
@@ -142,9 +142,9 @@ class TaskPlan:
                 yield Arm(name, SIMULTANEOUS, self.steps, few, anchor_kl=weight)
         if self.signals and settings.partners:
             yield Arm(
-                UNTOLD, TWO_STAGE, self.steps, few, (DRIVER,), options={"condition": "hidden"}
+                NO_TRAITS, TWO_STAGE, self.steps, few, (DRIVER,), options={"condition": "hidden"}
             )
-            drivers = (*(name for name in MAIN if name in self.protocols), UNTOLD, RULE)
+            drivers = (*(name for name in MAIN if name in self.protocols), NO_TRAITS, RULE)
             yield Arm(ROBUST, TWO_STAGE, self.steps, few, (VEHICLE_AI,), partners=drivers)
 
     def tuning_arms(self) -> list[Arm]:

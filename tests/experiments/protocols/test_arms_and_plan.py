@@ -9,7 +9,7 @@ import pytest
 
 from hmi_marl.envs.rewards import DRIVING_TERMS, TERMS
 from hmi_marl.envs.streams import part_seed
-from hmi_marl.experiments.protocols.arms import MAIN, ROBUST, RULE, TWO_STAGE, UNTOLD, PlannedRun
+from hmi_marl.experiments.protocols.arms import MAIN, NO_TRAITS, ROBUST, RULE, TWO_STAGE, PlannedRun
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs
 from hmi_marl.experiments.protocols.plan import QUICK, ComparisonSettings, coarse
@@ -105,11 +105,11 @@ def test_waves_begin_with_the_first_seeds():
 
 
 def test_partners_fill_one_seat():
-    untold = HIDDEN.training(PlannedRun("hidden", UNTOLD, 1), FOLDER)
-    assert untold.condition == "hidden"
-    assert [phase.seat for phase in untold.phases()] == ["driver"]
+    driver = HIDDEN.training(PlannedRun("hidden", NO_TRAITS, 1), FOLDER)
+    assert driver.condition == "hidden"
+    assert [phase.seat for phase in driver.phases()] == ["driver"]
     robust = HIDDEN.training(PlannedRun("hidden", ROBUST, 1), FOLDER)
-    names = [f"out/hidden/{name}-run1" for name in (*MAIN, UNTOLD)]
+    names = [f"out/hidden/{name}-run1" for name in (*MAIN, NO_TRAITS)]
     assert robust.driver_policy == "mixture:" + ",".join([*names, RULE])
     assert [phase.seat for phase in robust.phases()] == ["vehicle_ai"]
 
@@ -158,7 +158,7 @@ def test_all_play_with_all_of_the_same_and_of_the_next_seed():
         pair("joint-run3", "joint-run4"),
         pair("joint-run9", "two-stage-run0"),
         pair("alternating-run2", "joint-run0"),  # as many as both have
-        pair("untold-run0", "simultaneous-run0"),
+        pair("no-traits-run0", "simultaneous-run0"),
         pair("simultaneous-run1", "robust-run1"),
         pair("two-stage-run1", "anchored-1-run1"),
         pair("anchored-1-run1", "two-stage-run1"),
@@ -169,7 +169,7 @@ def test_all_play_with_all_of_the_same_and_of_the_next_seed():
         pair("alternating-run2", "joint-run3"),
         pair("robust-run0", "robust-run0"),
         pair("joint-run1", "anchored-1-run1"),
-        pair("untold-run0", "two-stage-budget-1000000-run0"),
+        pair("no-traits-run0", "two-stage-budget-1000000-run0"),
     }
     assert there <= set(pairs)
     assert not_there.isdisjoint(pairs)

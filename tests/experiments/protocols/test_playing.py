@@ -180,7 +180,7 @@ def test_results_do_not_depend_on_the_workers(folder: Path) -> None:
 def test_runs_are_trained_as_the_plan_says(folder: Path) -> None:
     for run in PLAN.runs:
         card = read_policy(run.folder(folder) / "driver.json")[0] if run.arm != "robust" else None
-        if run.arm != "untold":
+        if run.arm != "no-traits":
             hmi = read_policy(run.folder(folder) / "vehicle_ai.json")[0]
             assert hmi.network.rnn_hidden_dim == 32
             assert "distracted" not in dict(hmi.reads)
