@@ -89,7 +89,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
     def run(self, place: Place) -> Comparison:
         """See :meth:`Experiment.run`."""
         jobs = self.jobs(place.folder)
-        train_all(jobs, place.workers, place.command_line)
+        train_all(jobs, place.workers, place.command_line, cluster=place.cluster)
         with place.playing(len(self.pairs()) * self.episodes, "episodes") as progress:
             played = play_all(self, place.folder, place.workers, progress)
         curves = {job.folder.name: read_curve(job.folder) for job in jobs}
