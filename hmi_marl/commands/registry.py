@@ -164,6 +164,13 @@ SUBCOMMANDS = (
         choice="what",
     ),
     Subcommand(
+        "sweep",
+        "Train over lists and ranges of any option of train, by protocol and seed.",
+        "commands.sweep:SweepCommand",
+        TRAINING + _PARQUET,
+        (ON_RAY,),
+    ),
+    Subcommand(
         "table",
         "Compare HMIs (rows) for drivers (columns) over seeded episodes.",
         "commands.table:TableCommand",

@@ -83,13 +83,22 @@ def train_all(
     """
     need_training()
     for job in jobs:
-        check_start(job.settings)
+        check_job(job.settings, cluster)
     each = processes_each(len(jobs), workers, cluster)
     tasks = [
         Task(train_in, (job.settings, command_line, quiet, each), job.folder, job.reads, job.on_gpu)
         for job in jobs
     ]
     side_by_side(tasks, workers, cluster, quiet)
+
+
+def check_job(settings: TrainSettings, cluster: Cluster | None = None) -> None:
+    """Check that a job can start here, or on a cluster, as far as that is known here.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`check_start`.
+    """
+    check_start(replace(settings, device="cpu", threads=1) if cluster else settings)
 
 
 def processes_each(jobs: int, workers: int, cluster: Cluster | None = None) -> int:

@@ -131,25 +131,20 @@ class ComparisonSettings(Checked):
         )
 
     @property
-    def _batches(self) -> tuple[int, int]:
-        """Batches of the driver and of the HMI in each round of alternating; at least one each."""
-        wanted = self.steps / (self.num_teams * self.team().horizon * self.rounds)
-        shares = self.driver_share, 1.0 - self.driver_share
-        driver, hmi = (max(1, round(share * wanted)) for share in shares)
-        return driver, hmi
+    def _budget(self) -> Budget:
+        reward = None if self.reward == "default" else self.reward
+        batch = self.num_teams * self.team().horizon
+        return Budget.shared_out(self.steps, self.driver_share, batch, self.rounds, reward)
 
     @property
     def steps_apart(self) -> tuple[int, int]:
         """Environment steps of the driver and of the HMI where they learn one after the other."""
-        driver, hmi = (
-            count * self.rounds * self.num_teams * self.team().horizon for count in self._batches
-        )
-        return driver, hmi
+        return self._budget.driver_steps, self._budget.hmi_steps
 
     @property
     def steps_each(self) -> int:
         """Environment steps of every run, rounded to batches."""
-        return sum(self.steps_apart)
+        return self._budget.steps
 
     @property
     def main_runs(self) -> tuple[PlannedRun, ...]:
@@ -174,8 +169,6 @@ class ComparisonSettings(Checked):
         return [Job(self._training(run), folder / run.name) for run in self.runs]
 
     def _training(self, run: PlannedRun) -> TrainSettings:
-        driver_steps, hmi_steps = self.steps_apart
-        reward = None if self.reward == "default" else self.reward
         shared: dict[str, Any] = {
             "drivers": self.drivers,
             "seed": int(part_seed(self.seed, run.number)),
@@ -185,8 +178,7 @@ class ComparisonSettings(Checked):
             "vehicles": self.vehicles,
         }
         protocol, variant = compared()[run.protocol]
-        budget = Budget(driver_steps, hmi_steps, self.rounds, reward)
-        return protocol.for_comparison(budget, **shared, **variant)
+        return protocol.for_comparison(self._budget, **shared, **variant)
 
     def driver_terms(self, protocol: Protocol) -> tuple[str, ...]:
         """Reward terms that the driver learns from."""

@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from hmi_marl.extras import needing
 from hmi_marl.ownership import owned
+from hmi_marl.text import quoted
 from hmi_marl.training.cluster.node import PACKAGES, Message, Worker, difference, versions
 from hmi_marl.training.cluster.parcels import Files, put, read_by_others, state_in
 from hmi_marl.training.runs.progress import Bar
@@ -106,9 +107,9 @@ def _connect(address: str, at_once: int | None) -> None:
         with _same_signals(), environment({"RAY_USAGE_STATS_ENABLED": "0"}):
             _ray().init(address, **how)
     except (ConnectionError, RuntimeError, ValueError) as error:
+        reason = "" if address == "auto" else f" ({quoted(error)})"
         raise ConnectionError(
-            f"no Ray cluster at {address}: start one with `ray start --head`, or name its "
-            f"HOST:PORT ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+            f"no Ray cluster at {address}; start one with `ray start --head`{reason}"
         ) from None
 
 

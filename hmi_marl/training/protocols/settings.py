@@ -116,6 +116,27 @@ class Budget:
     reward: Sharing | None = None
     """Reward to learn from; None for the protocol's own."""
 
+    @classmethod
+    def shared_out(
+        cls,
+        steps: int,
+        driver_share: float,
+        batch: int,
+        rounds: int = 1,
+        reward: Sharing | None = None,
+    ) -> Self:
+        """Share out ``steps``, the driver's share of them first, in whole batches of each round.
+
+        Args:
+            steps: environment steps of the whole training, to be rounded.
+            driver_share: share of them in which the driver learns, between 0 and 1.
+            batch: environment steps of a batch; each seat gets one in each round at least.
+            rounds, reward: see the fields.
+        """
+        wanted = steps / (batch * rounds)
+        driver, hmi = (max(1, round(share * wanted)) for share in (driver_share, 1 - driver_share))
+        return cls(driver * rounds * batch, hmi * rounds * batch, rounds, reward)
+
     @property
     def steps(self) -> int:
         """Steps of the whole training."""
