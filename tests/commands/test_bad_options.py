@@ -42,6 +42,7 @@ def within(group: str, options: dict[str, list[str]]) -> dict[str, list[str]]:
 
 
 MACHINE = {"workers": ["0", "many"]}
+RAY = {"ray": ["nope", "ray://nope", "127.0.0.1:9"]}
 OUT = {"out": ["file", "file/below"]}
 SIZES = {"num-teams": ["0"], "seed": ["-1"], "episodes": ["0"]}
 TRAIN = {
@@ -104,6 +105,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "compare": {
         **MACHINE,
+        **RAY,
         **OUT,
         **SIZES,
         "protocols": ["nope"],
@@ -125,9 +127,9 @@ BAD: dict[str, dict[str, list[str]]] = {
         "alert-strengths": ["2", "nan"],
         "fatigue": ["0 0 2"],
     },
-    "reproduce all": {**MACHINE, **OUT, "seed": ["-1"]},
+    "reproduce all": {**MACHINE, **RAY, **OUT, "seed": ["-1"]},
     "reproduce table": {**MACHINE, **OUT, **SIZES, "driver-steps": ["0"], "hmi-steps": ["0"]},
-    "reproduce driver": {**MACHINE, **OUT, **SIZES, "steps": ["0"], "snapshots": ["-1"]},
+    "reproduce driver": {**MACHINE, **RAY, **OUT, **SIZES, "steps": ["0"], "snapshots": ["-1"]},
     "reproduce hidden": {
         **MACHINE,
         **OUT,
@@ -166,7 +168,56 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "reproduce graded": {**MACHINE, **OUT, **SIZES, "hmi-steps": ["0"]},
     "reproduce protocols": {**MACHINE, **OUT, **SIZES, "protocols": ["nope"], "steps": ["0"]},
+    "reproduce sweep": {
+        **MACHINE,
+        **OUT,
+        "protocols": ["nope", "joint joint"],
+        "over": ["steps", "steps=0"],
+        "seeds": ["0"],
+        "seed": ["-1"],
+        "episodes": ["0"],
+        "drivers": ["nobody", "homer homer"],
+    },
     "reproduce ship --out out": {"run": ["/no/such", "nope"]},
+    "sweep joint two-stage": {
+        **MACHINE,
+        **RAY,
+        **OUT,
+        "over": [
+            "steps",
+            "steps=",
+            "steps=many",
+            "steps=0",
+            "steps=1.5",
+            "step=10",
+            "steps=10,10",
+            "steps=10 steps=20",
+            "steps=1..2/1",
+            "steps=0..2/3/log",
+            "seed=1",
+            "threads=1",
+            "hmi_for=homer",
+            "two-stage:hmi_for=nobody",
+            "two-stage:driver_policy=/no/such",
+            "alternating:rounds=2",
+            "critic=nope",
+            "end_at_crash=maybe",
+            "vehicles=1",
+            "vehicles=3+1",
+            "drivers=homer+nobody",
+            "duration=nan",
+            "ppo.learning_rate=1e-3,20",
+            "ppo.num_mini_batches=100000",
+            "network.activation=nope",
+            "device=cuda:99",
+            "seed_=1",
+        ],
+        "seeds": ["0", "100000"],
+        "seed": ["-1"],
+        "episodes": ["0"],
+        "drivers": ["nobody", "homer homer"],
+    },
+    "sweep nope": {"": [""]},
     "table": {
         **MACHINE,
         **TEAM,
@@ -271,7 +322,7 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_bad_values_leave_one_line_and_nothing_else(
     command: str, in_an_empty_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for package in ("torch", "rsl_rl", "pyarrow", "sklearn", "onnx"):
+    for package in ("torch", "rsl_rl", "pyarrow", "sklearn", "onnx", "ray"):
         pytest.importorskip(package)
     wrong = []
     for case in CASES:

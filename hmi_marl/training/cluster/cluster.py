@@ -29,8 +29,9 @@ from hmi_marl.training.runs.progress import Bar
 from hmi_marl.training.tasks import Task
 from hmi_marl.workers import cores, environment
 
-LOCAL = "local"
-"""Address of a cluster that is started on this machine for the time of a command."""
+LOCAL, AUTO = "local", "auto"
+"""Addresses of a cluster that is started on this machine for the time of a command, and of the one
+that runs on it."""
 MOST_LOSSES = 3
 """Losses of a task in a row, without a new state in between, that end the command."""
 _ANSWER = 60.0
@@ -76,6 +77,8 @@ def connected(address: str | None, at_once: int | None = None) -> Iterator[Clust
     if address is None:
         yield None
         return
+    if address not in (LOCAL, AUTO):
+        _check_reachable(address)
     ray = _ray()
     before = ray.is_initialized()
     try:
@@ -100,14 +103,12 @@ def _connect(address: str, at_once: int | None) -> None:
     how: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address == LOCAL:
         how |= {"num_cpus": at_once or cores(), "include_dashboard": False}
-    elif address != "auto":
-        _check_reachable(address)
     try:
         # Ray takes over SIGTERM, which this process may handle itself.
         with _same_signals(), environment({"RAY_USAGE_STATS_ENABLED": "0"}):
             _ray().init(address, **how)
     except (ConnectionError, RuntimeError, ValueError) as error:
-        reason = "" if address == "auto" else f" ({quoted(error)})"
+        reason = "" if address == AUTO else f" ({quoted(error)})"
         raise ConnectionError(
             f"no Ray cluster at {address}; start one with `ray start --head`{reason}"
         ) from None
@@ -229,10 +230,13 @@ class _Learning:
             taken = self._running.pop(news)
             try:
                 lost = taken.take(self._ray.get(news))
-            except self._ray.exceptions.RayTaskError:
-                raise  # a fault of the worker itself
             except self._ray.exceptions.RayError as error:
+                if isinstance(error, self._ray.exceptions.RayTaskError):
+                    raise  # a fault of the worker itself
                 lost = type(error).__name__
+            except BaseException:
+                self._end(taken)
+                raise
             if lost:
                 self._end(taken)
                 taken.note_loss(lost)
