@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.checks import Count
-from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
+from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.experiment import Experiment, Place
 from hmi_marl.experiments.protocols.plan import ALL_DRIVERS
@@ -88,11 +87,7 @@ class Sweep(Experiment[SweepResults]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        TeamConfig(driver=self.drivers)
-        names = [get_driver(driver).name for driver in self.drivers]
-        if len(set(names)) < len(names) or ALL_DRIVERS in names:
-            raise ValueError(f"drivers need names of their own, not {', '.join(names)}")
-        self.plan  # noqa: B018  # checks the rest
+        self.evaluation, self.plan  # noqa: B018  # check the rest
 
     @classmethod
     def quick(cls) -> Sweep:
@@ -247,7 +242,7 @@ def summary_table(results: SweepResults) -> Table:
 
 def driver_table(results: SweepResults) -> Table:
     """Show the team return with each driver."""
-    names = [get_driver(driver).name for driver in results.sweep.drivers]
+    names = results.sweep.evaluation.names
     columns: dict[str, Callable[[list[Result]], str]] = {
         name: lambda these, name=name: over_seeds(these, "team_return", name).shown()  # type: ignore[misc]
         for name in names

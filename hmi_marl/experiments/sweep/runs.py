@@ -11,8 +11,8 @@ import numpy as np
 
 import hmi_marl
 from hmi_marl.checks import Checked, Count
-from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI
-from hmi_marl.envs.drivers import get_driver
+from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
+from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.experiments.episodes import play_named
 from hmi_marl.experiments.protocols.plan import ALL_DRIVERS, Sums
 from hmi_marl.experiments.sweep.plan import SweptRun
@@ -31,11 +31,28 @@ RESULT = "result.json"
 
 @dataclass(frozen=True)
 class Evaluation(Checked):
-    """Evaluation episodes, the same for every run."""
+    """Evaluation episodes, the same for every run.
 
-    drivers: tuple[str, ...]
+    Raises:
+        ValueError: unknown drivers, or some of the same name.
+    """
+
+    drivers: tuple[str, ...] = PAPER_DRIVERS
     """Drivers, each of whom drives all of them."""
-    episodes: Count
+    episodes: Count = 500
+    """Number of the episodes."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        TeamConfig(driver=self.drivers)
+        names = self.names
+        if len(set(names)) < len(names) or ALL_DRIVERS in names:
+            raise ValueError(f"drivers need names of their own, not {', '.join(names)}")
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the drivers."""
+        return [get_driver(driver).name for driver in self.drivers]
 
 
 @dataclass(frozen=True)

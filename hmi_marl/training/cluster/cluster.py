@@ -20,6 +20,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.checks import Checked, Threads
 from hmi_marl.extras import needing
 from hmi_marl.ownership import owned
 from hmi_marl.text import quoted
@@ -42,10 +43,10 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @dataclass(frozen=True)
-class Cluster:
+class Cluster(Checked):
     """Cluster that this process is connected to, see :func:`connected`."""
 
-    at_once: int | None = None
+    at_once: Threads | None = None
     """Most tasks at a time; by default as many as the cluster has cores."""
 
     def learn(self, tasks: Sequence[Task], quiet: bool = False) -> None:
