@@ -109,9 +109,13 @@ def _connect(address: str, at_once: int | None) -> None:
         with _same_signals(), environment({"RAY_USAGE_STATS_ENABLED": "0"}):
             _ray().init(address, **how)
     except (ConnectionError, RuntimeError, ValueError) as error:
-        reason = "" if address == AUTO else f" ({quoted(error)})"
+        if address == AUTO:
+            raise ConnectionError(
+                "this machine is in no Ray cluster; start one with `ray start --head`"
+            ) from None
         raise ConnectionError(
-            f"no Ray cluster at {address}; start one with `ray start --head`{reason}"
+            f"cannot connect to the Ray cluster at {address}, perhaps for want of its token, which "
+            f"RAY_AUTH_MODE=token and RAY_AUTH_TOKEN give: {quoted(error)}"
         ) from None
 
 
