@@ -83,7 +83,10 @@ def files(folder: Path) -> dict[str, Path]:
 def test_a_sweep_ends_with_the_same_bytes_though_a_node_is_killed(tmp_path, unmeasured):
     script, here, there = (tmp_path / name for name in ("sweep.py", "here", "there"))
     script.write_text(SWEEP)
-    printed = run(script, here, there, RAY_USAGE_STATS_ENABLED="0", RAY_DEDUP_LOGS="0")
+    left = tmp_path / "left"  # by the worker of the node that is killed
+    left.mkdir()
+    quiet = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_TMPDIR": "/tmp", "TMPDIR": str(left)}
+    printed = run(script, here, there, **quiet)
     assert printed.count("was lost (") >= 1, printed
     names = printed.splitlines()[-1].split()
     assert len(names) == 2
