@@ -153,12 +153,13 @@ def _check_nodes() -> None:
     """Raise ``ValueError`` if a node has other versions than this process, or does not answer."""
     ray, here = _ray(), versions()
     ask, affinity = ray.remote(_versions_there(PACKAGES)), ray.util.scheduling_strategies
+    answers = []
     for node in ray.nodes():
-        if not node["Alive"] or not node["Resources"].get("CPU"):
-            continue
-        there = affinity.NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-        answer = ask.options(num_cpus=0, max_retries=0, scheduling_strategy=there).remote()
-        name = node["NodeManagerHostname"]
+        if node["Alive"] and node["Resources"].get("CPU"):
+            there = affinity.NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
+            how = {"num_cpus": 0, "max_retries": 0, "scheduling_strategy": there}
+            answers.append((node["NodeManagerHostname"], ask.options(**how).remote()))
+    for name, answer in answers:
         try:
             odd = difference(ray.get(answer, timeout=_ANSWER), here)
         except ray.exceptions.GetTimeoutError:
@@ -195,28 +196,32 @@ class _Learning:
         self._waiting = deque(_Taken(task, quiet) for task in tasks)
         self._running: dict[Any, _Taken] = {}
         """Tasks by the news that they are asked for."""
+        self._told = False
+        """Whether it was said that there is no core."""
         self._sent: dict[Path, Any] = {}
         """What tasks read, sent to the cluster once."""
 
     def go(self) -> None:
-        with ExitStack() as folders:
-            for taken in self._waiting:
-                folders.enter_context(owned(taken.task.folder))
-            try:
-                while self._waiting or self._running:
-                    self._start()
-                    self._listen()
-            finally:
-                self._stop()
+        try:
+            while self._waiting or self._running:
+                self._start()
+                self._listen()
+        finally:
+            self._stop()
 
     def _start(self) -> None:
         """Start what waits, while there are cores for it."""
-        at_once = self._at_once or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        there = int(self._ray.cluster_resources().get("CPU", 0))
+        if not there and not self._told:
+            tqdm.write("hmi-marl: no node has a core; waiting until one joins", file=sys.stderr)
+        self._told = not there
+        at_once = self._at_once or max(1, there)
         while self._waiting and len(self._running) < at_once:
             taken = self._waiting.popleft()
             lines = {each.line for each in self._running.values()}
             taken.line = next(line for line in range(len(lines) + 1) if line not in lines)
             task = taken.task
+            taken.own()
             kind = self._ray.remote(
                 num_cpus=1, num_gpus=int(task.gpu), max_restarts=0, max_task_retries=0
             )(Worker)
@@ -252,9 +257,9 @@ class _Learning:
                 self._running[taken.worker.news.remote()] = taken
 
     def _end(self, taken: _Taken) -> None:
-        taken.close()
         with suppress(Exception):  # it may be gone
             self._ray.kill(taken.worker)
+        taken.close()
 
     def _stop(self) -> None:
         """End what still runs; each removes its temporary folder if it can be reached."""
@@ -274,6 +279,7 @@ class _Taken:
         self.task, self.line, self.ended = task, 0, False
         self.worker: Any = None
         self._quiet, self._losses = quiet, 0
+        self._owned = ExitStack()
         self._bar: Bar | None = None
 
     def take(self, messages: Sequence[Message]) -> str:
@@ -304,13 +310,21 @@ class _Taken:
         told = f"hmi-marl: the node or process of {name} was lost ({how}); it goes on elsewhere"
         tqdm.write(told, file=sys.stderr)
 
+    def own(self) -> None:
+        """Own the folder of the task, until it is closed."""
+        self._owned.enter_context(owned(self.task.folder))
+
     def close(self) -> None:
-        """Leave the bar as it is."""
+        """Leave the bar as it is, and the folder to others."""
+        self._close_bar()
+        self._owned.__exit__(*sys.exc_info())  # removes what is empty, after an error
+
+    def _close_bar(self) -> None:
         if self._bar is not None:
             self._bar.close()
 
     def _begin(self, name: str, total: int, done: int, unit: str) -> None:
-        self.close()
+        self._close_bar()
         self._bar = Bar(name, total, done, unit, self._quiet, self.line)
 
     def _phase(self, name: str) -> None:

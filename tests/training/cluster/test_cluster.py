@@ -189,3 +189,17 @@ def test_a_node_is_asked_by_code_that_does_not_need_this_package():
     assert asked()["no-such-package"] == "none"
     assert asked()["numpy"][0].isdigit()
     assert "hmi_marl" not in asked.__code__.co_names
+
+
+def test_without_a_core_it_says_that_it_waits(learn, capsys):
+    ray = learn({"a": [[[], [], [ENDED]]]}, cores=0)
+    assert capsys.readouterr().err.count("no node has a core; waiting until one joins") == 1
+    assert ray.most == 1
+
+
+def test_folders_are_free_again_and_those_of_a_failure_are_removed(learn, tmp_path):
+    failed = ("failed", (ValueError("no"),))
+    with pytest.raises(ValueError, match="no"):
+        learn({"a": [[[ENDED]]], "b": [[[failed]]], "c": [[[], []]]}, cores=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert list((tmp_path / "a").iterdir()) == []
