@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -29,8 +30,10 @@ class SweepCommand:
     Example: hmi-marl sweep joint simultaneous --over steps=1e6,2e6 ppo.learning_rate=1e-3,2e-3
     """
 
-    protocols: tyro.conf.Positional[tuple[str, ...]]
-    """Protocols: two-stage, joint, simultaneous, alternating."""
+    protocols: Annotated[
+        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="PROTOCOL [PROTOCOL ...]")
+    ]
+    """Protocols to train by; hmi-marl train --help lists them."""
     over: tuple[str, ...] = ()
     """Options of train: NAME=VALUE,VALUE is a list, NAME=FROM..TO/COUNT a range with equal steps,
     NAME=FROM..TO/COUNT/log one with equal ratios, NAME=VALUE one value for all runs. Groups as in
