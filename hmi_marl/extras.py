@@ -13,6 +13,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "train": ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx"),
         "interop": ("stable_baselines3", "supersuit"),
         "data": ("pyarrow", "sklearn", "minari", "h5py"),
+        "ray": ("ray",),
     }
 )
 """Modules that each extra of ``pyproject.toml`` installs, by their import names."""

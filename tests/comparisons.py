@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from hmi_marl.envs.rewards import TERMS
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs
-from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
+from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.results import Comparison, TaskResults, Training
 from hmi_marl.experiments.references import PairScore, References
 from hmi_marl.experiments.signalling import SITUATIONS, Signalling, Signals

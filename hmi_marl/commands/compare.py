@@ -12,6 +12,7 @@ from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.plan import coarse
 from hmi_marl.reporting.report import PAGE, print_page
+from hmi_marl.training.cluster.cluster import connected
 from hmi_marl.workers import check_workers
 
 
@@ -35,6 +36,9 @@ class Compare:
     """A small one instead, in minutes: attention hidden, two-stage, joint and simultaneous."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
+    ray: str | None = None
+    """Train on a Ray cluster instead of in processes here: auto, HOST:PORT, ray://HOST:PORT, or
+    local for one on this machine. By default as many trainings at a time as it has cores."""
     out: Path | None = None
     """Folder; by default runs/compare, with --quick runs/compare-quick."""
 
@@ -43,6 +47,8 @@ class Compare:
         use_quiet_threads()
         settings = coarse(self.settings) if self.quick else self.settings
         out = self.out or Path("runs") / ("compare-quick" if self.quick else "compare")
-        place = Place(out, out, check_workers(self.workers), command_line)
-        print(conduct(settings, place).text)
+        workers = check_workers(self.workers)
+        with connected(self.ray, self.workers) as cluster:
+            place = Place(out, out, workers, command_line, cluster=cluster)
+            print(conduct(settings, place).text)
         print_page(out / PAGE)

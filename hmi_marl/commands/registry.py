@@ -80,6 +80,10 @@ class Subcommand:
             yield from part.leaves(path)
 
 
+ON_RAY = Option("--ray", ("ray",), lambda command: command.ray is not None)
+"""Trains on a cluster."""
+
+
 def _protocols() -> tuple[Subcommand, ...]:
     from hmi_marl.training.protocols.registry import PROTOCOLS  # not needed by other subcommands
 
@@ -96,9 +100,16 @@ def _experiments() -> tuple[Subcommand, ...]:
             "Reproduce every table and figure of the paper, with a verdict on each claim.",
             "commands.reproduce:ReproduceAll",
             TRAINING + _PARQUET + _PROBES,
+            (ON_RAY,),
         ),
         *(
-            Subcommand(name, entry.help, "commands.reproduce:experiment_command", entry.value.needs)
+            Subcommand(
+                name,
+                entry.help,
+                "commands.reproduce:experiment_command",
+                entry.value.needs,
+                (ON_RAY,),
+            )
             for name, entry in EXPERIMENTS.items()
         ),
         Subcommand(
@@ -132,6 +143,7 @@ SUBCOMMANDS = (
         "Compare sequential with joint training at equal environment steps, over several seeds.",
         "commands.compare:Compare",
         TRAINING,
+        (ON_RAY,),
     ),
     Subcommand(
         "export",
@@ -150,6 +162,13 @@ SUBCOMMANDS = (
         "commands.reproduce:reproduce_command",
         choices=_experiments,
         choice="what",
+    ),
+    Subcommand(
+        "sweep",
+        "Train over lists and ranges of any option of train, by protocol and seed.",
+        "commands.sweep:SweepCommand",
+        TRAINING + _PARQUET,
+        (ON_RAY,),
     ),
     Subcommand(
         "table",

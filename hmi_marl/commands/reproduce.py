@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import shlex
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, make_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Union
@@ -17,7 +17,8 @@ from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.files import write_bytes
 from hmi_marl.ownership import check_free, owned
 from hmi_marl.reading import read_bytes
-from hmi_marl.reporting.report import PAGE, print_page
+from hmi_marl.reporting.report import PAGE, Stopwatch, print_page
+from hmi_marl.training.cluster.cluster import connected
 from hmi_marl.workers import check_workers
 
 RUNS = Path("runs/reproduce")
@@ -39,6 +40,9 @@ class ReproduceAll:
     """Seed of everything."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
+    ray: str | None = None
+    """Train on a Ray cluster instead of in processes here: auto, HOST:PORT, ray://HOST:PORT, or
+    local for one on this machine. By default as many trainings at a time as it has cores."""
     out: Path | None = None
     """Folder; by default runs/reproduce/all, with --quick runs/reproduce/all-quick."""
 
@@ -53,8 +57,9 @@ class ReproduceAll:
         # The report names the command without what does not change results.
         again = ["hmi-marl", "reproduce", *["--quick"] * self.quick]
         again += ["--seed", str(self.seed)] if self.seed else []
-        with owned(out):
-            records = run_suite(suite, out, shared_driver(suite, out), workers, command_line)
+        driver_run = shared_driver(suite, out)
+        with connected(self.ray, self.workers) as cluster, owned(out):
+            records = run_suite(suite, out, driver_run, workers, command_line, cluster=cluster)
             page = full_report(records, shlex.join(again)).write(out)
         print_page(page)
 
@@ -68,6 +73,9 @@ class ReproduceOne:
     """Run a coarse version of minutes instead."""
     workers: int | None = None
     """Trainings and evaluations at a time; all cores by default. Does not change results."""
+    ray: str | None = None
+    """Train on a Ray cluster instead of in processes here: auto, HOST:PORT, ray://HOST:PORT, or
+    local for one on this machine. By default as many trainings at a time as it has cores."""
     out: Path | None = None
     """Folder; by default runs/reproduce/ and the experiment's name, with --quick NAME-quick."""
 
@@ -81,9 +89,11 @@ class ReproduceOne:
             experiment = coarse(experiment, experiment.quick())
         out = self.out or RUNS / (experiment.name + "-quick" * self.quick)
         driver_run = self.driver_run
-        if driver_run is None and experiment.uses_driver:
-            driver_run = _learn_driver(experiment, out, command_line)
-        print(conduct(experiment, Place(out, driver_run or out, workers, command_line)).text)
+        with connected(self.ray, self.workers) as cluster, owned(out):
+            place = Place(out, driver_run or out, workers, command_line, cluster=cluster)
+            if driver_run is None and experiment.uses_driver:
+                place = replace(place, driver_run=_learn_driver(experiment, place))
+            print(conduct(experiment, place).text)
         print_page(out / PAGE)
 
 
@@ -179,12 +189,11 @@ def _choice_of(experiments: tuple[tuple[str, type[Any]], ...]) -> type[Reproduce
     return command
 
 
-def _learn_driver(experiment: Experiment[Any], folder: Path, command_line: str) -> Path:
+def _learn_driver(experiment: Experiment[Any], place: Place) -> Path:
     """Learn the driver policy that an experiment plays with; returns its run."""
-    job = experiment.driver_job(folder)
+    job = experiment.driver_job(place.folder)
     if job is None:
         return SHIPPED_DRIVER
     experiment.check_machine()
-    with owned(folder):
-        Place(folder, job.folder, 1, command_line).train([job])
+    replace(place, workers=1, watch=Stopwatch()).train([job])
     return job.folder

@@ -27,6 +27,7 @@ from hmi_marl.ownership import owned
 from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import CHECKPOINT, seconds_of
@@ -59,13 +60,15 @@ class Place:
     """Command that runs it."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Durations of its parts."""
+    cluster: Cluster | None = None
+    """Cluster that trains in place of processes here."""
 
     def train(self, jobs: Sequence[Job]) -> None:
-        """Train what is not trained yet, ``workers`` runs at a time, and note the durations.
+        """Train what is not trained yet, several runs at a time, and note the durations.
 
         Jobs must not need each other's results.
         """
-        train_all(jobs, self.workers, self.command_line)
+        train_all(jobs, self.workers, self.command_line, cluster=self.cluster)
         self.note_training(job.folder for job in jobs)
 
     def note_training(self, runs: Iterable[Path]) -> None:

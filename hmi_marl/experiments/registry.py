@@ -80,3 +80,8 @@ EXPERIMENTS.register(
     "Train by every protocol with equal environment steps and several seeds, and compare them.",
     Where("hmi_marl.experiments.protocols.experiment:ProtocolComparison", in_suite=False),
 )
+EXPERIMENTS.register(
+    "sweep",
+    "Train over lists and ranges of any option of train, by protocol and seed.",
+    Where("hmi_marl.experiments.sweep.experiment:Sweep", (*TRAINING, "pyarrow"), in_suite=False),
+)

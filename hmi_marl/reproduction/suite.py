@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,8 @@ from hmi_marl.files import (
 from hmi_marl.ownership import check_free, owned
 from hmi_marl.reading import read_bytes, read_json
 from hmi_marl.reporting.blocks import Block, block_from
+from hmi_marl.reporting.report import Stopwatch
+from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.runs.folder import check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
@@ -81,6 +83,7 @@ def run_suite(
     workers: int = 1,
     command_line: str = "",
     line: Callable[[str], object] | None = None,
+    cluster: Cluster | None = None,
 ) -> list[Record]:
     """Run the experiments that are not done yet, in their order, each in a folder of its own.
 
@@ -90,6 +93,7 @@ def run_suite(
         workers: processes at a time. Does not change results.
         command_line: command that was typed, kept with what is learned.
         line: receives a line about each experiment; by default it is printed to stderr.
+        cluster: trains in place of processes here. Does not change results.
 
     Raises:
         FolderInUseError: another process writes into the folder.
@@ -97,21 +101,16 @@ def run_suite(
             is run then.
     """
     with owned(folder):
-        return _run_suite(suite, folder, driver_run, workers, command_line, line or _print)
+        shared = Place(folder, driver_run, workers, command_line, cluster=cluster)
+        return _run_suite(suite, shared, line or _print)
 
 
 def _print(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def _run_suite(
-    suite: Suite,
-    folder: Path,
-    driver_run: Path,
-    workers: int,
-    command_line: str,
-    say: Callable[[str], object],
-) -> list[Record]:
+def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> list[Record]:
+    folder = shared.folder
     timings = _read_timings(folder / TIMINGS)
     for experiment in suite:
         before = _read(_record_of(experiment, folder))
@@ -119,7 +118,7 @@ def _run_suite(
             check_same(before, _about(experiment), folder / experiment.name)
     records = []
     for number, experiment in enumerate(suite, 1):
-        place = Place(folder / experiment.name, driver_run, workers, command_line)
+        place = replace(shared, folder=folder / experiment.name, watch=Stopwatch())
         path = _record_of(experiment, folder)
         which = f"stage {number} of {len(suite)}, {experiment.name}"
         content = _read(path)

@@ -1,12 +1,13 @@
-"""Several training runs in parallel, each in processes of its own with one thread.
+"""Several training runs in parallel, in processes of one thread here or on a Ray cluster.
 
 Runs side by side waste no time on waiting for each other, so each has one process while there are
-enough runs, and the processes that are left over otherwise. Weights do not depend on either.
+enough runs, and here also the processes that are left over otherwise. On a cluster each has one
+core of some node. Weights do not depend on any of this.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import current_process, get_context
 from pathlib import Path
@@ -14,17 +15,22 @@ from typing import Any
 
 from tqdm import tqdm
 
+from hmi_marl.agents.catalogue import is_learned, mixed_names
+from hmi_marl.agents.learned.cards import is_shipped
+from hmi_marl.envs.config import DRIVER
 from hmi_marl.extras import TRAINING, need
 from hmi_marl.ownership import check_free
+from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
-from hmi_marl.training.runs.folder import read_curve
+from hmi_marl.training.runs.folder import POLICIES, read_curve
 from hmi_marl.training.runs.start import (
     check_processes,
     check_start,
     default_processes,
     start_together,
 )
+from hmi_marl.training.tasks import Task
 from hmi_marl.workers import calls, without_interrupts
 
 
@@ -39,23 +45,66 @@ class Job:
         """Rows of its learning curve, once it has been trained."""
         return read_curve(self.folder)
 
+    @property
+    def reads(self) -> tuple[Path, ...]:
+        """Learned driver policies that it needs, unless they come with the package."""
+        names = (getattr(self.settings, setting, None) for setting in POLICIES)
+        return policies_read(*(n for name in names if name for n in mixed_names(name) or (name,)))
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether it asks for a GPU. On a cluster ``auto`` does not, so that nodes are alike."""
+        return self.settings.device.startswith("cuda")
+
+
+def policies_read(*drivers: str | None) -> tuple[Path, ...]:
+    """Paths of the driver policies that are files, among names of driver policies."""
+    return tuple(
+        Path(name).absolute()
+        for name in drivers
+        if name is not None and is_learned(name, DRIVER) and not is_shipped(name)
+    )
+
 
 def train_all(
-    jobs: Sequence[Job], workers: int, command_line: str = "", quiet: bool = False
+    jobs: Sequence[Job],
+    workers: int,
+    command_line: str = "",
+    quiet: bool = False,
+    cluster: Cluster | None = None,
 ) -> None:
-    """Train every job, in ``workers`` processes in all.
+    """Train every job, in ``workers`` processes in all, or on a cluster.
 
     Jobs must not need each other's results. Finished runs are skipped, interrupted ones resumed.
 
     Raises:
+        ChildProcessError: see :meth:`Cluster.learn`.
         ModuleNotFoundError: torch or rsl_rl is not installed.
         ValueError: what :func:`hmi_marl.training.ppo.run.train` refuses.
     """
     need_training()
     for job in jobs:
-        check_start(job.settings)
-    each = max(1, workers // max(1, len(jobs)))
-    side_by_side(_train, [(job, command_line, quiet, each) for job in jobs], workers)
+        check_job(job.settings, cluster)
+    each = processes_each(len(jobs), workers, cluster)
+    tasks = [
+        Task(train_in, (job.settings, command_line, quiet, each), job.folder, job.reads, job.on_gpu)
+        for job in jobs
+    ]
+    side_by_side(tasks, workers, cluster, quiet)
+
+
+def check_job(settings: TrainSettings, cluster: Cluster | None = None) -> None:
+    """Check that a job can start here, or on a cluster, as far as that is known here.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`check_start`.
+    """
+    check_start(replace(settings, device="cpu", threads=1) if cluster else settings)
+
+
+def processes_each(jobs: int, workers: int, cluster: Cluster | None = None) -> int:
+    """Return the most processes that each of so many jobs may have."""
+    return 1 if cluster else max(1, workers // max(1, jobs))
 
 
 def train_together(settings: TrainSettings, folder: Path, processes: int, **shown: Any) -> None:
@@ -72,15 +121,18 @@ def train_together(settings: TrainSettings, folder: Path, processes: int, **show
 
 
 def side_by_side(
-    learn: Callable[..., None], tasks: Sequence[tuple[Any, ...]], workers: int
+    tasks: Sequence[Task], workers: int, cluster: Cluster | None = None, quiet: bool = False
 ) -> None:
-    """Call ``learn`` with each task's arguments, ``workers`` of them at a time.
+    """Learn every task, ``workers`` of them at a time, or on a cluster.
 
     The first error of any ends the others.
     """
+    if cluster is not None:
+        cluster.learn(tasks, quiet)
+        return
     with without_interrupts():
         lock = get_context("spawn").RLock()
-    for _ in calls(learn, tasks, workers, tqdm.set_lock, lock):
+    for _ in calls(Task.go, [(task,) for task in tasks], workers, tqdm.set_lock, lock):
         pass
 
 
@@ -99,16 +151,41 @@ def need_training() -> None:
     need("training", *TRAINING)
 
 
-def _train(job: Job, command_line: str, quiet: bool, limit: int) -> None:
-    """Train a job that :func:`train_all` has checked."""
-    settings = replace(job.settings, threads=1)
+def train_in(
+    settings: TrainSettings,
+    command_line: str,
+    quiet: bool,
+    limit: int,
+    folder: Path,
+    *policies: Path,
+) -> None:
+    """Train in ``folder``, in up to ``limit`` processes; to be called in a process of its own.
+
+    The job has been checked by :func:`train_all`.
+
+    Args:
+        policies: where the driver policies of :attr:`Job.reads` are on this machine.
+    """
+    settings = replace(_reading(settings, policies), threads=1)
     shown: dict[str, Any] = {"quiet": quiet, "command_line": command_line, "line": own_line()}
     if (processes := default_processes(settings, limit)) > 1:
-        start_together(processes, _train_rank, settings, job.folder, shown)
+        start_together(processes, _train_rank, settings, folder, shown)
         return
     from hmi_marl.training.ppo.run import train_rank  # torch, with the threads that were just set
 
-    train_rank(settings, job.folder, None, shown)
+    train_rank(settings, folder, None, shown)
+
+
+def _reading(settings: TrainSettings, policies: Sequence[Path]) -> TrainSettings:
+    """Return settings whose driver policies are read at these places, in their order."""
+    places, changed = iter(policies), dict[str, str]()
+    for setting in POLICIES:
+        name = getattr(settings, setting, None)
+        if name is not None:
+            mixed = mixed_names(name)
+            names = [str(next(places)) if policies_read(n) else n for n in mixed or (name,)]
+            changed[setting] = f"mixture:{','.join(names)}" if mixed else names[0]
+    return replace(settings, **changed)  # type: ignore[arg-type]
 
 
 def _train_rank(

@@ -56,6 +56,7 @@ LEARNER = {
 }
 WEIGHTS = ("reconstruct", "information", "contrast", "regularise", "imitate")
 MACHINE = {"workers": ["0", "many"]}
+RAY = {"ray": ["nope", "ray://nope", "127.0.0.1:9"]}
 OUT = {"out": ["file", "file/below"]}
 SIZES = {"num-teams": ["0"], "seed": ["-1"], "episodes": ["0"]}
 TRAIN = {
@@ -119,6 +120,7 @@ ANCHOR = {
 }
 COMPARE = {
     **MACHINE,
+    **RAY,
     **OUT,
     **SIZES,
     "tasks": ["nope"],
@@ -196,7 +198,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "demonstrations": ["/no/such"],
         "preferences": ["/no/such", "file"],
     },
-    "reproduce all": {**MACHINE, **OUT, "seed": ["-1"], "quick": QUICK},
+    "reproduce all": {**MACHINE, **RAY, **OUT, "seed": ["-1"], "quick": QUICK},
     "reproduce table": {
         **MACHINE,
         **OUT,
@@ -207,6 +209,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "reproduce driver": {
         **MACHINE,
+        **RAY,
         **OUT,
         **SIZES,
         "steps": ["0"],
@@ -263,6 +266,55 @@ BAD: dict[str, dict[str, list[str]]] = {
         "out": ["file", "file/below"],
         "report": ["file", "file/below"],
     },
+    "reproduce sweep": {
+        **MACHINE,
+        **OUT,
+        "protocols": ["nope", "joint joint"],
+        "over": ["steps", "steps=0"],
+        "seeds": ["0"],
+        "seed": ["-1"],
+        "episodes": ["0"],
+        "drivers": ["nobody", "homer homer"],
+    },
+    "sweep joint two-stage": {
+        **MACHINE,
+        **RAY,
+        **OUT,
+        "over": [
+            "steps",
+            "steps=",
+            "steps=many",
+            "steps=0",
+            "steps=1.5",
+            "step=10",
+            "steps=10,10",
+            "steps=10 steps=20",
+            "steps=1..2/1",
+            "steps=0..2/3/log",
+            "seed=1",
+            "threads=1",
+            "hmi_for=homer",
+            "two-stage:hmi_for=nobody",
+            "two-stage:driver_policy=/no/such",
+            "alternating:rounds=2",
+            "critic=nope",
+            "end_at_crash=maybe",
+            "vehicles=1",
+            "vehicles=3+1",
+            "drivers=homer+nobody",
+            "duration=nan",
+            "ppo.learning_rate=1e-3,20",
+            "ppo.num_mini_batches=100000",
+            "network.activation=nope",
+            "device=cuda:99",
+            "seed_=1",
+        ],
+        "seeds": ["0", "100000"],
+        "seed": ["-1"],
+        "episodes": ["0"],
+        "drivers": ["nobody", "homer homer"],
+    },
+    "sweep nope": {"": [""]},
     "table": {
         **MACHINE,
         **TEAM,
@@ -385,7 +437,7 @@ FIRST, OTHERS = cases(first=True), cases(first=False)
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """A dataset, and a model that has learned from it, by the words that stand for them."""
-    for package in ("torch", "rsl_rl", "pyarrow", "sklearn", "onnx"):
+    for package in ("torch", "rsl_rl", "pyarrow", "sklearn", "onnx", "ray"):
         pytest.importorskip(package)
     from demonstrations import made_up
     from trait_models import untrained

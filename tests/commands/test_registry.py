@@ -53,6 +53,7 @@ loaded what is slow is told after each."""
 ARGUMENTS = {
     "export": ["--policy", "trained:homer"],
     "reproduce ship": ["--out", "agents"],
+    "sweep": ["joint"],
     "traits evaluate": ["runs/traits-id"],
 }
 """Without which a command cannot be understood."""
@@ -67,6 +68,11 @@ CHEAP = {
 }
 """Runs of the commands that need no extra."""
 OPTIONS = {
+    **{
+        (path, "--ray"): ["--ray", "auto"]
+        for path, leaf in LEAVES.items()
+        if any(option.shown == "--ray" for option in leaf.options)
+    },
     ("collect", "--minari"): ["--minari"],
     ("watch", "--out clip.mp4"): ["--out", "folder/clip.mp4"],
 }
@@ -230,6 +236,7 @@ def test_the_parts_are_those_that_the_class_chooses_among(group: str) -> None:
 def test_the_table_of_extras_has_a_row_for_every_command() -> None:
     rows = extras_table().splitlines()
     assert len(rows) == 2 + len(LEAVES)
+    assert "| `hmi-marl sweep` | `train`, `data` | `--ray`: `ray` |" in rows
     assert "| `hmi-marl collect` | `data` | `--minari`: `data` |" in rows
-    assert "| `hmi-marl reproduce traits` | `train`, `data` |  |" in rows
+    assert "| `hmi-marl reproduce traits` | `train`, `data` | `--ray`: `ray` |" in rows
     assert "| `hmi-marl watch` | nothing more | `--out clip.mp4`: `video` |" in rows

@@ -15,7 +15,10 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[Any, ..
     """What would be run, and the command that the report names."""
     calls: list[tuple[Any, ...]] = []
 
-    def instead(suite: Any, folder: Path, driver_run: Path, *others: Any) -> list[Any]:
+    def instead(
+        suite: Any, folder: Path, driver_run: Path, *others: Any, cluster: Any
+    ) -> list[Any]:
+        assert cluster is None
         assert driver_run == shared_driver(suite, folder)
         calls.append((suite, folder, *others))
         return []

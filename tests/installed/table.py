@@ -16,8 +16,8 @@ from test_examples import TINY
 Kind = Literal["command", "option", "example", "readme", "page", "site"]
 
 CORE: frozenset[str] = frozenset()
-VIDEO, TRAIN, INTEROP, DATA, DOCS = (
-    frozenset({extra}) for extra in ("video", "train", "interop", "data", "docs")
+VIDEO, TRAIN, INTEROP, DATA, RAY, DOCS = (
+    frozenset({extra}) for extra in ("video", "train", "interop", "data", "ray", "docs")
 )
 
 
@@ -60,6 +60,9 @@ _COMPARED = (
     "--tasks hidden --protocols two-stage joint --steps 320 --budgets 160 --seeds 1 --rounds 1 "
     "--driver-shares 0.5 --snapshots 1 --episodes 2 --cross-episodes 2 --drivers homer "
     f"--no-partners --no-crash-check --workers 1 {_RUN}"
+)
+_SWEPT = (
+    "--over steps=160 num_teams=16 duration=2 --seeds 1 --episodes 2 --drivers homer --workers 1"
 )
 
 
@@ -109,12 +112,14 @@ COMMANDS = (
         dear=True,
     ),
     _command("reproduce protocols", TRAIN, _COMPARED),
+    _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}", dear=True),
     _command(
         "reproduce ship",
         CORE,
         "--out agents",
         not_run="copies what a whole hmi-marl reproduce has learned",
     ),
+    _command("sweep", TRAIN | DATA, f"joint {_SWEPT}"),
     _command("table", CORE, f"--drivers homer --hmis NoHMI own --episodes 2 --workers 1 {_SCENE}"),
     _command("train two-stage", TRAIN, f"--driver-steps 160 --hmi-steps 160 {_RUN}"),
     _command("train joint", TRAIN, f"--steps 160 {_RUN}"),
@@ -138,6 +143,13 @@ COMMANDS = (
 
 OPTIONS = (
     Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --num-teams 1 --minari"),
+    Row("option", "compare --ray", TRAIN | RAY, f"{_COMPARED} --ray local", dear=True),
+    Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local", dear=True),
+    *(
+        Row("option", f"{row.name} --ray", row.needs | RAY, not_run="trains as compare --ray does")
+        for row in COMMANDS
+        if row.name.startswith("reproduce ") and row.name != "reproduce ship"
+    ),
     Row("option", "watch --out clip.mp4", VIDEO, f"--out clip.mp4 {_SCENE}"),
 )
 """Options that need more than their subcommand does, or another part of an extra."""

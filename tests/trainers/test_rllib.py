@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from fresh import run_example
 
+pytest.importorskip("tree")  # of RLlib; Ray itself is imported for nothing where that is missing
 pytest.importorskip("ray.rllib")
 
 from hmi_marl import merge_v0

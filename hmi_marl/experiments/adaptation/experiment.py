@@ -56,9 +56,10 @@ from hmi_marl.files import json_value
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text, canvas, png
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.training.evidence.conditioned import conditioned_hmi, learn_conditioned
+from hmi_marl.training.evidence.conditioned import conditioned_hmi
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.jobs import need_training, own_line, side_by_side
+from hmi_marl.training.evidence.tasks import conditioned_task, evidence_task
+from hmi_marl.training.jobs import need_training, side_by_side
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 if TYPE_CHECKING:
@@ -230,8 +231,11 @@ class Adaptation(_Judged):
         need_training()
         evidence, conditioned = place.folder / EVIDENCE_RUN, place.folder / CONDITIONED_RUN
         encoder, hmi = self.encoder(place.driver_run), self.conditioned(place.driver_run)
-        side_by_side(_learn_evidence, [(encoder, evidence, place.command_line)], 1)
-        side_by_side(learn_conditioned, [(hmi, evidence, conditioned, place.command_line)], 1)
+        for task in (
+            evidence_task(encoder, evidence, place.command_line),
+            conditioned_task(hmi, evidence, conditioned, place.command_line),
+        ):
+            side_by_side([task], 1, place.cluster)
         place.note_training((evidence, conditioned))
         trained = Trained(str(evidence), str(conditioned), self._hidden(place))
         return AdaptEvaluation(self.evaluation, trained).run(place)
@@ -276,12 +280,6 @@ def record_change(
     teaming = begin(config, driver, hmi, np.array([seed], np.uint64), "highway")
     change = config.horizon // 2, Traits.of([get_driver(second)])
     clip.record(path, config, clip.moments(teaming, driver, hmi, change), 1)
-
-
-def _learn_evidence(settings: EvidenceSettings, folder: Path, command_line: str) -> None:
-    from hmi_marl.training.evidence.run import learn_evidence  # torch, with the threads just set
-
-    learn_evidence(replace(settings, threads=1), folder, command_line=command_line, line=own_line())
 
 
 def tables(results: Sequence[Result]) -> list[Table]:

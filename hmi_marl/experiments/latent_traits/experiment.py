@@ -32,6 +32,7 @@ from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.runs.start import check_machine
+from hmi_marl.training.tasks import Task
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
@@ -223,8 +224,11 @@ class LatentTraits(TraitReport):
         with watch.timing("collecting"):
             self.collect(place.driver_run, out)
         with watch.timing("all training of this call, in parallel"):
-            tasks = [(job, data, folder, place.command_line) for folder, job in runs.items()]
-            side_by_side(_learn, tasks, place.workers)
+            tasks = [
+                Task(_learn, (job, place.command_line), folder, (data.absolute(),))
+                for folder, job in runs.items()
+            ]
+            side_by_side(tasks, place.workers, place.cluster)
         place.note_training(runs)
         with watch.timing("judging"):
             return TraitEvaluation(
@@ -315,7 +319,7 @@ def _binding(settings: dict[str, Any]) -> dict[str, Any]:
     return {"settings": {name: value for name, value in settings.items() if name not in _FREE}}
 
 
-def _learn(settings: TraitSettings, demonstrations: Path, folder: Path, command_line: str) -> None:
+def _learn(settings: TraitSettings, command_line: str, folder: Path, demonstrations: Path) -> None:
     from hmi_marl.training.traits.run import learn_traits  # torch, with the threads just set
 
     settings = replace(settings, threads=1)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.cross_play import cross_play, dependence_of
 from hmi_marl.experiments.protocols.equal_gradients import at_equal_gradients
 from hmi_marl.experiments.protocols.findings import differences, sweep
 from hmi_marl.experiments.protocols.gaming import gaming_of, worst_finding
 from hmi_marl.experiments.protocols.pairs import Pair
-from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
+from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.results import (
     Comparison,
     TaskResults,

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hmi_marl.experiments import criteria
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.pairs import Pair
-from hmi_marl.experiments.protocols.playing import ALL_DRIVERS
 from hmi_marl.experiments.protocols.results import UNKNOWN, TaskResults, crash_rate
 from hmi_marl.reporting.statistics import Estimate
 

@@ -6,8 +6,7 @@ drawn from the population.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,11 +18,11 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import LearnedPolicy
 from hmi_marl.agents.rollout import Observer
 from hmi_marl.envs.config import DRIVER, TeamConfig
-from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import part_seed
 from hmi_marl.envs.teaming import Teaming
-from hmi_marl.experiments.episodes import Episodes, driven_by, evaluation_seeds, play_episodes
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ratio
+from hmi_marl.experiments.episodes import driven_by, evaluation_seeds, play_episodes
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun, is_run
 from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.snapshots import Point, points_of
@@ -31,80 +30,6 @@ from hmi_marl.experiments.protocols.task_plan import TaskPlan
 from hmi_marl.experiments.references import PairScore, score_pair
 from hmi_marl.experiments.signalling import SignalCounter, Signalling
 from hmi_marl.workers import results
-
-ALL_DRIVERS = "all"
-"""In place of a driver's name: all drivers of the population together."""
-
-
-@dataclass(frozen=True)
-class Sums:
-    """Sums over some episodes."""
-
-    episodes: int
-    crashes: int
-    steps: int
-    minutes: float
-    """Minutes of driving."""
-    alerts: int
-    time_headway: float
-    """Mean over episodes of the median while a vehicle is ahead [s]; NaN if there was none."""
-    terms: dict[str, float]
-    """Sum of each reward term."""
-
-    @classmethod
-    def of(cls, episodes: Episodes, which: NDArray[np.bool_], frequency: float) -> Sums:
-        """Sum up the marked episodes."""
-        headways = episodes.median_time_headway[which]
-        headways = headways[np.isfinite(headways)]
-        steps = int(episodes.length[which].sum())
-        return cls(
-            episodes=int(which.sum()),
-            crashes=int(episodes.crashed[which].sum()),
-            steps=steps,
-            minutes=steps / frequency / 60.0,
-            alerts=int(episodes.alerts[which].sum()),
-            time_headway=float(headways.mean()) if len(headways) else math.nan,
-            terms={name: float(values[which].sum()) for name, values in episodes.returns.items()},
-        )
-
-    @classmethod
-    def join(cls, several: Iterable[Sums]) -> Sums:
-        """Join one or more sums into one."""
-        parts = list(several)
-        known = [p for p in parts if math.isfinite(p.time_headway)]
-        headways, weights = [p.time_headway for p in known], [p.episodes for p in known]
-        counts = ("episodes", "crashes", "steps", "minutes", "alerts")
-        return cls(
-            **{name: sum(getattr(part, name) for part in parts) for name in counts},
-            time_headway=float(np.average(headways, weights=weights)) if known else math.nan,
-            terms={name: sum(part.terms[name] for part in parts) for name in parts[0].terms},
-        )
-
-    def per_episode(self, names: Sequence[str] = TERMS) -> float:
-        """Return the mean return of an episode, of these terms together."""
-        return _ratio(sum(self.terms[name] for name in names), self.episodes)
-
-    def per_step(self, names: Sequence[str] = TERMS) -> float:
-        """Return the mean reward of a step."""
-        return _ratio(sum(self.terms[name] for name in names), self.steps)
-
-    def metrics(self) -> dict[str, float]:
-        """Return every metric by name; NaN where there were no episodes."""
-        return {
-            "team_return": self.per_episode(),
-            **{name: self.per_episode([name]) for name in TERMS},
-            "attention_return": self.per_episode(ATTENTION_TERMS),
-            "driving_return": self.per_episode(DRIVING_TERMS),
-            "team_return_per_step": self.per_step(),
-            "crash_rate": _ratio(self.crashes, self.episodes),
-            "alerts_per_minute": _ratio(self.alerts, self.minutes),
-            "length": _ratio(self.steps, self.episodes),
-            "time_headway": self.time_headway,
-        }
-
-
-def _ratio(amount: float, count: float) -> float:
-    return amount / count if count else math.nan
 
 
 @dataclass(frozen=True)
@@ -151,7 +76,7 @@ class Divergence(Observer):
     def mean(self, which: NDArray[np.bool_]) -> float:
         """Return the mean over the steps of the marked episodes [nats]."""
         steps = np.asarray(self._steps)[which].sum()
-        return _ratio(float(np.asarray(self._sum)[which].sum()), float(steps))
+        return ratio(float(np.asarray(self._sum)[which].sum()), float(steps))
 
 
 def _log(probability: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings
-from hmi_marl.experiments.protocols.playing import ALL_DRIVERS, Played, Sums
+from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.many_runs import over_runs

@@ -253,10 +253,7 @@ class TaskPlan:
         share = arm.driver_share or self.shares.get(arm.protocol, settings.driver_shares[0])
         batch = settings.num_teams * self.team().horizon
         reward = None if settings.reward == "default" else settings.reward
-        unit = settings.rounds * batch
-        whole = max(2, round(arm.steps / unit))  # the same for every share
-        driver = min(max(1, round(share * whole)), whole - 1)
-        return Budget(driver * unit, (whole - driver) * unit, settings.rounds, reward, batch=batch)
+        return Budget.shared_out(arm.steps, share, batch, settings.rounds, reward)
 
     def driver_terms(self, protocol: str) -> tuple[str, ...]:
         """Reward terms that the driver of a protocol learns from."""

@@ -34,9 +34,9 @@ with needing("training"):
 
     from hmi_marl.training.evidence.model import EvidenceNetwork
     from hmi_marl.training.runs.divergence import check_finite
+    from hmi_marl.training.runs.progress import Progress
     from hmi_marl.training.runs.run import (
         ModelRun,
-        Progress,
         Tensors,
         flat_moments,
         own_torch_state,

@@ -68,7 +68,8 @@ with needing("training"):
     from hmi_marl.training.ppo.shards import Shards
     from hmi_marl.training.runs.checkpoint import fitting
     from hmi_marl.training.runs.processes import Processes, joined
-    from hmi_marl.training.runs.run import Progress, Run, Tensors, own_torch_state
+    from hmi_marl.training.runs.progress import Progress
+    from hmi_marl.training.runs.run import Run, Tensors, own_torch_state
 
 _ANCHOR = "anchor"
 """Name among the learners under which a checkpoint holds the anchor's weights."""

@@ -138,6 +138,28 @@ class Budget:
         driver = max(1, round(alone * self.driver_steps / self.steps))
         return driver * self.batch, (alone - driver) * self.batch, together * self.batch
 
+    @classmethod
+    def shared_out(
+        cls,
+        steps: int,
+        driver_share: float,
+        batch: int,
+        rounds: int = 1,
+        reward: Sharing | None = None,
+    ) -> Self:
+        """Share out ``steps``, the driver's share of them first, in whole batches of each round.
+
+        Args:
+            steps: environment steps of the whole training, to be rounded.
+            driver_share: share of them in which the driver learns, between 0 and 1.
+            batch: environment steps of a batch; each seat gets one in each round at least.
+            rounds, reward: see the fields.
+        """
+        unit = rounds * batch
+        whole = max(2, round(steps / unit))  # the same for every share
+        driver = min(max(1, round(driver_share * whole)), whole - 1)
+        return cls(driver * unit, (whole - driver) * unit, rounds, reward, batch=batch)
+
     @property
     def steps(self) -> int:
         """Steps of the whole training."""

@@ -13,11 +13,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol
 
 import torch
-from tqdm import tqdm
 
 import hmi_marl
 from hmi_marl.agents.learned.cards import is_saved
@@ -36,6 +34,8 @@ from hmi_marl.training.runs.folder import (
     settings_digest,
 )
 from hmi_marl.training.runs.processes import ALONE, Processes
+from hmi_marl.training.runs.progress import Progress
+from hmi_marl.training.runs.reports import listener
 from hmi_marl.workers import check_threads_here
 
 OPTIMIZER = "optimizer"
@@ -59,82 +59,6 @@ def with_moments(state: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) 
             parameter, moment = name.split(".")
             moments.setdefault(int(parameter), {})[moment] = value
     return {**state, "state": moments}
-
-
-_LOSSES = ("L1", "L2", "L3", "L4")
-_ON_THE_BAR = ("return", "crash_rate", "alerts", "imitation", "loss", "held_out_loss")
-_LEARNING = ("value", "surrogate", "entropy", "learning_rate", "anchor_kl", "imitation", *_LOSSES)
-_SPEED = ("steps_per_second", "share_of_time_learning", "seconds")
-_NOTHING: Mapping[str, float] = MappingProxyType({})
-
-
-class Progress:
-    """Show the progress of a run.
-
-    Args:
-        total: steps of the whole run.
-        done: steps taken before; TensorBoard's points beyond them are dropped.
-        line: line of the terminal for the bar, counted from the current one.
-        board: folder for TensorBoard's files; None for none.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        total: int,
-        done: int = 0,
-        unit: str = "steps",
-        quiet: bool = False,
-        line: int = 0,
-        board: Path | None = None,
-    ) -> None:
-        self._writer = None
-        self._done = done
-        self._bar = tqdm(
-            total=total,
-            initial=done,
-            desc=name,
-            unit=f" {unit}",
-            unit_scale=unit == "steps",  # there are millions
-            disable=quiet,
-            position=line,
-            smoothing=0.05,
-        )
-        if board is not None and not quiet:
-            from torch.utils.tensorboard.writer import SummaryWriter  # takes a second
-
-            self._writer = SummaryWriter(str(board), purge_step=done + 1)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.close()
-        if self._writer is not None:
-            self._writer.close()
-
-    def phase(self, name: str) -> None:
-        """Show the name of what is done now."""
-        self._bar.set_description(name)
-
-    def advance(self, count: int = 1, row: Mapping[str, float] = _NOTHING) -> None:
-        """Show ``count`` more steps, and a row of the curve if there is one."""
-        self._done += count
-        self._bar.update(count)
-        if not row:
-            return
-        self._bar.set_postfix({name: f"{row[name]:.4g}" for name in _ON_THE_BAR if name in row})
-        if self._writer is None:
-            return
-        for name, value in row.items():
-            group = "learning" if name.endswith(_LEARNING) else "episode"
-            group = "speed" if name in _SPEED else group
-            self._writer.add_scalar(f"{group}/{name}", value, self._done)
 
 
 Tensors = dict[str, dict[str, torch.Tensor]]
@@ -305,6 +229,8 @@ class Run(ABC):
         self.state.tensors |= tensors
         write_json(self.folder / CURVE, self.state.curve)  # first: a kill in between loses none
         self.state.save(self.folder / CHECKPOINT)
+        if (hears := listener()) is not None:
+            hears.saved(self.folder)
 
 
 class ModelRun(Run):

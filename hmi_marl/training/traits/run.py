@@ -32,7 +32,8 @@ with needing("training"):
     import torch
 
     from hmi_marl.training.runs.processes import ALONE
-    from hmi_marl.training.runs.run import ModelRun, Progress, Tensors, own_torch_state
+    from hmi_marl.training.runs.progress import Progress
+    from hmi_marl.training.runs.run import ModelRun, Tensors, own_torch_state
     from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from comparisons import FILTER, NONE, OPTIMUM, SMALL, arm_of, comparison, number_of, sums, without
 
+from hmi_marl.experiments.episode_sums import Sums
 from hmi_marl.experiments.protocols.answer import answer
 from hmi_marl.experiments.protocols.content import content_of
 from hmi_marl.experiments.protocols.cross_play import cell_of, cross_play, dependence_of
@@ -20,7 +21,6 @@ from hmi_marl.experiments.protocols.findings import (
 )
 from hmi_marl.experiments.protocols.gaming import find, gaming_of, worst_finding
 from hmi_marl.experiments.protocols.pairs import Pair
-from hmi_marl.experiments.protocols.playing import Sums
 from hmi_marl.experiments.protocols.results import (
     UNKNOWN,
     attainable,

@@ -12,19 +12,13 @@ from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import load_policy, read_policy
 from hmi_marl.cli import main
 from hmi_marl.envs.rewards import TERMS
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.episodes import Episodes, evaluation_seeds, play_episodes
 from hmi_marl.experiments.experiment import Place
 from hmi_marl.experiments.protocols.arms import PlannedRun
 from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs, own_pair
-from hmi_marl.experiments.protocols.playing import (
-    ALL_DRIVERS,
-    Divergence,
-    Sums,
-    episodes_of,
-    play_all,
-    play_pair,
-)
+from hmi_marl.experiments.protocols.playing import Divergence, episodes_of, play_all, play_pair
 from hmi_marl.experiments.protocols.results import hiding, shortfall
 from hmi_marl.experiments.protocols.snapshots import points_of
 from hmi_marl.experiments.protocols.tasks import TASKS

@@ -1,0 +1,1 @@
+"""Trainings over lists and ranges of any of their options, by protocol and seed."""

@@ -1,0 +1,45 @@
+"""Tasks of learning an evidence model and the HMI that is conditioned on it; no torch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from hmi_marl.training.evidence.conditioned import learn_conditioned
+from hmi_marl.training.evidence.settings import EvidenceSettings
+from hmi_marl.training.jobs import own_line, policies_read
+from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.tasks import Task
+
+
+def evidence_task(settings: EvidenceSettings, folder: Path, command_line: str = "") -> Task:
+    """Make the task of learning an evidence model in ``folder``."""
+    reads = policies_read(settings.driver_policy)
+    return Task(_learn_evidence, (settings, command_line), folder, reads)
+
+
+def conditioned_task(
+    settings: TwoStage, evidence: Path, folder: Path, command_line: str = ""
+) -> Task:
+    """Make the task of learning, in ``folder``, an HMI conditioned on the model of another run."""
+    reads = (evidence.absolute(), *policies_read(settings.driver_policy))
+    return Task(_learn_conditioned, (settings, command_line), folder, reads)
+
+
+def _learn_evidence(
+    settings: EvidenceSettings, command_line: str, folder: Path, driver: Path | None = None
+) -> None:
+    from hmi_marl.training.evidence.run import learn_evidence  # torch, with the threads just set
+
+    settings = replace(settings, threads=1)
+    if driver is not None:  # where it is on this machine
+        settings = replace(settings, driver_policy=str(driver))
+    learn_evidence(settings, folder, command_line=command_line, line=own_line())
+
+
+def _learn_conditioned(
+    settings: TwoStage, command_line: str, folder: Path, evidence: Path, driver: Path | None = None
+) -> None:
+    if driver is not None:
+        settings = replace(settings, driver_policy=str(driver))
+    learn_conditioned(settings, evidence, folder, command_line, own_line())
