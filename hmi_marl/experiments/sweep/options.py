@@ -120,7 +120,7 @@ def make_settings(protocol: str, options: Mapping[str, Any], seed: int) -> Train
         raise ValueError(f"{DRIVER_SHARE} shares out {STEPS}; sweep these, too, or a single value")
     steps = given.pop(STEPS) if shared_out else 0
     share = given.pop(DRIVER_SHARE, DEFAULT_SHARE) if shared_out else DEFAULT_SHARE
-    apart = [name for name in given if name in ("driver_steps", "hmi_steps")]
+    apart = [name for name in given if name in _OF_STAGES]
     if shared_out and apart:
         raise ValueError(f"{STEPS} and {apart[0]} exclude each other")
     own = _grouped(kind, given)
@@ -225,3 +225,5 @@ def _number(name: str, text: str) -> float:
 def _is_text(hint: Any) -> bool:
     """Whether values of a type are free texts, or hold some."""
     return hint is str or any(_is_text(part) for part in get_args(hint) if part is not hint)
+_OF_STAGES = ("driver_steps", "hmi_steps", "together_steps")
+"""Settings that say how many steps each stage of a protocol takes."""

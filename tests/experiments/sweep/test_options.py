@@ -81,7 +81,7 @@ def test_an_option_of_one_protocol_is_named_with_it():
 def test_every_protocol_has_steps_in_all():
     assert all("steps" in options_of(PROTOCOLS[name].value) for name in ALL)
     with_share = {name for name in ALL if "driver_share" in options_of(PROTOCOLS[name].value)}
-    assert with_share == {"two-stage", "alternating"}
+    assert with_share == {"two-stage", "alternating", "fine-tune"}
     assert not any({"seed", "threads"} & set(options_of(PROTOCOLS[name].value)) for name in ALL)
 
 
