@@ -25,6 +25,8 @@ STEPS, DRIVER_SHARE = "steps", "driver_share"
 """Options that every protocol has which shares out its steps, see :func:`make_settings`."""
 DEFAULT_SHARE = 0.8
 """Share of the steps in which the driver learns."""
+_OF_STAGES = ("driver_steps", "hmi_steps", "together_steps")
+"""Settings that say how many steps each stage of a protocol takes."""
 _NOT_SWEPT = {
     "seed": "seeds are set by --seed and --seeds",
     "threads": "a run of a sweep has one thread; see --workers",
@@ -225,5 +227,3 @@ def _number(name: str, text: str) -> float:
 def _is_text(hint: Any) -> bool:
     """Whether values of a type are free texts, or hold some."""
     return hint is str or any(_is_text(part) for part in get_args(hint) if part is not hint)
-_OF_STAGES = ("driver_steps", "hmi_steps", "together_steps")
-"""Settings that say how many steps each stage of a protocol takes."""
