@@ -201,6 +201,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     "reproduce all": {**MACHINE, **RAY, **OUT, "seed": ["-1"], "quick": QUICK},
     "reproduce table": {
         **MACHINE,
+        **RAY,
         **OUT,
         **SIZES,
         "driver-steps": ["0"],
@@ -218,6 +219,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "reproduce hidden": {
         **MACHINE,
+        **RAY,
         **OUT,
         **SIZES,
         "driver-run": ["/no/such", "nope"],
@@ -228,6 +230,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "reproduce adapt": {
         **MACHINE,
+        **RAY,
         **OUT,
         "driver-run": ["/no/such"],
         "drives": ["0"],
@@ -242,6 +245,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "reproduce traits": {
         **MACHINE,
+        **RAY,
         **OUT,
         "driver-run": ["/no/such"],
         "driver-steps": ["0"],
@@ -255,6 +259,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "reproduce graded": {
         **MACHINE,
+        **RAY,
         **OUT,
         **SIZES,
         "hmi-steps": ["0"],
@@ -268,6 +273,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "reproduce sweep": {
         **MACHINE,
+        **RAY,
         **OUT,
         "protocols": ["nope", "joint joint"],
         "over": ["steps", "steps=0"],
@@ -275,11 +281,14 @@ BAD: dict[str, dict[str, list[str]]] = {
         "seed": ["-1"],
         "episodes": ["0"],
         "drivers": ["nobody", "homer homer"],
+        "quick": QUICK,
     },
-    "sweep joint two-stage": {
+    "sweep": {
+        "PROTOCOLS": ["nope"],
         **MACHINE,
         **RAY,
         **OUT,
+        "dry-run": FLAG,
         "over": [
             "steps",
             "steps=",
@@ -314,7 +323,6 @@ BAD: dict[str, dict[str, list[str]]] = {
         "episodes": ["0"],
         "drivers": ["nobody", "homer homer"],
     },
-    "sweep nope": {"": [""]},
     "table": {
         **MACHINE,
         **TEAM,
@@ -344,7 +352,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "driver-reward": ["nope"],
         "hmi-reward": ["nope"],
     },
-    "train joint": {**TRAIN, **ANCHOR, "steps": ["0"], "reward": ["nope"], "no-sequential": [""]},
+    "train joint": {**TRAIN, **ANCHOR, "steps": ["0"], "reward": ["nope"]},
     "train simultaneous": {**TRAIN, **ANCHOR, "steps": ["0"], "reward": ["nope"]},
     "train fine-tune": {
         **TRAIN,
@@ -378,6 +386,7 @@ BAD: dict[str, dict[str, list[str]]] = {
 
 
 PRESET = {
+    "sweep": {"PROTOCOLS": "joint two-stage"},
     "export": {"policy": "trained:homer"},
     "reproduce ship": {"out": "out", "run": "/no/such"},
     "traits train": {"demonstrations": "DATA"},
@@ -385,7 +394,7 @@ PRESET = {
     "watch": {"out": "clip.gif"},
 }
 """Options that a command needs anyway, so that nothing else is wrong with it."""
-POSITIONAL = ("runs",)
+POSITIONAL = ("runs", "PROTOCOLS")
 
 
 @dataclass(frozen=True)

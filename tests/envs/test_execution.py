@@ -301,6 +301,7 @@ def test_a_second_teaming_on_a_world_sees_its_lidars():
     )
 
 
+@pytest.mark.slow  # arrays at other places in memory: loops are compiled anew, for half a minute
 def test_teams_that_were_mapped_into_memory_go_on(tmp_path):
     joblib = pytest.importorskip("joblib")
     config = TeamConfig(driver=["lisa", "homer"])

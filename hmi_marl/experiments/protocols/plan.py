@@ -111,7 +111,10 @@ class ComparisonSettings(Checked):
                     f"task {plan.name} allows none of {', '.join(self.protocols)}; leave it out of "
                     "--tasks, or add another to --protocols"
                 )
-            plan.jobs(Path(), plan.runs)  # checks the rest
+            firsts = [
+                plan.runs_of(arm)[0] for arm in plan.arms
+            ]  # others differ in their seeds alone
+            plan.jobs(Path(), [*firsts, *plan.standing_runs])  # checks the rest
             plan.check_drivers()
 
     @property
