@@ -110,6 +110,8 @@ class ReproduceWithDriver(ReproduceOne):
 class ReproduceShip:
     """Copy the agents of a finished reproduction to where the package ships them from.
 
+    With --compare the trained pairs of a finished hmi-marl compare instead, beside what is there.
+
     Example: hmi-marl reproduce ship --out hmi_marl/trained --report docs/report
     """
 
@@ -119,13 +121,24 @@ class ReproduceShip:
     """Folder of the reproduction."""
     report: Path | None = None
     """Folder to which the report and its numbers are copied as well."""
+    compare: Path | None = None
+    """Folder of a comparison, of which the pairs of the first seed are added."""
 
     def run(self, command_line: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
         from hmi_marl.reproduction.report import NUMBERS
-        from hmi_marl.reproduction.suite import full_suite, shared_driver, ship
+        from hmi_marl.reproduction.shipping import ship, ship_more
+        from hmi_marl.reproduction.suite import full_suite, shared_driver
 
         check_free(self.out)
+        if self.compare is not None:
+            check_free(self.compare)
+            pairs = EXPERIMENTS["protocols"].value.load("protocols")()
+            agents = pairs.agents(Place(self.compare, self.compare))
+            ship_more(agents, self.out)
+            for agent in agents:
+                print(f"{agent.name:<28} {agent.what}")
+            return
         pages = {}
         if self.report is not None:  # all that can fail comes before the agents are replaced
             check_free(self.report)

@@ -6,16 +6,13 @@ everything learned or recorded that it depends on. An experiment whose record ag
 these is skipped; one whose weights have changed is run again; one with other settings is refused.
 
 Durations are kept apart, in ``timings.json``: a record is the same whether its experiment ran
-through or was killed and taken up again. :func:`ship` fills the folder of agents that come with
-the package, from a finished reproduction.
+through or was killed and taken up again. :mod:`hmi_marl.reproduction.shipping` makes agents that
+come with the package out of a finished reproduction.
 """
 
 from __future__ import annotations
 
-import re
-import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,18 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, MOST_WEIGHTS, shipped_agents
-from hmi_marl.experiments.experiment import Agent, Experiment, Place, conduct, with_seed
+from hmi_marl.experiments.experiment import Experiment, Place, conduct, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.files import (
     sha256_of,
     with_checksum,
     without_checksum,
-    write_bytes,
     write_json,
 )
-from hmi_marl.ownership import check_free, owned
-from hmi_marl.reading import read_bytes, read_json
+from hmi_marl.ownership import owned
+from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Block, block_from
 from hmi_marl.reporting.report import Stopwatch
 from hmi_marl.training.cluster.cluster import Cluster
@@ -44,8 +39,6 @@ STAGES, TIMINGS = "stages", "timings.json"
 _RECORD_BYTES = 256 * 2**20
 """Largest record; it holds figures."""
 Suite = Sequence[Experiment[Any]]
-_PLACE = re.compile(r"(?<![^\s'\"=])(?:[A-Za-z]:[\\/]|[/~])[^\s'\"]*")
-"""Absolute path within a text."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +128,7 @@ def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> lis
             report = conduct(experiment, place)
             spent = time.monotonic() - began
             content = _about(experiment) | {
-                "inputs": _digests(experiment.inputs(place), folder),
+                "inputs": digests(experiment.inputs(place), folder),
                 "numbers": report.numbers,
                 "blocks": [block.as_json() for block in report.blocks],
             }
@@ -196,7 +189,8 @@ def _read_timings(path: Path) -> dict[str, Any]:
     return content
 
 
-def _digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
+def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of files by their paths in a folder."""
     return {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
 
 
@@ -205,71 +199,6 @@ def _changed(content: Mapping[str, Any], paths: Iterable[Path], folder: Path) ->
     before = content.get("inputs")
     if not isinstance(before, dict) or not {"numbers", "blocks"} <= set(content):
         return "its record"
-    now = _digests((path for path in paths if path.is_file()), folder)
+    now = digests((path for path in paths if path.is_file()), folder)
     odd = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
     return odd[0] if odd else None
-
-
-def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
-    """Copy the agents of all experiments into ``out``, in place of what was there, and index them.
-
-    Args:
-        suite, run: experiments of the reproduction, and its folder.
-        driver_run: run of the driver policy that they share.
-        out: a folder of shipped agents, an empty folder, or a new one.
-
-    Raises:
-        ValueError: an experiment is not finished, or ``out`` holds something else.
-    """
-    if out.exists() and any(out.iterdir()):
-        try:
-            shipped_agents(out)
-        except (OSError, ValueError) as error:
-            raise ValueError(
-                f"{out} holds other things than shipped agents; choose another --out ({error})"
-            ) from None
-    agents = []
-    for experiment in suite:
-        place = Place(run / experiment.name, driver_run)
-        if not is_done(experiment, place, run):
-            raise ValueError(
-                f"stage {experiment.name} of {run} is not finished; run it to its end first"
-            )
-        agents += experiment.agents(place)
-    check_free(run)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
-        folder = Path(made) / out.name
-        index = {agent.name: _copy(agent, folder) for agent in agents}
-        about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
-        write_json(folder / INDEX, with_checksum(about))
-        before = out.with_name(f".{out.name}-before")
-        if out.exists():
-            out.replace(before)  # still there if what comes next is interrupted
-        folder.replace(out)
-        shutil.rmtree(before, ignore_errors=True)
-    return agents
-
-
-def _copy(agent: Agent, folder: Path) -> dict[str, Any]:
-    """Copy a card, without this machine's paths, and its weights; returns the index's entry."""
-    card = folder / agent.name / agent.card.name
-    try:
-        about = without_checksum(read_json(agent.card))
-    except ValueError as error:
-        raise ValueError(f"{agent.card} is damaged: {error}; run its experiment again") from None
-    write_json(card, with_checksum(without_places(about)))
-    weights = card.with_suffix(".safetensors")
-    write_bytes(weights, read_bytes(agent.card.with_suffix(".safetensors"), MOST_WEIGHTS))
-    return {"what": agent.what, "kind": card.stem, "files": _digests((card, weights), folder)}
-
-
-def without_places(content: Any) -> Any:
-    """Shorten absolute paths in JSON content to their last part."""
-    if isinstance(content, dict):
-        return {name: without_places(value) for name, value in content.items()}
-    if isinstance(content, list):
-        return [without_places(value) for value in content]
-    if isinstance(content, str):
-        return _PLACE.sub(lambda found: re.split(r"[\\/]", found[0].rstrip("\\/"))[-1], content)
-    return content

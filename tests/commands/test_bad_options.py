@@ -268,6 +268,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     "reproduce protocols": COMPARE,
     "reproduce ship": {
         "run": ["/no/such", "nope"],
+        "compare": ["/no/such", "nope"],
         "out": ["file", "file/below"],
         "report": ["file", "file/below"],
     },

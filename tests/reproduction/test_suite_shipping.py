@@ -10,7 +10,8 @@ from hmi_marl.agents.learned.cards import INDEX, find_shipped, shipped_agents
 from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Agent
-from hmi_marl.reproduction.suite import run_suite, ship, without_places
+from hmi_marl.reproduction.shipping import ship, ship_more, without_places
+from hmi_marl.reproduction.suite import run_suite
 
 
 class Learning(Counting):
@@ -80,3 +81,21 @@ def test_places_keep_their_last_part_alone() -> None:
         "b": "y",
         "c": "x",
     }
+
+
+def test_more_agents_are_added_to_those_that_are_there(run: Path, tmp_path: Path) -> None:
+    stages, out = [Learning("one")], tmp_path / "trained"
+    with pytest.raises(FileNotFoundError, match="no trained agents"):
+        ship_more([], out)
+    run_suite(stages, run, run, line=str)
+    ship(stages, run, run, out)
+    before = {path: path.read_bytes() for path in (out / "mine").iterdir()}
+    other = save_driver(run / "two", 5) / "driver.json"
+    ship_more([Agent("other", other, "drives too")], out)
+    assert list(shipped_agents(out)) == ["mine", "other"]
+    assert {path: path.read_bytes() for path in (out / "mine").iterdir()} == before
+    load_policy(find_shipped("trained:other", "driver", out), "driver", TeamConfig())
+    ship_more([Agent("mine", other, "drives in its place")], out)
+    assert shipped_agents(out)["mine"].what == "drives in its place"
+    weights = (out / "mine" / "driver.safetensors").read_bytes()
+    assert weights == other.with_suffix(".safetensors").read_bytes()

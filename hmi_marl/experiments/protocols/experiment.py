@@ -188,8 +188,11 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
                 continue
             for protocol in (name for name in MAIN if name in plan.protocols):
                 run = PlannedRun(plan.name, protocol, 0).folder(place.folder)
-                for seat, what in ((DRIVER, "drives"), (VEHICLE_AI, "alerts")):
-                    card = find_policy(run, seat)
-                    about = f"{what}, attention hidden, learned by {protocol}"
-                    found.append(Agent(f"{plan.name}-{protocol}", card, about))
+                for seat, role, what in (
+                    (DRIVER, "driver", "drives"),
+                    (VEHICLE_AI, "hmi", "alerts"),
+                ):
+                    about = f"{what}, attention {plan.name}, learned by {protocol}"
+                    name = f"{plan.name}-{protocol}-{role}"
+                    found.append(Agent(name, find_policy(run, seat), about))
         return found

@@ -89,7 +89,7 @@ def test_tasks_leave_out_what_they_do_not_allow():
 
 def test_anchored_runs_wait_for_the_driver_that_they_are_anchored_to():
     first, second = HIDDEN.waves()
-    assert {run.arm for run in second} >= {"anchored-0.003", "anchored-1", ROBUST}
+    assert {run.arm for run in second} >= {"anchored-0.003", "anchored-0.3", ROBUST}
     assert not any("anchored" in run.arm for run in first)
     for run in second:
         if run.arm.startswith("anchored"):
@@ -160,15 +160,15 @@ def test_all_play_with_all_of_the_same_and_of_the_next_seed():
         pair("alternating-run2", "joint-run0"),  # as many as both have
         pair("no-traits-run0", "simultaneous-run0"),
         pair("simultaneous-run1", "robust-run1"),
-        pair("two-stage-run1", "anchored-1-run1"),
-        pair("anchored-1-run1", "two-stage-run1"),
+        pair("two-stage-run1", "anchored-0.3-run1"),
+        pair("anchored-0.3-run1", "two-stage-run1"),
         Pair("hidden", RULE, "hidden/robust-run0"),
     }
     not_there = {
         pair("joint-run3", "joint-run5"),
         pair("alternating-run2", "joint-run3"),
         pair("robust-run0", "robust-run0"),
-        pair("joint-run1", "anchored-1-run1"),
+        pair("joint-run1", "anchored-0.3-run1"),
         pair("no-traits-run0", "two-stage-budget-1000000-run0"),
     }
     assert there <= set(pairs)

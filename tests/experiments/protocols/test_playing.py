@@ -229,7 +229,7 @@ def test_json_holds_every_pair(content: dict) -> None:
 def test_trained_pairs_of_the_first_seed_ship(folder: Path) -> None:
     agents = TINY.agents(Place(folder, folder))
     assert [agent.name for agent in agents] == [
-        f"hidden-{name}" for name in PLAN.protocols for _ in range(2)
+        f"hidden-{name}-{role}" for name in PLAN.protocols for role in ("driver", "hmi")
     ]
     assert all(agent.card.is_file() for agent in agents)
 

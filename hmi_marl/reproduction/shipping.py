@@ -1,0 +1,109 @@
+"""Ship agents: copy what experiments have learned to where the package has its trained agents."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import hmi_marl
+from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, MOST_WEIGHTS, Shipped, shipped_agents
+from hmi_marl.experiments.experiment import Agent, Place
+from hmi_marl.files import with_checksum, without_checksum, write_bytes, write_json
+from hmi_marl.ownership import check_free
+from hmi_marl.reading import read_bytes, read_json
+from hmi_marl.reproduction.suite import Suite, digests, is_done
+
+_PLACE = re.compile(r"(?<![^\s'\"=])(?:[A-Za-z]:[\\/]|[/~])[^\s'\"]*")
+"""Absolute path within a text."""
+
+
+def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
+    """Copy the agents of all experiments into ``out``, in place of what was there, and index them.
+
+    Args:
+        suite, run: experiments of the reproduction, and its folder.
+        driver_run: run of the driver policy that they share.
+        out: a folder of shipped agents, an empty folder, or a new one.
+
+    Raises:
+        ValueError: an experiment is not finished, or ``out`` holds something else.
+    """
+    if out.exists() and any(out.iterdir()):
+        try:
+            shipped_agents(out)
+        except (OSError, ValueError) as error:
+            raise ValueError(
+                f"{out} holds other things than shipped agents; choose another --out ({error})"
+            ) from None
+    agents = []
+    for experiment in suite:
+        place = Place(run / experiment.name, driver_run)
+        if not is_done(experiment, place, run):
+            raise ValueError(
+                f"stage {experiment.name} of {run} is not finished; run it to its end first"
+            )
+        agents += experiment.agents(place)
+    check_free(run)
+    _write(agents, {}, out)
+    return agents
+
+
+def ship_more(agents: Sequence[Agent], out: Path) -> None:
+    """Add agents to the shipped ones in ``out``, in place of those of the same names.
+
+    Raises:
+        FileNotFoundError, ValueError: ``out`` holds no shipped agents, or a card is damaged.
+    """
+    names = {agent.name for agent in agents}
+    _write(agents, {n: a for n, a in shipped_agents(out).items() if n not in names}, out)
+
+
+def _write(agents: Sequence[Agent], kept: Mapping[str, Shipped], out: Path) -> None:
+    """Write agents, and those in ``out`` that are kept, in place of what is in ``out``."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
+        folder = Path(made) / out.name
+        index = {name: _keep(agent, out, folder) for name, agent in kept.items()}
+        index |= {agent.name: _copy(agent, folder) for agent in agents}
+        about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
+        write_json(folder / INDEX, with_checksum(about))
+        before = out.with_name(f".{out.name}-before")
+        if out.exists():
+            out.replace(before)  # still there if what comes next is interrupted
+        folder.replace(out)
+        shutil.rmtree(before, ignore_errors=True)
+
+
+def _keep(agent: Shipped, out: Path, folder: Path) -> dict[str, Any]:
+    """Copy the files of a shipped agent as they are; returns the index's entry."""
+    for name in agent.files:
+        write_bytes(folder / name, read_bytes(out / name, MOST_WEIGHTS))
+    return {"what": agent.what, "kind": agent.kind, "files": dict(agent.files)}
+
+
+def _copy(agent: Agent, folder: Path) -> dict[str, Any]:
+    """Copy a card, without this machine's paths, and its weights; returns the index's entry."""
+    card = folder / agent.name / agent.card.name
+    try:
+        about = without_checksum(read_json(agent.card))
+    except ValueError as error:
+        raise ValueError(f"{agent.card} is damaged: {error}; run its experiment again") from None
+    write_json(card, with_checksum(without_places(about)))
+    weights = card.with_suffix(".safetensors")
+    write_bytes(weights, read_bytes(agent.card.with_suffix(".safetensors"), MOST_WEIGHTS))
+    return {"what": agent.what, "kind": card.stem, "files": digests((card, weights), folder)}
+
+
+def without_places(content: Any) -> Any:
+    """Shorten absolute paths in JSON content to their last part."""
+    if isinstance(content, dict):
+        return {name: without_places(value) for name, value in content.items()}
+    if isinstance(content, list):
+        return [without_places(value) for value in content]
+    if isinstance(content, str):
+        return _PLACE.sub(lambda found: re.split(r"[\\/]", found[0].rstrip("\\/"))[-1], content)
+    return content
