@@ -108,7 +108,8 @@ def plan_runs(
     sizes = [math.prod(len(option.values) for option in chosen[each]) for each in protocols]
     if sum(sizes) * seeds > MOST_RUNS:
         raise ValueError(
-            f"a sweep has at most {MOST_RUNS} runs, but these values make {sum(sizes) * seeds}"
+            f"a sweep has at most {MOST_RUNS} runs, but these values and seeds = {seeds} make "
+            f"{sum(sizes) * seeds}"
         )
     return tuple(
         SweptRun(combination, number, _settings(combination, int(part_seed(seed, number))))
