@@ -66,10 +66,9 @@ class Subcommand:
         for part in self.parts:
             if type(getattr(command, self.choice)) is part.load():
                 part.check(getattr(command, self.choice), path)
-        need(path, *self.needs)
-        for option in self.options:
-            if option.chosen(command):
-                need(f"{path} {option.shown}", *option.needs)
+        chosen = [option for option in self.options if option.chosen(command)]
+        words = " ".join([path, *(option.shown for option in chosen)])
+        need(words, *self.needs, *(module for option in chosen for module in option.needs))
 
     def leaves(self, path: str = "") -> Iterator[tuple[str, Subcommand]]:
         """List all that can be run, with the words that are typed for each."""

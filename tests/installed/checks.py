@@ -140,12 +140,13 @@ def checks(spec: Spec) -> Iterator[tuple[str, Check]]:
     yield "imported from the wheel", check_origin
     yield "version", check_version
     paths = [accumulate(row.name.split(), "{} {}".format) for row in COMMANDS]
-    for words in dict.fromkeys(["", *(path for steps in paths for path in steps)]):
+    wanted = [] if spec.extras else ["", *(path for steps in paths for path in steps)]
+    for words in dict.fromkeys(wanted):  # without any extra, so no extra is needed for it
         yield f"help {words}".strip(), check_help(words)
     for row in ROWS:
         if spec.runs(row):
             yield str(row), check_row(row)
     for row in (*COMMANDS, *OPTIONS):
         missing = row.needs - spec.extras
-        if missing:
+        if missing and len(spec.extras) <= 1:
             yield f"{row} refused", check_refusal(row, missing)

@@ -46,13 +46,8 @@ class Spec:
         return extras if self.python == HERE else f"{extras}-{self.python}"
 
     def runs(self, row: Row) -> bool:
-        """Whether a row is really run here.
-
-        With one extra at most everything runs that can; several are there for what needs them all.
-        """
-        if row.not_run or not row.needs <= self.extras:
-            return False
-        return row.needs == self.extras or (len(self.extras) <= 1 and not row.dear)
+        """Whether a row is really run here: where nothing is installed beyond what it needs."""
+        return not row.not_run and row.needs == self.extras
 
 
 def _specs() -> Iterator[Spec]:

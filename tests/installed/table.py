@@ -36,8 +36,6 @@ class Row:
     """Commands that write what it reads."""
     prepared: Sequence[str] = ()
     """The same for commands that need more than it does: the Python of the tests runs them."""
-    dear: bool = False
-    """Takes long: run only where nothing is installed beyond what it needs."""
     not_run: str = ""
     """Why no real run is made."""
 
@@ -71,7 +69,7 @@ def _prefixed(prefix: str, options: str) -> str:
 
 
 COMMANDS = (
-    _command("adapt", CORE, f"{_JUDGED} --workers 1 --no-clip", dear=True),
+    _command("adapt", CORE, f"{_JUDGED} --workers 1 --no-clip"),
     _command("bench", CORE, "--teams 1 --scaling 2 --seconds 0.05 --rounds 1 --threads 1"),
     _command("collect", DATA, "--drivers homer --steps 100 --num-teams 1"),
     _command("compare", TRAIN, _COMPARED),
@@ -82,37 +80,32 @@ COMMANDS = (
         "reproduce table",
         TRAIN,
         "--driver-steps 1600 --hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
-        dear=True,
     ),
     _command("reproduce driver", TRAIN, "--steps 1600 --snapshots 1 --episodes 2 --num-teams 16"),
     _command(
         "reproduce hidden",
         TRAIN,
         "--driver-run trained:driver --hmi-steps 3200 --episodes 2 --num-teams 32 --workers 1",
-        dear=True,
     ),
     _command(
         "reproduce adapt",
         TRAIN,
         "--drives 300 --updates 1 --hmi-steps 3200 --rnn-hidden-dim 2 --num-teams 32 --workers 1 "
         + _prefixed("evaluation", _JUDGED),
-        dear=True,
     ),
     _command(
         "reproduce traits",
         TRAIN | DATA,
         "--driver-run trained:driver --demonstrated 6400 --population 4 --workers 1 "
         f"{_prefixed('learn', _LEARN)} {_prefixed('evaluation', _ASSESS)}",
-        dear=True,
     ),
     _command(
         "reproduce graded",
         TRAIN,
         "--hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
-        dear=True,
     ),
     _command("reproduce protocols", TRAIN, _COMPARED),
-    _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}", dear=True),
+    _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}"),
     _command(
         "reproduce ship",
         CORE,
@@ -143,8 +136,8 @@ COMMANDS = (
 
 OPTIONS = (
     Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --num-teams 1 --minari"),
-    Row("option", "compare --ray", TRAIN | RAY, f"{_COMPARED} --ray local", dear=True),
-    Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local", dear=True),
+    Row("option", "compare --ray", TRAIN | RAY, f"{_COMPARED} --ray local"),
+    Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local"),
     *(
         Row("option", f"{row.name} --ray", row.needs | RAY, not_run="trains as compare --ray does")
         for row in COMMANDS
@@ -155,7 +148,7 @@ OPTIONS = (
 """Options that need more than their subcommand does, or another part of an extra."""
 
 EXAMPLES = tuple(
-    Row("example", name, needs, " ".join(TINY[name][0]), dear=name == "unknown_driver")
+    Row("example", name, needs, " ".join(TINY[name][0]))
     for name, needs in {
         "turn_taking": CORE,
         "new_driver": CORE,
@@ -182,7 +175,7 @@ README_BLOCKS = (
 """Every block of Python of the README, by words that are in it alone."""
 
 SITE_PAGES = tuple(
-    Row("page", name, needs, prepared=prepared, dear=True)
+    Row("page", name, needs, prepared=prepared)
     for name, (needs, *prepared) in {
         "adapting.md": (CORE,),
         "custom-trainers.md": (TRAIN | INTEROP,),
