@@ -139,7 +139,13 @@ OPTIONS = (
     Row("option", "compare --ray", TRAIN | RAY, f"{_COMPARED} --ray local"),
     Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local"),
     *(
-        Row("option", f"{row.name} --ray", row.needs | RAY, not_run="trains as compare --ray does")
+        Row(
+            "option",
+            f"{row.name} --ray",
+            row.needs | RAY,
+            "--ray local",
+            not_run="trains as compare --ray does",
+        )
         for row in COMMANDS
         if row.name.startswith("reproduce ") and row.name != "reproduce ship"
     ),

@@ -287,7 +287,7 @@ def _no_convention(results: TaskResults) -> list[Verdict]:
     """Attention hidden: a jointly trained HMI does not help a driver that learned alone."""
     verdicts = []
     for protocol, change in against_average_hmi(results).items():
-        below = change.estimate.mean < 0.0 and bool(change.differs)
+        below = change.estimate.high < 0.0
         claim = (
             f"{results.plan.name}, {protocol}: its HMI does worse with the stage-1 driver than the "
             "HMI for the average driver"
