@@ -74,7 +74,7 @@ def test_the_report_is_shipped_beside_the_agents(tmp_path: Path, monkeypatch, ca
     for name in (PAGE, NUMBERS):
         (run / name).write_text(name)
     copied = [Agent("homer", run / "vehicle_ai.json", "alerts homer")]
-    monkeypatch.setattr("hmi_marl.reproduction.suite.ship", lambda *given: copied)
+    monkeypatch.setattr("hmi_marl.reproduction.shipping.ship", lambda *given: copied)
     command = ["reproduce", "ship", "--run", str(run), "--out", str(tmp_path / "out")]
     assert main(command) == 0
     assert capsys.readouterr().out.split() == ["homer", "alerts", "homer"]
@@ -84,3 +84,15 @@ def test_the_report_is_shipped_beside_the_agents(tmp_path: Path, monkeypatch, ca
         PAGE: PAGE,
         NUMBERS: NUMBERS,
     }
+
+
+def test_pairs_of_a_comparison_are_shipped_beside_the_agents(
+    tmp_path: Path, monkeypatch, capsys
+) -> None:
+    added = []
+    monkeypatch.setattr(
+        "hmi_marl.reproduction.shipping.ship_more", lambda agents, out: added.extend(agents)
+    )
+    assert main(["reproduce", "ship", "--compare", str(tmp_path), "--out", "trained"]) == 2
+    assert "two-stage-run0" in capsys.readouterr().err
+    assert added == []
