@@ -287,16 +287,15 @@ def _no_convention(results: TaskResults) -> list[Verdict]:
     """Attention hidden: a jointly trained HMI does not help a driver that learned alone."""
     verdicts = []
     for protocol, change in against_average_hmi(results).items():
-        below = change.estimate.high < 0.0
+        low, high = change.estimate.low, change.estimate.high
         claim = (
             f"{results.plan.name}, {protocol}: its HMI does worse with the stage-1 driver than the "
             "HMI for the average driver"
         )
         reason = f"{change.estimate.shown('+z.1f')} per episode, paired over {change.pairs} runs"
-        outcome = Outcome.SUPPORTED if below else Outcome.NOT_SUPPORTED
-        verdicts.append(
-            Verdict(claim, Outcome.UNTESTABLE if change.differs is None else outcome, reason)
-        )
+        outcome = Outcome.SUPPORTED if high < 0.0 else Outcome.NOT_SUPPORTED
+        is_open = change.differs is None or low < 0.0 <= high
+        verdicts.append(Verdict(claim, Outcome.UNTESTABLE if is_open else outcome, reason))
     return verdicts
 
 
