@@ -15,15 +15,13 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hmi_marl.agents.catalogue import is_learned, mixed_names
-from hmi_marl.agents.learned.cards import is_shipped
-from hmi_marl.envs.config import DRIVER
 from hmi_marl.extras import TRAINING, need
 from hmi_marl.ownership import check_free
 from hmi_marl.training.cluster.cluster import Cluster
+from hmi_marl.training.policies import policies_read, reading
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.exchange import SharedMemory
-from hmi_marl.training.runs.folder import POLICIES, read_curve
+from hmi_marl.training.runs.folder import read_curve
 from hmi_marl.training.runs.start import (
     check_processes,
     check_start,
@@ -48,22 +46,12 @@ class Job:
     @property
     def reads(self) -> tuple[Path, ...]:
         """Learned driver policies that it needs, unless they come with the package."""
-        names = (getattr(self.settings, setting, None) for setting in POLICIES)
-        return policies_read(*(n for name in names if name for n in mixed_names(name) or (name,)))
+        return policies_read(self.settings)
 
     @property
     def on_gpu(self) -> bool:
         """Whether it asks for a GPU. On a cluster ``auto`` does not, so that nodes are alike."""
         return self.settings.device.startswith("cuda")
-
-
-def policies_read(*drivers: str | None) -> tuple[Path, ...]:
-    """Paths of the driver policies that are files, among names of driver policies."""
-    return tuple(
-        Path(name).absolute()
-        for name in drivers
-        if name is not None and is_learned(name, DRIVER) and not is_shipped(name)
-    )
 
 
 def train_all(
@@ -166,7 +154,7 @@ def train_in(
     Args:
         policies: where the driver policies of :attr:`Job.reads` are on this machine.
     """
-    settings = replace(_reading(settings, policies), threads=1)
+    settings = replace(reading(settings, policies), threads=1)
     shown: dict[str, Any] = {"quiet": quiet, "command_line": command_line, "line": own_line()}
     if (processes := default_processes(settings, limit)) > 1:
         start_together(processes, _train_rank, settings, folder, shown)
@@ -174,18 +162,6 @@ def train_in(
     from hmi_marl.training.ppo.run import train_rank  # torch, with the threads that were just set
 
     train_rank(settings, folder, None, shown)
-
-
-def _reading(settings: TrainSettings, policies: Sequence[Path]) -> TrainSettings:
-    """Return settings whose driver policies are read at these places, in their order."""
-    places, changed = iter(policies), dict[str, str]()
-    for setting in POLICIES:
-        name = getattr(settings, setting, None)
-        if name is not None:
-            mixed = mixed_names(name)
-            names = [str(next(places)) if policies_read(n) else n for n in mixed or (name,)]
-            changed[setting] = f"mixture:{','.join(names)}" if mixed else names[0]
-    return replace(settings, **changed)  # type: ignore[arg-type]
 
 
 def _train_rank(

@@ -75,13 +75,26 @@ class Elsewhere(Cluster):
             put(task.folder, state_in(folder))
 
 
-def test_a_run_on_another_machine_finds_its_driver_policy_there(tmp_path, monkeypatch):
+FEW = {
+    "num_teams": 8,
+    "duration": 1.0,
+    "ppo": PPOSettings(num_learning_epochs=1, num_mini_batches=2),
+}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        TwoStage(driver_policy="./driver", hmi_steps=1, **FEW),
+        TwoStage(driver_policy="mixture:rule,./driver,trained:driver", hmi_steps=1, **FEW),
+        Joint(anchor="./driver", anchor_kl=0.5, steps=1, **FEW),
+    ],
+    ids=["partner", "mixture", "anchor"],
+)
+def test_a_run_on_another_machine_finds_its_driver_policies_there(settings, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    ppo = PPOSettings(num_learning_epochs=1, num_mini_batches=2)
-    few = {"num_teams": 8, "duration": 1.0, "ppo": ppo}
-    driver = TwoStage(driver_steps=1, hmi_steps=0, **few)
+    driver = TwoStage(driver_steps=1, hmi_steps=0, **FEW)
     train(replace(driver, threads=1), tmp_path / "driver", quiet=True)
-    settings = TwoStage(driver_policy="./driver", hmi_steps=1, **few)
     train(replace(settings, threads=1), tmp_path / "here", quiet=True)
     job = Job(settings, tmp_path / "there" / "here")
     train_all([job], 2, quiet=True, cluster=Elsewhere(tmp_path / "node"))

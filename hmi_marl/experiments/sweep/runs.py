@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from hmi_marl.files import json_value, sha256_of, write_json
 from hmi_marl.ownership import owned
 from hmi_marl.reading import read_json
 from hmi_marl.training.jobs import Job, train_in
+from hmi_marl.training.policies import reading
 from hmi_marl.training.protocols.settings import TrainSettings
 from hmi_marl.training.runs.folder import FREE, read_curve, run_settings
 from hmi_marl.training.tasks import Task
@@ -97,11 +98,10 @@ def train_and_play(
     command_line: str,
     processes: int,
     folder: Path,
-    driver_policy: Path | None = None,
+    *policies: Path,
 ) -> None:
     """Train in ``folder`` what is not trained yet, play, and write the result there."""
-    if driver_policy is not None:  # where it is on this machine
-        settings = replace(settings, driver_policy=str(driver_policy))  # type: ignore[call-arg]
+    settings = reading(settings, policies)
     train_in(settings, command_line, False, processes, folder)
     with owned(folder):
         result = _play(settings, evaluation, folder)

@@ -7,14 +7,15 @@ from pathlib import Path
 
 from hmi_marl.training.evidence.conditioned import learn_conditioned
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.jobs import own_line, policies_read
+from hmi_marl.training.jobs import own_line
+from hmi_marl.training.policies import policies_read, reading
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.tasks import Task
 
 
 def evidence_task(settings: EvidenceSettings, folder: Path, command_line: str = "") -> Task:
     """Make the task of learning an evidence model in ``folder``."""
-    reads = policies_read(settings.driver_policy)
+    reads = policies_read(settings)
     return Task(_learn_evidence, (settings, command_line), folder, reads)
 
 
@@ -22,24 +23,21 @@ def conditioned_task(
     settings: TwoStage, evidence: Path, folder: Path, command_line: str = ""
 ) -> Task:
     """Make the task of learning, in ``folder``, an HMI conditioned on the model of another run."""
-    reads = (evidence.absolute(), *policies_read(settings.driver_policy))
+    reads = (evidence.absolute(), *policies_read(settings))
     return Task(_learn_conditioned, (settings, command_line), folder, reads)
 
 
 def _learn_evidence(
-    settings: EvidenceSettings, command_line: str, folder: Path, driver: Path | None = None
+    settings: EvidenceSettings, command_line: str, folder: Path, *policies: Path
 ) -> None:
     from hmi_marl.training.evidence.run import learn_evidence  # torch, with the threads just set
 
-    settings = replace(settings, threads=1)
-    if driver is not None:  # where it is on this machine
-        settings = replace(settings, driver_policy=str(driver))
+    settings = replace(reading(settings, policies), threads=1)
     learn_evidence(settings, folder, command_line=command_line, line=own_line())
 
 
 def _learn_conditioned(
-    settings: TwoStage, command_line: str, folder: Path, evidence: Path, driver: Path | None = None
+    settings: TwoStage, command_line: str, folder: Path, evidence: Path, *policies: Path
 ) -> None:
-    if driver is not None:
-        settings = replace(settings, driver_policy=str(driver))
+    settings = reading(settings, policies)
     learn_conditioned(settings, evidence, folder, command_line, own_line())
