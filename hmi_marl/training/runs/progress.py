@@ -13,7 +13,7 @@ from hmi_marl.training.runs.reports import listener
 
 _LOSSES = ("L1", "L2", "L3", "L4")
 _ON_THE_BAR = ("return", "crash_rate", "alerts", "imitation", "loss", "held_out_loss")
-_LEARNING = ("value", "surrogate", "entropy", "learning_rate", "imitation", *_LOSSES)
+_LEARNING = ("value", "surrogate", "entropy", "learning_rate", "anchor_kl", "imitation", *_LOSSES)
 _SPEED = ("steps_per_second", "share_of_time_learning", "seconds")
 _NOTHING: Mapping[str, float] = MappingProxyType({})
 
