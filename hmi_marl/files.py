@@ -210,7 +210,7 @@ _CHECKSUM = "sha256"
 
 def with_checksum(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return JSON content with a checksum over all of it; see :func:`without_checksum`."""
-    return {**content, _CHECKSUM: _checksum(content)}
+    return {**content, _CHECKSUM: json_digest(content)}
 
 
 def without_checksum(content: Any) -> dict[str, Any]:
@@ -222,13 +222,13 @@ def without_checksum(content: Any) -> dict[str, Any]:
     if not isinstance(content, dict) or _CHECKSUM not in content:
         raise ValueError("it has no checksum")
     before = {name: value for name, value in content.items() if name != _CHECKSUM}
-    if content[_CHECKSUM] != _checksum(before):
+    if content[_CHECKSUM] != json_digest(before):
         raise ValueError("its checksum differs")
     return before
 
 
-def _checksum(content: Mapping[str, Any]) -> str:
-    """Checksum of JSON content, whatever the order of its names and the space between them."""
+def json_digest(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of JSON content, whatever the order of its names and the spaces in it."""
     as_read = json.loads(json.dumps(content))  # keys are texts, which can be sorted
     return sha256(json.dumps(as_read, sort_keys=True).encode())
 

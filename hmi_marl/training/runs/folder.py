@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from hmi_marl.agents.catalogue import learned_file, mixed_names
 from hmi_marl.agents.learned.cards import is_shipped
 from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
-from hmi_marl.files import json_value, sha256, sha256_of
+from hmi_marl.files import json_digest, json_value, sha256_of
 from hmi_marl.reading import MOST_STATE_VALUES, read_json
 from hmi_marl.training.protocols.anchored import OWN_DRIVER
 from hmi_marl.typed_json import read_value
@@ -126,8 +125,7 @@ def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> Non
 
 def settings_digest(about: dict[str, Any]) -> str:
     """SHA-256 checksum of what must be the same when a run is resumed, of its ``run.json``."""
-    content = json.loads(json.dumps(_binding(about)))  # keys become texts, which can be sorted
-    return sha256(json.dumps(content, sort_keys=True).encode())
+    return json_digest(_binding(about))
 
 
 def _differing(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
