@@ -110,7 +110,7 @@ def task(
         )
         for pair in (*all_pairs(plan), *rivals.values())
     }
-    training = {run.name: Training(8000, 120, 60.0 + run.number, ()) for run in plan.runs}
+    training = {run.name: Training(8000, 120, 60.0 + run.number) for run in plan.runs}
     curves = {
         run.name: [(4000, sums(100.0 + run.number)), (8000, sums(500.0 + run.number))]
         for arm in plan.protocols

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.experiments.episodes import Episodes
 
+NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
+"""Metrics whose intervals end at 0."""
 ALL_DRIVERS = "all"
 """In place of a driver's name: all drivers of the population together."""
 

@@ -240,9 +240,10 @@ def play_named(
     hmi: str,
     count: int,
     observers: Sequence[Observer] = (),
+    sequential: bool = True,
 ) -> Episodes:
     """Play the first ``count`` evaluation episodes, the same ones in every experiment (paired)."""
-    seats = make_driver_policy(driver_policy, team), make_hmi(hmi, team)
+    seats = make_driver_policy(driver_policy, team), make_hmi(hmi, team, sequential)
     seeds = evaluation_seeds(count)
     return play_episodes(team, *seats, seeds, world="batched", observers=observers)
 

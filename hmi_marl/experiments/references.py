@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.rollout import Observer
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.rewards import DRIVING_TERMS
 from hmi_marl.exact import oracle
@@ -38,10 +38,9 @@ from hmi_marl.exact.hidden_attention import follow_rule, solve_belief
 from hmi_marl.experiments.episodes import (
     Episodes,
     driven_by,
-    evaluation_seeds,
     exact_settings,
     listed_drivers,
-    play_episodes,
+    play_named,
 )
 from hmi_marl.experiments.signalling import SignalCounter, Signalling
 from hmi_marl.reporting import statistics
@@ -129,14 +128,6 @@ def reference_returns(
         for name, which in driven_by(team, episodes.seeds).items()
         if which.any()
     }
-
-
-def references(
-    team: TeamConfig, episodes: Episodes, revealing: Mapping[str, float], sequential: bool = True
-) -> dict[str, References]:
-    """Average :func:`reference_returns` over each driver's episodes."""
-    returns = reference_returns(team, episodes, revealing, sequential)
-    return {name: each.means() for name, each in returns.items()}
 
 
 @dataclass(frozen=True)
@@ -279,6 +270,7 @@ def measure_pair(
     count: int,
     natural: Episodes | None = None,
     sequential: bool = True,
+    observers: Sequence[Observer] = (),
 ) -> PairResult:
     """Play the first evaluation episodes with policies by name; measure signals and score them.
 
@@ -288,15 +280,15 @@ def measure_pair(
         count: number of episodes.
         natural: see :func:`score_pair`; for example the ``episodes`` of another result.
         sequential: False for an HMI that moves at the same time as the driver.
+        observers: watch the episodes too.
 
     Raises:
         FileNotFoundError, ValueError: an unknown name, or a population that is no list of drivers.
     """
-    driver, ai = make_driver_policy(driver_policy, team), make_hmi(hmi, team, sequential)
-    counter, seeds = SignalCounter(), evaluation_seeds(count)
+    counter = SignalCounter()
     listed_drivers(team)  # refuses a population before anything is played
-    episodes = play_episodes(team, driver, ai, seeds, "batched", observers=[counter])
-    signalling = counter.by_driver(team, seeds)
+    episodes = play_named(team, driver_policy, hmi, count, [counter, *observers], sequential)
+    signalling = counter.by_driver(team, episodes.seeds)
     revealing = {name: each.total.share for name, each in signalling.items()}
     scores = score_pair(team, episodes, revealing, natural, sequential)
     played = {each.driver for each in scores}

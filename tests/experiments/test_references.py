@@ -25,7 +25,7 @@ from hmi_marl.experiments.references import (
     ReferenceReturns,
     mean_score,
     measure_pair,
-    references,
+    reference_returns,
     score_pair,
     score_tables,
 )
@@ -81,7 +81,8 @@ def test_a_score_and_the_parts_of_a_regret_worked_by_hand():
         score.references.filter,
         score.references.optimum,
     ) == pytest.approx((10 / 3, 15.0, 50 / 3))
-    assert references(COIN, episodes, {"coin": 0.3}) == {"coin": score.references}
+    returns = reference_returns(COIN, episodes, {"coin": 0.3})
+    assert {name: each.means() for name, each in returns.items()} == {"coin": score.references}
     # Returns above none: 10, 0, 0; the gain: 20, 0, 20.
     assert score.score.mean == pytest.approx(0.25)
     assert score.attention_return.mean == pytest.approx(20 / 3)

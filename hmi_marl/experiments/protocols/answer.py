@@ -91,7 +91,7 @@ def _left(results: TaskResults) -> str:
     )
     if change is None:
         return f"{text}."
-    less = "surely less" if change.differs and change.estimate.mean < 0.0 else "not surely less"
+    less = "surely less" if change.estimate.high < 0.0 else "not surely less"
     amount = change.estimate.shown("+z.0f")
     return f"{text}; that is {less} than the HMI for the average driver earns ({amount})."
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, Arm
-from hmi_marl.experiments.protocols.results import Comparison, TaskResults, Training
+from hmi_marl.experiments.protocols.results import Comparison, TaskResults
 from hmi_marl.reporting.many_runs import Difference, paired_differences
 
 ALIKE = 0.1
@@ -54,7 +54,7 @@ def at_equal_gradients(comparison: Comparison) -> list[AtEqualGradients]:
     )
     found = []
     for (results, ours, theirs), difference in zip(matched, differences, strict=True):
-        one, other = _training(results, ours), _training(results, theirs)
+        one, other = results.cost(ours.name), results.cost(theirs.name)
         found.append(
             AtEqualGradients(
                 results.plan.name,
@@ -74,13 +74,9 @@ def _matches(results: TaskResults) -> Iterator[tuple[Arm, Arm]]:
     budgeted = [arm for arm in results.whole_arms() if arm.anchor_kl is None and not arm.options]
     references = [arm for arm in budgeted if arm.protocol == TWO_STAGE]
     for ours in budgeted:
-        one = _training(results, ours)
+        one = results.cost(ours.name)
         for theirs in references if ours.protocol != TWO_STAGE else ():
-            other = _training(results, theirs)
+            other = results.cost(theirs.name)
             apart = abs(one.gradient_steps - other.gradient_steps)
             if apart <= ALIKE * other.gradient_steps and one.steps != other.steps:
                 yield ours, theirs
-
-
-def _training(results: TaskResults, arm: Arm) -> Training:
-    return results.training[results.plan.runs_of(arm.name)[0].name]

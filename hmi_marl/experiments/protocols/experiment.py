@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -60,9 +60,9 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         shares: dict[str, Shares] = {}
         tried: dict[str, dict[str, float]] = {}
         found = {}
-        for plan in self.plans():
-            tried[plan.name], shares[plan.name] = self._tune(plan, place)
-            (plan,) = (p for p in self.plans(shares) if p.name == plan.name)
+        for untuned in self.plans():
+            tried[untuned.name], shares[untuned.name] = self._tune(untuned, place)
+            plan = replace(untuned, shares=shares[untuned.name])
             for wave in plan.waves():
                 place.train(plan.jobs(place.folder, wave))
             found[plan.name] = self._play(plan, place)
@@ -70,7 +70,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
 
     def _tune(self, plan: TaskPlan, place: Place) -> tuple[dict[str, float], Shares]:
         """Try out the shares of the driver's stage; team returns by arm, and the best shares."""
-        runs, arms = plan.tuning_runs, plan.tuning_arms()
+        runs, arms = plan.tuning_runs, plan.tuning_arms.values()
         if not runs:
             return {}, {}
         place.train(plan.jobs(place.folder, runs))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -13,7 +13,7 @@ from hmi_marl.envs.config import Duration, VehicleRange
 from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.protocols.arms import MAIN
-from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
+from hmi_marl.experiments.protocols.task_plan import TaskPlan
 from hmi_marl.experiments.protocols.tasks import TASKS
 from hmi_marl.registry import unknown
 from hmi_marl.training.protocols.registry import compared
@@ -122,10 +122,9 @@ class ComparisonSettings(Checked):
         """Names of the drivers."""
         return tuple(get_driver(driver).name for driver in self.drivers)
 
-    def plans(self, shares: Mapping[str, Shares] | None = None) -> tuple[TaskPlan, ...]:
-        """Return the plan of every task, with these shares of the driver's stage."""
-        given = shares or {}
-        return tuple(TaskPlan(self, task, given.get(task, {})) for task in self.tasks)
+    def plans(self) -> tuple[TaskPlan, ...]:
+        """Return the plan of every task, before shares of the driver's stage are chosen."""
+        return tuple(TaskPlan(self, task) for task in self.tasks)
 
 
 def coarse(settings: S) -> S:

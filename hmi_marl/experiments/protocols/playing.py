@@ -15,20 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
-from hmi_marl.agents.learned.policy import LearnedPolicy
+from hmi_marl.agents.learned.policy import LearnedPolicy, load_policy
 from hmi_marl.agents.rollout import Observer
 from hmi_marl.envs.config import DRIVER, TeamConfig
-from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import part_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ratio
-from hmi_marl.experiments.episodes import driven_by, evaluation_seeds, play_episodes
+from hmi_marl.experiments.episodes import (
+    driven_by,
+    evaluation_seeds,
+    play_episodes,
+    play_named,
+)
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun, is_run
 from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.snapshots import Point, points_of
 from hmi_marl.experiments.protocols.task_plan import TaskPlan
-from hmi_marl.experiments.references import PairScore, score_pair
-from hmi_marl.experiments.signalling import SignalCounter, Signalling
+from hmi_marl.experiments.references import PairScore, measure_pair
+from hmi_marl.experiments.signalling import Signalling
 from hmi_marl.workers import results
 
 
@@ -48,9 +52,6 @@ class Played:
     divergence: Mapping[str, float]
     """Divergence of the driver from the two-stage driver of the same number [nats per step], by
     driver; only of pairs of one run, where there is one."""
-
-
-Results = Mapping[Pair, Played]
 
 
 class Divergence(Observer):
@@ -98,44 +99,35 @@ def episodes_of(plan: TaskPlan, pair: Pair) -> int:
 
 def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     """Play a pair's episodes; sum them up for each driver and for ``ALL_DRIVERS``."""
-    team = plan.team(pair.end_at_crash)
+    team, count = plan.team(pair.end_at_crash), episodes_of(plan, pair)
     driver, hmi = (_place(plan, folder, name) for name in (pair.driver, pair.hmi))
-    count = episodes_of(plan, pair)
-    seats = make_driver_policy(driver, team), make_hmi(hmi, team, plan.task.sequential)
-    counter = SignalCounter()
-    divergence = _divergence(plan, folder, pair, team, seats[0]) if pair.own else None
-    observers = [each for each in (counter, divergence) if each is not None]
-    seeds = evaluation_seeds(count)
-    episodes = play_episodes(team, *seats, seeds, "batched", observers=observers)
-    drawn = driven_by(team, seeds)
-    signals = counter.by_driver(team, seeds)
-    add = partial(Sums.of, episodes, frequency=team.scene.policy_frequency)
-    shares = {name: signal.total.share for name, signal in signals.items()}
-    scores = score_pair(team, episodes, shares, sequential=plan.task.sequential)
+    divergence = _divergence(plan, folder, pair, team) if pair.own else None
+    observers = [] if divergence is None else [divergence]
+    sequential = plan.task.sequential
+    found = measure_pair(team, driver, hmi, count, sequential=sequential, observers=observers)
+    drawn = driven_by(team, found.episodes.seeds)
+    add = partial(Sums.of, found.episodes, frequency=team.scene.policy_frequency)
     first = np.arange(count) < shared_episodes(plan)
     return Played(
         {ALL_DRIVERS: add(np.ones(count, np.bool_))}
         | {n: add(which) for n, which in drawn.items()},
         {n: add(which & first) for n, which in drawn.items()},
-        {each.driver: each for each in scores},
-        signals if pair.own else {},
+        {each.driver: each for each in found.scores},
+        found.signalling if pair.own else {},
         {} if divergence is None else {n: divergence.mean(which) for n, which in drawn.items()},
     )
 
 
-def _divergence(
-    plan: TaskPlan, folder: Path, pair: Pair, team: TeamConfig, driver: Policy
-) -> Divergence | None:
+def _divergence(plan: TaskPlan, folder: Path, pair: Pair, team: TeamConfig) -> Divergence | None:
     """Observer of the divergence from the two-stage driver of the same number, if there is one."""
     number = next((run.number for run in plan.runs if run.name == pair.driver), None)
     arm = plan.arms.get(TWO_STAGE)
     if number is None or arm is None or number >= arm.seeds:
         return None
-    place = PlannedRun(plan.name, TWO_STAGE, number).folder(folder)
-    natural = make_driver_policy(str(place), team)
-    if not isinstance(driver, LearnedPolicy) or not isinstance(natural, LearnedPolicy):
-        return None
-    return Divergence(driver, natural)
+    natural = PlannedRun(plan.name, TWO_STAGE, number).name
+    return Divergence(
+        *(load_policy(_place(plan, folder, name), DRIVER, team) for name in (pair.driver, natural))
+    )
 
 
 def _place(plan: TaskPlan, folder: Path, name: str) -> str:
@@ -176,11 +168,8 @@ def tuning_return(plan: TaskPlan, folder: Path, run: PlannedRun) -> float:
 
 def play_point(plan: TaskPlan, folder: Path, point: Point) -> Sums:
     """Play a run's policies as they were at a point of its learning curve."""
-    team = plan.team()
-    driver = make_driver_policy(point.driver, team)
-    hmi = make_hmi(point.hmi, team, plan.task.sequential)
-    count = shared_episodes(plan)
-    episodes = play_episodes(team, driver, hmi, evaluation_seeds(count), "batched")
+    team, count, sequential = plan.team(), shared_episodes(plan), plan.task.sequential
+    episodes = play_named(team, point.driver, point.hmi, count, sequential=sequential)
     return Sums.of(episodes, np.ones(count, np.bool_), team.scene.policy_frequency)
 
 

@@ -7,30 +7,28 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, NEVER_NEGATIVE, Sums
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings
 from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.many_runs import over_runs
+from hmi_marl.reporting.many_runs import over_runs, paired_differences
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.training.protocols.settings import TEAM, TrainSettings
 from hmi_marl.training.runs.folder import read_curve
 
 UNKNOWN = Estimate(math.nan, math.nan, math.nan)
-_NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
 
 
 @dataclass(frozen=True)
 class Training:
-    """Costs of one run, and its learning curve."""
+    """Costs of one run."""
 
     steps: int
     """Environment steps."""
@@ -38,15 +36,12 @@ class Training:
     """Steps of an optimiser, of all that learn."""
     seconds: float
     """Wall time of training, interruptions left out."""
-    rows: Sequence[Mapping[str, Any]]
-    """Rows of the learning curve."""
 
     @classmethod
     def of(cls, settings: TrainSettings, folder: Path) -> Training:
         """Read it from the folder of a finished run."""
-        rows = read_curve(folder)
-        last = rows[-1]
-        return cls(int(last["steps"]), gradient_steps(settings), float(last["seconds"]), rows)
+        last = read_curve(folder)[-1]
+        return cls(int(last["steps"]), gradient_steps(settings), float(last["seconds"]))
 
 
 def gradient_steps(settings: TrainSettings) -> int:
@@ -89,7 +84,7 @@ class TaskResults:
 
     def over_runs(self, pairs: Sequence[Pair], metric: str, shared: bool = False) -> Estimate:
         """Average a metric over runs, with Student's t interval; see :meth:`values`."""
-        lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf
+        lowest = 0.0 if metric in NEVER_NEGATIVE else -math.inf
         return statistics.mean(self.values(pairs, metric, shared), lowest)
 
     def values(
@@ -177,6 +172,10 @@ class TaskResults:
     def crash_rate(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Estimate:
         """Share of the pairs' episodes that crash, with Wilson's interval; NaN without any."""
         return crash_rate(self.pooled(pairs, driver))
+
+    def cost(self, arm: str) -> Training:
+        """Costs of the first run of an arm; those of the others differ in their seconds alone."""
+        return self.training[self.plan.runs_of(arm)[0].name]
 
     def seconds(self, arm: str) -> Estimate:
         """Wall time of an arm's runs [s]."""
@@ -266,7 +265,8 @@ def crash_rate(sums: Sums) -> Estimate:
 
 def given_up(results: TaskResults, arm: str) -> Estimate:
     """Driving return that the driver gives up against the two-stage driver, paired by seed."""
-    ours = results.by_driver(results.own(arm), driving).mean(axis=1)
-    theirs = results.by_driver(results.own(TWO_STAGE), driving).mean(axis=1)
-    count = min(len(ours), len(theirs))
-    return statistics.mean(theirs[:count] - ours[:count])
+    theirs, ours = (
+        results.by_driver(results.own(name), driving).mean(axis=1) for name in (TWO_STAGE, arm)
+    )
+    (change,) = paired_differences([(theirs, ours)])
+    return change.estimate

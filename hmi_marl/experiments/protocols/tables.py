@@ -74,8 +74,7 @@ def cost_table(results: TaskResults, workers: int) -> Table:
     """Show what each arm's runs cost."""
     rows = []
     for arm in results.plan.arms.values():
-        runs = [results.training[run.name] for run in results.plan.runs_of(arm.name)]
-        spent, one = results.seconds(arm.name), runs[0]
+        spent, one = results.seconds(arm.name), results.cost(arm.name)
         rows.append(
             [
                 arm.name,
@@ -314,7 +313,7 @@ def budget_table(results: TaskResults) -> Table:
     budgeted = [arm for arm in results.whole_arms() if arm.anchor_kl is None]
     for arm in sorted(budgeted, key=lambda arm: (arm.protocol, arm.steps)):
         pairs = results.own(arm.name)
-        training = results.training[results.plan.runs_of(arm.name)[0].name]
+        training = results.cost(arm.name)
         rows.append(
             [
                 arm.protocol if arm.name.startswith(f"{arm.protocol}-budget") else arm.name,

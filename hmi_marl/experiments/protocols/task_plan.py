@@ -147,18 +147,20 @@ class TaskPlan:
             drivers = (*(name for name in MAIN if name in self.protocols), NO_TRAITS, RULE)
             yield Arm(ROBUST, TWO_STAGE, self.steps, few, (VEHICLE_AI,), partners=drivers)
 
-    def tuning_arms(self) -> list[Arm]:
-        """Arms that try out shares of the driver's stage, with half of the steps."""
+    @cached_property
+    def tuning_arms(self) -> dict[str, Arm]:
+        """Arms by name that try out shares of the driver's stage, with half of the steps."""
         shares = self.settings.driver_shares
         if len(shares) < 2 or not self.task.main:
-            return []
+            return {}
         steps = max(1, self.steps // 2)
-        return [
+        tried = [
             Arm(AT_SHARE.format(name, share), name, steps, 1, driver_share=share)
             for name in self.protocols
             if self._divides(name)
             for share in shares
         ]
+        return {arm.name: arm for arm in tried}
 
     def _divides(self, protocol: str) -> bool:
         """Whether a protocol divides its steps among the seats."""
@@ -171,14 +173,10 @@ class TaskPlan:
         )
         return one != other
 
-    @cached_property
-    def _tried(self) -> dict[str, Arm]:
-        return {arm.name: arm for arm in self.tuning_arms()}
-
     @property
     def tuning_runs(self) -> tuple[PlannedRun, ...]:
         """Runs that try out shares, with a seed that no other run has."""
-        return tuple(PlannedRun(self.name, arm.name, _TUNING) for arm in self.tuning_arms())
+        return tuple(PlannedRun(self.name, arm, _TUNING) for arm in self.tuning_arms)
 
     def runs_of(self, arm: str) -> tuple[PlannedRun, ...]:
         """Runs of an arm, in the order of their seeds."""
@@ -215,7 +213,7 @@ class TaskPlan:
     def training(self, run: PlannedRun, folder: Path) -> TrainSettings:
         """Settings of a run's training."""
         settings = self.settings
-        arm = self.arms.get(run.arm) or self._tried[run.arm]
+        arm = self.arms.get(run.arm) or self.tuning_arms[run.arm]
         protocol, variant = compared()[arm.protocol]
         shared: dict[str, Any] = {
             **self.task.options,

@@ -11,7 +11,7 @@ from typing import Any
 from hmi_marl.checks import Count
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed
-from hmi_marl.experiments.episode_sums import ALL_DRIVERS
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, NEVER_NEGATIVE
 from hmi_marl.experiments.experiment import Experiment, Place
 from hmi_marl.experiments.sweep.figure import sweep_figure
 from hmi_marl.experiments.sweep.options import written
@@ -26,8 +26,6 @@ from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.jobs import check_job, need_training, processes_each, side_by_side
 from hmi_marl.training.protocols.registry import PROTOCOLS
 from hmi_marl.training.runs.folder import CHECKPOINT
-
-_NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ def over_seeds(results: Sequence[Result], metric: str, driver: str = ALL_DRIVERS
     """Average a metric over runs, with Student's t interval; NaN where no run has it."""
     values = [result.by_driver[driver].metrics[metric] for result in results]
     known = [value for value in values if value is not None]
-    return statistics.mean(known, *([0.0] if metric in _NEVER_NEGATIVE else []))
+    return statistics.mean(known, *([0.0] if metric in NEVER_NEGATIVE else []))
 
 
 @dataclass(frozen=True)

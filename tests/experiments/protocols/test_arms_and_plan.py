@@ -115,16 +115,16 @@ def test_partners_fill_one_seat():
 
 
 def test_shares_are_tried_where_seats_learn_one_after_the_other():
-    arms = HIDDEN.tuning_arms()
+    arms = HIDDEN.tuning_arms.values()
     assert {arm.protocol for arm in arms} == {"two-stage", "alternating", "fine-tune"}
     assert Counter(arm.driver_share for arm in arms) == {0.125: 3, 0.25: 3, 0.5: 3, 0.75: 3}
     assert {arm.steps for arm in arms} == {4_000_000}
-    assert replace(DEFAULT, driver_shares=(0.6,)).plans()[1].tuning_arms() == []
+    assert replace(DEFAULT, driver_shares=(0.6,)).plans()[1].tuning_arms == {}
 
 
 def test_a_share_that_was_chosen_is_taken():
-    chosen = {"hidden": {"two-stage": 0.75}}
-    plan = DEFAULT.plans(chosen)[1]
+    chosen = {"two-stage": 0.75}
+    plan = replace(HIDDEN, shares=chosen)
     budgets = {
         name: plan.budget(plan.arms[name]) for name in ("two-stage", "alternating", TWO_STAGE)
     }

@@ -19,7 +19,6 @@ def test_smaller_budgets_are_compared_at_equal_gradient_steps():
             results.plan.budget(results.plan.arms[run.arm]).steps,
             gradient_steps(results.plan.training(run, Path())),
             1.0,
-            (),
         )
         for run in results.plan.runs
     }
