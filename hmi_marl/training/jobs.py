@@ -20,6 +20,7 @@ from hmi_marl.ownership import check_free
 from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.policies import policies_read, reading
 from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.training.run_tasks import RunTask
 from hmi_marl.training.runs.exchange import SharedMemory
 from hmi_marl.training.runs.folder import read_curve
 from hmi_marl.training.runs.start import (
@@ -28,7 +29,6 @@ from hmi_marl.training.runs.start import (
     default_processes,
     start_together,
 )
-from hmi_marl.training.tasks import Task
 from hmi_marl.workers import calls, without_interrupts
 
 
@@ -75,7 +75,9 @@ def train_all(
         check_job(job.settings, cluster)
     each = processes_each(len(jobs), workers, cluster)
     tasks = [
-        Task(train_in, (job.settings, command_line, quiet, each), job.folder, job.reads, job.on_gpu)
+        RunTask(
+            train_in, (job.settings, command_line, quiet, each), job.folder, job.reads, job.on_gpu
+        )
         for job in jobs
     ]
     side_by_side(tasks, workers, cluster, quiet)
@@ -109,7 +111,7 @@ def train_together(settings: TrainSettings, folder: Path, processes: int, **show
 
 
 def side_by_side(
-    tasks: Sequence[Task], workers: int, cluster: Cluster | None = None, quiet: bool = False
+    tasks: Sequence[RunTask], workers: int, cluster: Cluster | None = None, quiet: bool = False
 ) -> None:
     """Learn every task, ``workers`` of them at a time, or on a cluster.
 
@@ -120,7 +122,7 @@ def side_by_side(
         return
     with without_interrupts():
         lock = get_context("spawn").RLock()
-    for _ in calls(Task.go, [(task,) for task in tasks], workers, tqdm.set_lock, lock):
+    for _ in calls(RunTask.go, [(task,) for task in tasks], workers, tqdm.set_lock, lock):
         pass
 
 

@@ -11,7 +11,7 @@ from hmi_marl.training.evidence.settings import EvidenceSettings
 from hmi_marl.training.policies import policies_read, reading
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.tasks import Task
+from hmi_marl.training.run_tasks import RunTask
 
 HERE, THERE = Path("/runs/a"), Path("/node/read-0/a")
 
@@ -57,7 +57,7 @@ def test_a_run_of_a_sweep_finds_all_of_its_policies(tmp_path, monkeypatch):
         protocol = over.partition(":")[0]
         (run,) = plan_runs((protocol,), (over,), 1, 0)
         task = runs.task(run, runs.Evaluation(), tmp_path, "", 1)
-        assert isinstance(task, Task)
+        assert isinstance(task, RunTask)
         assert task.reads == (HERE,)
         with pytest.raises(StopError):
             replace(task, reads=(THERE,)).go()

@@ -57,8 +57,8 @@ from hmi_marl.reporting.blocks import Block, Figure, Table, Text, canvas, png
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.evidence.conditioned import conditioned_hmi
+from hmi_marl.training.evidence.run_tasks import conditioned_task, evidence_task
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.evidence.tasks import conditioned_task, evidence_task
 from hmi_marl.training.jobs import need_training, side_by_side
 from hmi_marl.training.protocols.two_stage import TwoStage
 

@@ -29,10 +29,10 @@ from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
 from hmi_marl.files import json_value, sha256_of
 from hmi_marl.ownership import owned
 from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
+from hmi_marl.training.run_tasks import RunTask
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.runs.start import check_machine
-from hmi_marl.training.tasks import Task
 from hmi_marl.training.traits.settings import Supervision, TraitSettings
 
 SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
@@ -225,7 +225,7 @@ class LatentTraits(TraitReport):
             self.collect(place.driver_run, out)
         with watch.timing("all training of this call, in parallel"):
             tasks = [
-                Task(_learn, (job, place.command_line), folder, (data.absolute(),))
+                RunTask(_learn, (job, place.command_line), folder, (data.absolute(),))
                 for folder, job in runs.items()
             ]
             side_by_side(tasks, place.workers, place.cluster)

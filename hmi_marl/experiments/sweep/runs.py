@@ -22,8 +22,8 @@ from hmi_marl.reading import read_json
 from hmi_marl.training.jobs import Job, train_in
 from hmi_marl.training.policies import reading
 from hmi_marl.training.protocols.settings import TrainSettings
+from hmi_marl.training.run_tasks import RunTask
 from hmi_marl.training.runs.folder import FREE, read_curve, run_settings
-from hmi_marl.training.tasks import Task
 from hmi_marl.typed_json import read_as
 
 RESULT = "result.json"
@@ -57,8 +57,8 @@ class Evaluation(Checked):
 
 
 @dataclass(frozen=True)
-class Played:
-    """Episodes that a run played."""
+class DriverResult:
+    """Results of a run with one driver, or with all."""
 
     episodes: int
     crashes: int
@@ -66,7 +66,7 @@ class Played:
     """Means by name, see :meth:`Sums.metrics`; None where there are none."""
 
     @classmethod
-    def of(cls, sums: Sums) -> Played:
+    def of(cls, sums: Sums) -> DriverResult:
         """Take them from sums over the episodes."""
         return cls(sums.episodes, sums.crashes, json_value(sums.metrics()))
 
@@ -79,17 +79,17 @@ class Result:
     """Environment steps of its training."""
     seconds: float
     """Duration of its training [s]."""
-    by_driver: dict[str, Played]
+    by_driver: dict[str, DriverResult]
     """Episodes with each driver, and for ``ALL_DRIVERS``."""
 
 
 def task(
     run: SweptRun, evaluation: Evaluation, folder: Path, command_line: str, processes: int
-) -> Task:
+) -> RunTask:
     """Make the task of a run, in a folder of its own below ``folder``."""
     job = Job(run.settings, folder / run.name)
     arguments = (run.settings, evaluation, command_line, processes)
-    return Task(train_and_play, arguments, job.folder, job.reads, job.on_gpu)
+    return RunTask(train_and_play, arguments, job.folder, job.reads, job.on_gpu)
 
 
 def train_and_play(
@@ -143,7 +143,7 @@ def _play(settings: TrainSettings, evaluation: Evaluation, folder: Path) -> Resu
         sums[get_driver(name).name] = Sums.of(episodes, everything, team.scene.policy_frequency)
     last = read_curve(folder)[-1]
     sums = {ALL_DRIVERS: Sums.join(sums.values())} | sums
-    played = {name: Played.of(each) for name, each in sums.items()}
+    played = {name: DriverResult.of(each) for name, each in sums.items()}
     return Result(int(last["steps"]), float(last["seconds"]), played)
 
 

@@ -26,8 +26,8 @@ from hmi_marl.ownership import owned
 from hmi_marl.text import quoted
 from hmi_marl.training.cluster.node import PACKAGES, Message, Worker, difference, versions
 from hmi_marl.training.cluster.parcels import Files, put, read_by_others, state_in
+from hmi_marl.training.run_tasks import RunTask
 from hmi_marl.training.runs.progress import Bar
-from hmi_marl.training.tasks import Task
 from hmi_marl.workers import cores, environment
 
 LOCAL, AUTO = "local", "auto"
@@ -49,7 +49,7 @@ class Cluster(Checked):
     at_once: Threads | None = None
     """Most tasks at a time; by default as many as the cluster has cores."""
 
-    def learn(self, tasks: Sequence[Task], quiet: bool = False) -> None:
+    def learn(self, tasks: Sequence[RunTask], quiet: bool = False) -> None:
         """Learn every task that is not learned yet, and resume those that were cut off.
 
         Raises:
@@ -190,13 +190,13 @@ def _versions_there(packages: Sequence[str]) -> Callable[[], dict[str, str]]:
 class _Learning:
     """Tasks of one call, waiting for nodes or on them."""
 
-    def __init__(self, tasks: Sequence[Task], at_once: int | None, quiet: bool) -> None:
+    def __init__(self, tasks: Sequence[RunTask], at_once: int | None, quiet: bool) -> None:
         self._ray = _ray()
         self._at_once, self._quiet = at_once, quiet
         self._waiting = deque(_Taken(task, quiet) for task in tasks)
         self._running: dict[Any, _Taken] = {}
         """Tasks by the news that they are asked for."""
-        self._told = False
+        self._no_core = False
         """Whether it was said that there is no core."""
         self._sent: dict[Path, Any] = {}
         """What tasks read, sent to the cluster once."""
@@ -212,9 +212,9 @@ class _Learning:
     def _start(self) -> None:
         """Start what waits, while there are cores for it."""
         there = int(self._ray.cluster_resources().get("CPU", 0))
-        if not there and not self._told:
+        if not there and not self._no_core:
             tqdm.write("hmi-marl: no node has a core; waiting until one joins", file=sys.stderr)
-        self._told = not there
+        self._no_core = not there
         at_once = self._at_once or max(1, there)
         while self._waiting and len(self._running) < at_once:
             taken = self._waiting.popleft()
@@ -275,7 +275,7 @@ class _Learning:
 class _Taken:
     """Task with what is known of it here; hears the messages of its worker."""
 
-    def __init__(self, task: Task, quiet: bool) -> None:
+    def __init__(self, task: RunTask, quiet: bool) -> None:
         self.task, self.line, self.ended = task, 0, False
         self.worker: Any = None
         self._quiet, self._losses = quiet, 0
@@ -307,8 +307,8 @@ class _Taken:
                 f"{name} was lost {MOST_LOSSES} times in a row ({how}), perhaps for want of "
                 "memory on the nodes; the same command continues it"
             )
-        told = f"hmi-marl: the node or process of {name} was lost ({how}); it goes on elsewhere"
-        tqdm.write(told, file=sys.stderr)
+        line = f"hmi-marl: the node or process of {name} was lost ({how}); it goes on elsewhere"
+        tqdm.write(line, file=sys.stderr)
 
     def own(self) -> None:
         """Own the folder of the task, until it is closed."""

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.training.cluster.parcels import Changes, Files, put
+from hmi_marl.training.run_tasks import RunTask
 from hmi_marl.training.runs.reports import heard_by
-from hmi_marl.training.tasks import Task
 from hmi_marl.workers import begin_worker, environment, threads_each
 
 Message = tuple[str, tuple[Any, ...]]
@@ -62,7 +62,9 @@ class Worker:
         reads: files of each of the folders or policies that the task reads.
     """
 
-    def __init__(self, task: Task, state: Files, needed: Mapping[str, str], *reads: Files) -> None:
+    def __init__(
+        self, task: RunTask, state: Files, needed: Mapping[str, str], *reads: Files
+    ) -> None:
         self._task, self._state, self._needed, self._reads = task, state, needed, reads
         self._place: Path | None = None
         self._process: BaseProcess | None = None
@@ -144,7 +146,7 @@ class _Outbox:
         self._writer.send(("saved", (self._changes.take(),)))
 
 
-def _work(task: Task, known: Sequence[str], writer: Connection) -> None:
+def _work(task: RunTask, known: Sequence[str], writer: Connection) -> None:
     begin_worker()
     outbox = _Outbox(writer, task.folder, known)
     try:

@@ -13,7 +13,7 @@ import pytest
 from hmi_marl.ownership import FolderInUseError, owned
 from hmi_marl.training.cluster import cluster
 from hmi_marl.training.cluster.cluster import Cluster, connected
-from hmi_marl.training.tasks import Task
+from hmi_marl.training.run_tasks import RunTask
 
 
 class RayError(Exception):
@@ -38,7 +38,7 @@ class FakeRay:
     def remote(self, **_: Any) -> Any:
         return lambda kind: SimpleNamespace(remote=self._start)
 
-    def _start(self, task: Task, state: dict[str, bytes], needed: object, *reads: Any) -> Any:
+    def _start(self, task: RunTask, state: dict[str, bytes], needed: object, *reads: Any) -> Any:
         self.started.append((task.folder.name, dict(state), reads))
         said = iter(self.plays[task.folder.name].pop(0))
         ask = SimpleNamespace(remote=lambda: (task.folder.name, said, object()))
@@ -78,7 +78,7 @@ def learn(monkeypatch, tmp_path):
         ray = FakeRay(plays, **how)
         monkeypatch.setattr(cluster, "_ray", lambda: ray)
         go.ray = ray  # type: ignore[attr-defined]
-        tasks = [Task(print, (), tmp_path / name, reads) for name in plays]
+        tasks = [RunTask(print, (), tmp_path / name, reads) for name in plays]
         Cluster().learn(tasks, quiet=True)
         return ray
 

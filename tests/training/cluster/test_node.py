@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from hmi_marl.training.cluster.node import PACKAGES, Worker, difference, versions
+from hmi_marl.training.run_tasks import RunTask
 from hmi_marl.training.runs.reports import listener
-from hmi_marl.training.tasks import Task
 
 
 def count(until: int, folder: Path, other: Path) -> None:
@@ -55,7 +55,7 @@ def no_left_over(tmp_path, monkeypatch):
 
 
 def test_a_task_goes_on_from_what_was_sent_and_sends_each_state(no_left_over):
-    task = Task(count, (3,), Path("there/run"), (Path("there/other"),))
+    task = RunTask(count, (3,), Path("there/run"), (Path("there/other"),))
     worker = Worker(task, {"count": b"1"}, versions(), {"other/told": b"hello"})
     assert messages(worker) == [
         ("begin", ("run", 3, 1, "numbers")),
@@ -69,14 +69,16 @@ def test_a_task_goes_on_from_what_was_sent_and_sends_each_state(no_left_over):
 
 
 def test_an_error_and_a_death_are_told_apart(no_left_over):
-    ((name, (error, place)),) = messages(Worker(Task(fail, (), Path("run")), {}, versions()))
+    ((name, (error, place)),) = messages(Worker(RunTask(fail, (), Path("run")), {}, versions()))
     assert (name, type(error)) == ("failed", ValueError)
     assert str(error) == f"cannot learn in {place}/x"
-    assert messages(Worker(Task(die, (), Path("run")), {}, versions())) == [("lost", ("SIGKILL",))]
+    assert messages(Worker(RunTask(die, (), Path("run")), {}, versions())) == [
+        ("lost", ("SIGKILL",))
+    ]
 
 
 def test_a_stopped_worker_ends_its_process(no_left_over):
-    worker = Worker(Task(sleep, (), Path("run")), {}, versions())
+    worker = Worker(RunTask(sleep, (), Path("run")), {}, versions())
     assert worker.news() == []
     worker.stop()
     assert not worker._process.is_alive()
@@ -84,7 +86,7 @@ def test_a_stopped_worker_ends_its_process(no_left_over):
 
 def test_other_versions_are_refused_before_anything_is_made(no_left_over):
     needed = versions() | {"torch": "1.0"}
-    ((name, (error,)),) = Worker(Task(sleep, (), Path("run")), {}, needed).news()
+    ((name, (error,)),) = Worker(RunTask(sleep, (), Path("run")), {}, needed).news()
     assert name == "failed"
     assert str(error).startswith("a node has torch ")
     assert str(error).endswith("not 1.0 as here; install the same there")

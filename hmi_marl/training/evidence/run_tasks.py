@@ -10,21 +10,21 @@ from hmi_marl.training.evidence.settings import EvidenceSettings
 from hmi_marl.training.jobs import own_line
 from hmi_marl.training.policies import policies_read, reading
 from hmi_marl.training.protocols.two_stage import TwoStage
-from hmi_marl.training.tasks import Task
+from hmi_marl.training.run_tasks import RunTask
 
 
-def evidence_task(settings: EvidenceSettings, folder: Path, command_line: str = "") -> Task:
+def evidence_task(settings: EvidenceSettings, folder: Path, command_line: str = "") -> RunTask:
     """Make the task of learning an evidence model in ``folder``."""
     reads = policies_read(settings)
-    return Task(_learn_evidence, (settings, command_line), folder, reads)
+    return RunTask(_learn_evidence, (settings, command_line), folder, reads)
 
 
 def conditioned_task(
     settings: TwoStage, evidence: Path, folder: Path, command_line: str = ""
-) -> Task:
+) -> RunTask:
     """Make the task of learning, in ``folder``, an HMI conditioned on the model of another run."""
     reads = (evidence.absolute(), *policies_read(settings))
-    return Task(_learn_conditioned, (settings, command_line), folder, reads)
+    return RunTask(_learn_conditioned, (settings, command_line), folder, reads)
 
 
 def _learn_evidence(

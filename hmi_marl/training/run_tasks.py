@@ -9,7 +9,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Task:
+class RunTask:
     """Something to learn in a folder of its own, from where it was cut off."""
 
     learn: Callable[..., None]
