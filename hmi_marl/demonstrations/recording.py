@@ -25,6 +25,7 @@ from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.checks import Checked, Count, CountOrZero, Share, Steps
 from hmi_marl.demonstrations.dataset import (
     MISSING,
+    STATE_PARTS,
     Demonstrations,
     Observed,
     Truth,
@@ -230,7 +231,7 @@ class _Recorder(Observer):
         self, config: TeamConfig, teaming: Teaming, progress: Callable[[int], Any]
     ) -> None:
         self.layout = observed_layout(config)
-        self._columns = teaming.layouts[VEHICLE_AI].columns_of(self.layout)
+        self._columns = _in_one_piece(teaming.layouts[VEHICLE_AI].columns_of(self.layout))
         shape = teaming.num_teams, config.horizon
         self.states = np.zeros((*shape, self.layout.size), np.float32)
         self.alerts, self.distracted, self.accepted, self.counter = np.zeros((4, *shape), np.int64)
@@ -241,25 +242,34 @@ class _Recorder(Observer):
 
     def before(self, teaming: Teaming) -> None:
         """Record the state in which the driver acts."""
-        self._on = ~teaming.over
-        seen = teaming.observe(VEHICLE_AI)[:, self._columns]
-        self.states[self._on, self._step] = seen[self._on]
+        self._over = teaming.over
+        seen = teaming.observe(VEHICLE_AI, STATE_PARTS)
+        self.states[:, self._step] = seen[:, self._columns]
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
         """Record the actions and the hidden attention."""
-        on, t, attention = self._on, self._step, teaming.attention
-        for rows, values in (
-            (self.applied, teaming.applied),
-            (self.alerts, teaming.alerted),
-            (self.intended, teaming.intended),
-            (self.distracted, attention.distracted),
-            (self.accepted, attention.accepted),
-            (self.counter, attention.counter),
-        ):
-            rows[on, t] = values[on]
-        self.crash_step[on & teaming.ego.crashed & (self.crash_step == MISSING)] = t
-        self._progress(int(on.sum()))
+        t, attention = self._step, teaming.attention
+        self.applied[:, t], self.alerts[:, t] = teaming.applied, teaming.alerted
+        self.intended[:, t], self.distracted[:, t] = teaming.intended, attention.distracted
+        self.accepted[:, t], self.counter[:, t] = attention.accepted, attention.counter
+        self.crash_step[~self._over & teaming.crashed & (self.crash_step == MISSING)] = t
+        if self._over.any():
+            self._blank(self._over)
+        self._progress(len(self._over) - int(self._over.sum()))
         self._step += 1
+
+    def _blank(self, over: NDArray[np.bool_]) -> None:
+        """Leave the present step empty where the episode had ended before it."""
+        for rows in (self.states, self.alerts, self.distracted, self.accepted, self.counter):
+            rows[over, self._step] = 0
+        for rows in (self.applied, self.intended):
+            rows[over, self._step] = MISSING
+
+
+def _in_one_piece(columns: NDArray[np.int64]) -> slice:
+    """Return columns that lie next to each other as a slice, which is selected without a copy."""
+    assert (np.diff(columns) == 1).all()
+    return slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 @dataclass
