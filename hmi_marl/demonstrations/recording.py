@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -106,13 +107,16 @@ class CollectSettings(Checked, TeamSettings):
 
     def cast(self) -> list[tuple[Driver, int]]:
         """Return the drivers, each with its number of windows."""
+        return list(self._cast)
+
+    @cached_property
+    def _cast(self) -> tuple[tuple[Driver, int], ...]:
         horizon = self.team(PAPER_DRIVERS).horizon
         named = [(get_driver(name), -(-self.steps // horizon)) for name in self.drivers]
         names = [f"{POPULATION}-{k}" for k in range(self.population)]
         traits = TraitDistributions().draw(self._series(names)).as_array().tolist()
-        return named + [
-            (Driver(name, *drawn), self.windows) for name, drawn in zip(names, traits, strict=True)
-        ]
+        drawn = (Driver(name, *row) for name, row in zip(names, traits, strict=True))
+        return (*named, *((driver, self.windows) for driver in drawn))
 
     @property
     def total_steps(self) -> int:
@@ -310,15 +314,17 @@ class Summary:
         for chunk in chunks:
             observed, truth = chunk.observed, chunk.truth
             assert truth is not None
-            for k in np.unique(observed.driver):
+            alerts, distracted = observed.alerts.sum(axis=1), truth.distracted.sum(axis=1)
+            rows = np.minimum(observed.driver, self._named)  # the population shares one
+            for k in np.unique(rows):
                 name = observed.names[k] if k < self._named else POPULATION
                 tally = self._tallies.setdefault(name, Tally(name, self._step))
-                theirs = observed.driver == k
+                theirs = rows == k
                 tally.episodes += int(theirs.sum())
                 tally.steps += int(observed.length[theirs].sum())
                 tally.crashes += int(observed.crashed[theirs].sum())
-                tally.alerts += int(observed.alerts[theirs].sum())
-                tally.distracted += int(truth.distracted[theirs].sum())
+                tally.alerts += int(alerts[theirs].sum())
+                tally.distracted += int(distracted[theirs].sum())
             yield chunk
 
     def as_json(self) -> list[dict[str, Any]]:

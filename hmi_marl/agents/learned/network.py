@@ -175,7 +175,8 @@ def sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 _ACTIVATIONS: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
-    "relu": lambda x: np.maximum(x, 0.0),
+    "relu": lambda x: np.maximum(x, 0.0, out=x),
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
-    "tanh": np.tanh,
+    "tanh": lambda x: np.tanh(x, out=x),
 }
+"""Activations, which may be computed in place."""
