@@ -46,6 +46,13 @@ class Checksum:
         return sha256(json.dumps(columns).encode()).encode()
 
 
+def checksum_of(rows: pa.Table) -> bytes:
+    """Return the checksum of some rows alone, in hexadecimal digits."""
+    checksum = Checksum()
+    checksum.add(rows)
+    return checksum.of_rows()
+
+
 class FileChecksums(Checksum):
     """The checksums of a file that is written group by group."""
 

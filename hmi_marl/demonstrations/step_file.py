@@ -21,6 +21,7 @@ from hmi_marl.demonstrations.checksums import (
     BELONGS,
     STAMP,
     Checksum,
+    checksum_of,
     group_checksums,
     rows_checksum,
 )
@@ -116,6 +117,8 @@ class StepFile:
         if schema is None:
             self.layout = _read_layout(path, self.stamp, len(found))
             schema = observed_schema(self.layout)
+            self.states = column_names(self.layout)
+            """Columns of the states."""
         _check_schema(path, found, schema)
         self.columns = tuple(schema.names)
         self.check_size(footer.num_rows)
@@ -179,9 +182,7 @@ class StepFile:
             table = self._read(group, columns)
         else:
             table = self._read(group)
-            checksum = Checksum()
-            checksum.add(table)
-            if checksum.of_rows() != self._checksums[group]:
+            if checksum_of(table) != self._checksums[group]:
                 raise self._differs()
             self._checked.add(group)
             table = table.select(columns)

@@ -29,7 +29,7 @@ from hmi_marl.files import sha256_of
 
 with needing("reading demonstrations"):
     from hmi_marl.demonstrations.episode_index import EpisodeIndex
-    from hmi_marl.demonstrations.step_file import TRUTH_SCHEMA, StepFile, column_names
+    from hmi_marl.demonstrations.step_file import TRUTH_SCHEMA, StepFile
 
 OBSERVED, TRUTH = "observed.parquet", "truth.parquet"
 _AHEAD = 2
@@ -100,7 +100,7 @@ class ObservedFile(_EpisodeFile):
         first, stop = self._range(first, stop)
         rows, arrays = self._arrays(first, stop, {"action": MISSING, "alert": 0})
         states = np.zeros((*rows.shape, self.layout.size), np.float32)
-        names = column_names(self.layout)
+        names = self._file.states
         done = 0
         begins, ends = int(self._index.first[first]), int(self._index.first[stop])
         for table in self._file.rows(begins, ends, [*arrays, *names]):
