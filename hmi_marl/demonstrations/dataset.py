@@ -37,8 +37,9 @@ step of row t leads to row t + 1, so an episode of T rows holds T - 1 complete t
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +50,7 @@ from hmi_marl.envs.observations import Layout, vehicle_ai_layout
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.text import listed
 
+T = TypeVar("T")
 STATE_PARTS = ("lidar", "speed", "target_speed", "heading", "lateral", "lane", "position")
 """Parts of the vehicle AI's observation that make up an observed state."""
 MISSING = -1
@@ -162,10 +164,10 @@ class Observed:
     @property
     def number(self) -> NDArray[np.int64]:
         """Number of each episode among those of its driver, shape (E,), to split a dataset by."""
-        number = np.zeros(len(self), np.int64)
-        for who in np.unique(self.driver):
-            theirs = self.driver == who
-            number[theirs] = np.arange(theirs.sum())
+        order = np.argsort(self.driver, kind="stable")
+        by_driver = self.driver[order]
+        number = np.empty(len(self), np.int64)
+        number[order] = np.arange(len(self)) - np.searchsorted(by_driver, by_driver)
         return number
 
     def labels(self) -> list[str | None]:
@@ -174,10 +176,8 @@ class Observed:
 
     def take(self, which: ArrayLike) -> Observed:
         """Select episodes by a mask of shape (E,) or by their indices."""
-        index = np.arange(len(self))[np.asarray(which)]
-        names = ("states", "actions", "alerts", "length", "crash_step", "driver")
-        taken: dict[str, Any] = {name: getattr(self, name)[index] for name in names}
-        return replace(self, seeds=None if self.seeds is None else self.seeds[index], **taken)
+        names = ["states", "actions", "alerts", "length", "crash_step", "driver"]
+        return _taken(self, names + ["seeds"] * (self.seeds is not None), which)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,9 +219,7 @@ class Truth:
 
     def take(self, which: ArrayLike) -> Truth:
         """Select episodes by a mask of shape (E,) or by their indices."""
-        index = np.arange(len(self.traits))[np.asarray(which)]
-        names = ("distracted", "accepted", "counter", "intended", "traits")
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        return _taken(self, ("distracted", "accepted", "counter", "intended", "traits"), which)
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,6 +363,15 @@ def _check_no_traits(about: Any) -> None:
     elif isinstance(about, (list, tuple)):
         for value in about:
             _check_no_traits(value)
+
+
+def _taken(whole: T, names: Iterable[str], which: ArrayLike) -> T:
+    """Return a copy with these of its arrays cut down to some episodes, which need no new check."""
+    taken = copy(whole)
+    for name in names:
+        array = getattr(whole, name)
+        object.__setattr__(taken, name, array[np.arange(len(array))[np.asarray(which)]])
+    return taken
 
 
 def _put(owner: object, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
