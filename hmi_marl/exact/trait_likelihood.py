@@ -23,9 +23,10 @@ are independent given the traits and s, so that their log likelihoods add up.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +40,9 @@ from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.bayes_filter import check_whole
 from hmi_marl.exact.identify import StochasticPolicy, check_windows, intents, replay
 from hmi_marl.exact.intent_network import network_of
+
+if TYPE_CHECKING:
+    from hmi_marl.envs.worlds.batched.threads import Pace
 
 _CELLS = 2**16
 """Windows times candidates followed side by side at most, which bounds the memory."""
@@ -117,6 +121,9 @@ class TraitLikelihood:
         self, config: TeamConfig, policy: StochasticPolicy | None, windows: Windows
     ) -> None:
         self._config, self._policy, self._windows = config, policy, windows
+        from hmi_marl.envs.worlds.batched.threads import Pace  # numba is slow to import
+
+        self._pace = Pace()
         self._network = None if policy is None else network_of(policy, driver_layout(config))
 
     def __call__(
@@ -178,7 +185,7 @@ class TraitLikelihood:
             follows = v == windows.intended[:, t] if windows.intended is not None else active
             step = t == 0, _as_float(v == applied), _as_float(accepted), _as_float(follows), seen
             _run(
-                filter_windows, active, owner, *step, flat, chance,
+                filter_windows, None, active, owner, *step, flat, chance,
                 distracted, attentive, log_evidence,
             )  # fmt: skip
             applied = v
@@ -228,7 +235,8 @@ class TraitLikelihood:
                 yield self._asked(seen, owner, shown, chosen[:, t])
                 continue
             arguments = t < windows.length, owner, seen, np.ascontiguousarray(chosen[:, t]), shown
-            _run(self._network.kernel, *arguments, *self._network.arrays(self._policy), room, out)
+            more = *self._network.arrays(self._policy), room, out
+            _run(self._network.kernel, self._pace, *arguments, *more)
             yield out
 
     def _asked(
@@ -266,10 +274,13 @@ def _as_float(values: NDArray[Any]) -> NDArray[np.float64]:
     return values.astype(np.float64)
 
 
-def _run(loop: Any, active: NDArray[np.bool_], *arguments: Any) -> None:
-    """Run a compiled loop over windows."""
+def _run(loop: Any, pace: Pace | None, active: NDArray[np.bool_], *arguments: Any) -> None:
+    """Run a compiled loop over windows, on one thread or, by ``pace``, on whatever is faster."""
     from hmi_marl.envs.worlds.batched.compiler import prepare
     from hmi_marl.envs.worlds.batched.threads import available, share
 
     prepare([(loop, (np.zeros(2, np.int64), active, *arguments))])
-    share(loop, len(active), available(), active, *arguments)
+    threads, start = pace.threads(available()) if pace else 1, time.perf_counter()
+    share(loop, len(active), threads, active, *arguments)
+    if pace:
+        pace.note(threads, time.perf_counter() - start)
