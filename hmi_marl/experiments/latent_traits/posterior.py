@@ -55,7 +55,9 @@ CASES: Mapping[str, Known] = MappingProxyType(
     }
 )
 """Cases by name: a^H, then the driver policy."""
-_Case = Annotated[str, Check(lambda name, value: check_choice(name, value, CASES), "")]
+_Case = Annotated[
+    str, Check(lambda name, value: check_choice(name, value, CASES), ", ".join(CASES))
+]
 _Windows = Annotated[int, Whole(1, 10_000)]
 _Length = Annotated[float, Real(0.0, 1e6, "s", above=True)]
 
