@@ -100,11 +100,19 @@ def _wait_for(lock: IO[str]) -> None:
 
 
 class KeptCode(caching._Cache):  # what numba asks for when it has to compile
-    """The compiled code of one kernel in files, as numba's dispatcher asks for it."""
+    """The compiled code of one kernel in files, as numba's dispatcher asks for it.
 
-    def __init__(self, function: Callable[..., None]) -> None:
+    Args:
+        function: the kernel.
+        sources: files that it is compiled from, besides those of the environment.
+    """
+
+    def __init__(self, function: Callable[..., None], sources: Sequence[str] = ()) -> None:
         self._name = function.__name__
-        self._stamp = source_stamp()[:16]  # of the sources as they are while they are imported
+        digest = hashlib.sha256(source_stamp().encode())  # of the sources while they are imported
+        for source in sources:
+            digest.update(Path(source).read_bytes())
+        self._stamp = (digest.hexdigest() if sources else source_stamp())[:16]
 
     @property
     def cache_path(self) -> str | None:
@@ -213,7 +221,7 @@ def _folders_to_read() -> list[Path]:
 
 @cache
 def source_stamp() -> str:
-    """Return a fingerprint of everything that the kernels are compiled from."""
+    """Return a fingerprint of everything that the environment's kernels are compiled from."""
     here = Path(__file__).parent
     sources = [*sorted(here.glob("*.py")), *(here.parents[1] / name for name in _RULES)]
     digest = hashlib.sha256()
@@ -241,11 +249,16 @@ inlined: Any = njit(forceinline=True, **_OPTIONS)
 """The same, always merged into its caller."""
 
 
-def kernel(loop: Callable[..., None]) -> Any:
-    """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it."""
+def kernel(loop: Callable[..., None], sources: Sequence[str] = ()) -> Any:
+    """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it.
+
+    Args:
+        loop: the kernel.
+        sources: files that it is compiled from, besides those of the environment.
+    """
     function: Any = njit(nogil=True, **_OPTIONS)(loop)
     if not WITHOUT_COMPILER:
-        function._cache = KeptCode(loop)
+        function._cache = KeptCode(loop, sources)
     return function
 
 
