@@ -378,7 +378,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         **OUT,
         "demonstrations": ["/no/such"],
         "cases": ["nope"],
-        "windows": ["0"],
+        "windows": ["0", "99"],
         "seconds": ["0", "nan"],
         "driver-policy": ["/no/such", "nope"],
         "sampling.groups": ["1"],

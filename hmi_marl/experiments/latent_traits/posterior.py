@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.checks import Check, Real, Whole, check_choice
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, numbers
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES
@@ -35,6 +35,7 @@ from hmi_marl.reporting.statistics import Estimate
 LEVELS = (0.5, 0.8, 0.95)
 """Probabilities of the intervals whose coverage is counted."""
 _BINS = 10
+_NO_TRUTH = "posteriors are judged by the true traits, which these data do not hold"
 _LEAST = 3
 """Least number of drivers that an R² is computed over."""
 
@@ -155,11 +156,11 @@ def evaluate_posteriors(
     check_choice("case", case, CASES)
     observed, truth, known = data.observed, data.truth, CASES[case]
     if truth is None:
-        raise ValueError("posteriors are judged by the true traits, which these data do not hold")
+        raise ValueError(_NO_TRUTH)
     check_at_random(observed)
     config = team_of(observed)
     policy = driver_policy_of(observed, driver_policy, config) if known.policy else None
-    rows, person = _first_windows(observed.driver, observed.number, windows)
+    rows, person = _first_windows(observed.driver, windows)
     length = observed.length[rows]
     frequency = config.scene.policy_frequency
     steps = int(length.max()) if seconds is None else max(1, round(seconds * frequency))
@@ -189,17 +190,21 @@ def evaluate_posteriors(
 
 
 def _first_windows(
-    driver: NDArray[np.int64], number: NDArray[np.int64], windows: int
+    driver: NDArray[np.int64], windows: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first windows of the drivers who have so many, and whose each is."""
-    known = np.unique(driver[driver != MISSING])
-    able = [who for who in known if (driver == who).sum() >= windows]
+    """Return the first windows of the drivers who have so many, and whose each is.
+
+    Raises:
+        ValueError: too few drivers have.
+    """
+    known, count = np.unique(driver[driver != MISSING], return_counts=True)
+    able = known[count >= windows]
     if len(able) < _LEAST:
         raise ValueError(
             f"only {len(able)} drivers have {windows} windows; collect more, for example with "
             f"--population 300 --windows {windows}, or lower --windows"
         )
-    rows = np.flatnonzero(np.isin(driver, able) & (number < windows))
+    rows = np.flatnonzero(np.isin(driver, able) & (numbers(driver) < windows))
     return rows, np.searchsorted(able, driver[rows])
 
 
@@ -236,10 +241,16 @@ class PosteriorEvaluation(Experiment[list[PosteriorRow]]):
             raise ValueError("name at least one of the cases, and one of windows or seconds")
         if self.driver_policy is not None:
             make_driver_policy(self.driver_policy, TeamConfig())
-        if not self.demonstrations.is_dir():
-            raise FileNotFoundError(
-                f"no demonstrations in {self.demonstrations}; hmi-marl collect writes them"
-            )
+        from hmi_marl.demonstrations.stored import TRUTH, ObservedFile  # needs the data extra
+
+        stored = ObservedFile(self.demonstrations)
+        if not (self.demonstrations / TRUTH).is_file():
+            raise ValueError(_NO_TRUTH)
+        some = stored.read(0, 1)
+        check_at_random(some)
+        if any(CASES[case].policy for case in self.cases):
+            driver_policy_of(some, self.driver_policy, team_of(some))
+        _first_windows(stored.driver, max(self.windows, default=1))
 
     def run(self, place: Place) -> list[PosteriorRow]:
         """Compute the posteriors from more and more driving."""

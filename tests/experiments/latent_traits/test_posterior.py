@@ -8,9 +8,11 @@ import pytest
 from trait_models import save_driver
 
 from hmi_marl.demonstrations.dataset import Demonstrations
+from hmi_marl.demonstrations.parquet import write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.exact.importance import Sampling
 from hmi_marl.exact.trait_posterior import TraitPosterior, trait_posterior
+from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError
 from hmi_marl.experiments.latent_traits.posterior import (
     CASES,
@@ -122,6 +124,23 @@ def test_an_evaluation_says_what_it_lacks(tmp_path: Path) -> None:
         PosteriorEvaluation(tmp_path, cases=("known",))
     with pytest.raises(ValueError, match="names its demonstrations"):
         PosteriorEvaluation.quick()
+
+
+def test_what_cannot_be_judged_leaves_no_folder(population: Demonstrations, tmp_path: Path) -> None:
+    data, out = tmp_path / "data", tmp_path / "out"
+    with pytest.raises(FileNotFoundError, match="hmi-marl collect"):
+        conduct(PosteriorEvaluation(data), Place(out, out))
+    observed = population.observed
+    by_rule = {**observed.about, "driver_policy": {"name": "rule"}}
+    for lacking, message in (
+        (Demonstrations(observed), "true traits, which these data do not hold"),
+        (population, "only 0 drivers have 16 windows"),
+        (replace(population, observed=replace(observed, about=by_rule)), "a learned driver policy"),
+    ):
+        write_demonstrations(data, lacking)
+        with pytest.raises(ValueError, match=message):
+            conduct(PosteriorEvaluation(data), Place(out, out))
+        assert not out.exists()
 
 
 def test_the_command_prints_tables_and_writes_json(
