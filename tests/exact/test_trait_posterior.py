@@ -351,6 +351,7 @@ def test_posteriors_of_a_population_are_calibrated(folder: Path) -> None:
     calibration(people.posterior(True, False), true, 3)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("seen", [False, True])
 def test_posteriors_with_a_known_policy_are_calibrated(folder: Path, seen: bool) -> None:
@@ -360,6 +361,7 @@ def test_posteriors_with_a_known_policy_are_calibrated(folder: Path, seen: bool)
     calibration(found, people.truth.traits[::4], 4)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_posteriors_with_hidden_intent_and_unknown_policy_are_calibrated_in_their_model() -> None:
     """Drivers whose a^H differs from v_{t-1} at random, with a share drawn from its prior."""
