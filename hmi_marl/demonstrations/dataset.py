@@ -173,7 +173,7 @@ class Observed:
     def take(self, which: ArrayLike) -> Observed:
         """Select episodes by a mask of shape (E,) or by their indices."""
         names = ["states", "actions", "alerts", "length", "crash_step", "driver"]
-        return _taken(self, names + ["seeds"] * (self.seeds is not None), which)
+        return _taken(self, names + ["seeds"] * (self.seeds is not None), len(self), which)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +215,8 @@ class Truth:
 
     def take(self, which: ArrayLike) -> Truth:
         """Select episodes by a mask of shape (E,) or by their indices."""
-        return _taken(self, ("distracted", "accepted", "counter", "intended", "traits"), which)
+        names = ("distracted", "accepted", "counter", "intended", "traits")
+        return _taken(self, names, len(self.traits), which)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,12 +294,14 @@ def _check_no_traits(about: Any) -> None:
             _check_no_traits(value)
 
 
-def _taken(whole: T, names: Iterable[str], which: ArrayLike) -> T:
-    """Return a copy with these of its arrays cut down to some episodes, which need no new check."""
-    taken = copy(whole)
+def _taken(whole: T, names: Iterable[str], count: int, which: ArrayLike) -> T:
+    """Return a copy with these of its arrays cut down from ``count`` episodes to some of them.
+
+    They need no new check.
+    """
+    taken, index = copy(whole), np.arange(count)[np.asarray(which)]
     for name in names:
-        array = getattr(whole, name)
-        object.__setattr__(taken, name, array[np.arange(len(array))[np.asarray(which)]])
+        object.__setattr__(taken, name, getattr(whole, name)[index])
     return taken
 
 

@@ -23,7 +23,6 @@ are independent given the traits and s, so that their log likelihoods add up.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -276,11 +275,11 @@ def _as_float(values: NDArray[Any]) -> NDArray[np.float64]:
 
 def _run(loop: Any, pace: Pace | None, active: NDArray[np.bool_], *arguments: Any) -> None:
     """Run a compiled loop over windows, on one thread or, by ``pace``, on whatever is faster."""
-    from hmi_marl.envs.worlds.batched.compiler import prepare
+    from hmi_marl.envs.worlds.batched.compiler import prepare_once
     from hmi_marl.envs.worlds.batched.threads import available, share
 
-    prepare([(loop, (np.zeros(2, np.int64), active, *arguments))])
-    threads, start = pace.threads(available()) if pace else 1, time.perf_counter()
-    share(loop, len(active), threads, active, *arguments)
-    if pace:
-        pace.note(threads, time.perf_counter() - start)
+    prepare_once(loop, active, *arguments)
+    if pace is None:
+        share(loop, len(active), 1, active, *arguments)
+    else:
+        pace.run(loop, len(active), available(), active, *arguments)

@@ -211,7 +211,7 @@ def test_drivers_whose_episodes_lie_apart_are_put_together(folder: Path, tmp_pat
             expected = apart.observed.take(who == NAMES.index(names[index]))
             np.testing.assert_array_equal(found.states, expected.states)
             np.testing.assert_array_equal(found.seeds, expected.seeds)
-    assert sum(map(len, blocks)) == (who != MISSING).sum()  # nobody is left out but unknown ones
+    assert sum(map(len, blocks)) == (who != MISSING).sum()  # only unknown drivers are left out
 
 
 def test_without_known_drivers_there_are_no_blocks(tmp_path: Path) -> None:
@@ -323,7 +323,7 @@ def peak_memory() -> Iterator[list[int]]:
 def many_drivers(groups: int, rows: int, steps: int) -> Iterator[Demonstrations]:
     """Chunks of ``rows`` rows, of drivers with 10 episodes each."""
     episodes = rows // steps
-    some = made_up([steps] * episodes, names=("nobody",), with_truth=False).observed
+    some = made_up([steps] * episodes, names=("ann",), with_truth=False).observed
     names = tuple(f"population-{k}" for k in range(groups * episodes // 10))
     for group in range(groups):
         who = (group * episodes + np.arange(episodes)) // 10

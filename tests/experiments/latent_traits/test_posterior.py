@@ -92,7 +92,7 @@ def test_a_part_of_a_window_is_all_that_is_read(population: Demonstrations) -> N
     row = evaluate_posteriors(population, "seen-unknown", 1, 0.8, sampling=FEW)
     assert row.seconds == 0.8
     later = population.observed.actions.copy()
-    later[:, 4:] = 0  # possible, though nobody did so
+    later[:, 4:] = 0  # possible, though no driver did so
     other = Demonstrations(replace(population.observed, actions=later), population.truth)
     assert evaluate_posteriors(other, "seen-unknown", 1, 0.8, sampling=FEW) == row
 

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numba
+import numpy as np
 from numba import njit
 from numba.core import caching
 from numba.core.compiler import CompileResult
@@ -109,10 +110,7 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
 
     def __init__(self, function: Callable[..., None], sources: Sequence[str] = ()) -> None:
         self._name = function.__name__
-        digest = hashlib.sha256(source_stamp().encode())  # of the sources while they are imported
-        for source in sources:
-            digest.update(Path(source).read_bytes())
-        self._stamp = (digest.hexdigest() if sources else source_stamp())[:16]
+        self._stamp = source_stamp(*sources)[:16]  # of the sources while they are imported
 
     @property
     def cache_path(self) -> str | None:
@@ -220,12 +218,12 @@ def _folders_to_read() -> list[Path]:
 
 
 @cache
-def source_stamp() -> str:
-    """Return a fingerprint of everything that the environment's kernels are compiled from."""
+def source_stamp(*more: str) -> str:
+    """Return a fingerprint of what the environment's kernels are compiled from, and of ``more``."""
     here = Path(__file__).parent
     sources = [*sorted(here.glob("*.py")), *(here.parents[1] / name for name in _RULES)]
     digest = hashlib.sha256()
-    for source in sources:
+    for source in (*sources, *map(Path, more)):
         digest.update(source.read_bytes())
     return digest.hexdigest()
 
@@ -260,6 +258,20 @@ def kernel(loop: Callable[..., None], sources: Sequence[str] = ()) -> Any:
     if not WITHOUT_COMPILER:
         function._cache = KeptCode(loop, sources)
     return function
+
+
+_prepared: set[str] = set()
+"""Names of the kernels that :func:`prepare_once` has prepared."""
+
+
+def prepare_once(loop: Any, *arguments: Any) -> None:
+    """Compile a kernel before its first call, whose arguments always have the same types.
+
+    ``arguments`` are those after its progress.
+    """
+    if loop.__name__ not in _prepared:
+        prepare([(loop, (np.zeros(2, np.int64), *arguments))])
+        _prepared.add(loop.__name__)
 
 
 def prepare(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
