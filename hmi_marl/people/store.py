@@ -131,6 +131,10 @@ class Store(Database):
         found = self.rows("SELECT number FROM visitors WHERE code = ?", _hashed(code))
         return found[0][0] if found else None
 
+    def visitors(self) -> list[int]:
+        """Return the numbers of all people."""
+        return [number for (number,) in self.rows("SELECT number FROM visitors ORDER BY number")]
+
     def delete_visitor(self, code: str) -> dict[str, int]:
         """Delete everything of the person with this code, also from the free parts of the file.
 
@@ -272,8 +276,9 @@ class Store(Database):
 
     def _sessions(self, rest: str, *values: Any) -> Iterator[Session]:
         columns = "id, visitor, kind, state, made"
-        for row in self.rows(f"SELECT {columns} FROM sessions {rest}", *values):
-            yield Session(*row[:3], self.parsed(row[3]), row[4])
+        rows = self.rows(f"SELECT {columns} FROM sessions {rest}", *values)
+        for identity, visitor, kind, state, made in rows:
+            yield Session(identity, visitor, kind, self.parsed(state), made)
 
     def _trips(self, rest: str, *values: Any) -> Iterator[StoredTrip]:
         query = "SELECT trips.number FROM trips JOIN sessions ON sessions.id = session"
