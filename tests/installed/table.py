@@ -150,8 +150,20 @@ COMMANDS = (
 OPTIONS = (
     Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --num-teams 1 --minari"),
     Row("option", "compare --ray", TRAIN | RAY, f"{_COMPARED} --ray local"),
-    Row("option", "people export --formats parquet", DATA, not_run="see people export"),
-    Row("option", "people export --formats minari", DATA, not_run="see people export"),
+    Row(
+        "option",
+        "people export --formats parquet",
+        DATA,
+        "people.db --formats parquet",
+        not_run="see people export",
+    ),
+    Row(
+        "option",
+        "people export --formats minari",
+        DATA,
+        "people.db --formats minari",
+        not_run="see people export",
+    ),
     Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local"),
     *(
         Row(
