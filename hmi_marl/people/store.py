@@ -21,12 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.checks import shown
-from hmi_marl.people import tables
 from hmi_marl.people.database import Database
 from hmi_marl.people.record import TIME, TripRecord
+from hmi_marl.people.tables import OF_VISITOR, SCHEMA, TABLES
 
-SCHEMA = 1
-"""Version of the tables."""
 _ALPHABET = "23456789ABCDEFGHJKLMNPQRSTUVWXYZ"
 """Letters and digits that are not mistaken for each other."""
 _CODE = 16
@@ -94,7 +92,7 @@ class Store(Database):
     """
 
     def __init__(self, path: Path, make: bool = True) -> None:
-        super().__init__(path, tables.TABLES, SCHEMA, make)
+        super().__init__(path, TABLES, SCHEMA, make)
 
     def new_visitor(self) -> Visitor:
         """Note a new person and return them with their code, which is not shown again."""
@@ -132,7 +130,7 @@ class Store(Database):
                 raise ValueError(f"no visitor in {self.path} has this code; check its letters")
             counts = {
                 name: base.execute(f"SELECT count(*) FROM {where}", found).fetchone()[0]
-                for name, where in tables.OF_VISITOR.items()
+                for name, where in OF_VISITOR.items()
             }
             base.execute("DELETE FROM visitors WHERE number = ?", found)
         self.forget()

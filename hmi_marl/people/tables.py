@@ -1,5 +1,7 @@
 """Tables of the database of people, by the statements that make them."""
 
+SCHEMA = 1
+"""Version of the tables."""
 TABLES = {
     "visitors": """CREATE TABLE visitors (
         number INTEGER PRIMARY KEY AUTOINCREMENT, code TEXT NOT NULL UNIQUE, made TEXT NOT NULL)""",
