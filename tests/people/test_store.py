@@ -90,6 +90,13 @@ def test_a_code_is_read_in_any_case_and_grouping_and_not_kept(store):
     assert visitor_name(visitor.number) == visitor.name == "visitor-1"
 
 
+def test_the_file_is_for_its_owner_alone(store, records):
+    fill(store, records[:1], 1)
+    files = list(store.path.parent.glob("people.db*"))
+    assert len(files) == 3  # with SQLite's log and its index
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+
+
 def test_a_running_trip_grows_by_what_is_new(store, records):
     session = store.new_session(store.new_visitor().number, "play")
     numbers = [store.begin_trip(session, cut(record, 0)) for record in records]
