@@ -38,8 +38,11 @@ _STYLE = """
  a { color: inherit; } code, .small { font-size: .85rem; color: var(--quiet); }
  .good { color: var(--good); } .bad { color: var(--bad); } .half { color: var(--half); }
  .good, .bad, .half { font-weight: 600; }
+ @media (prefers-color-scheme: dark) { /* white figures turn dark, their hues stay */
+   img:not(.clip) { filter: invert(.91) hue-rotate(180deg); } }
  @media (max-width: 40rem) { body { margin: 1rem auto; } th, td { padding: .3rem .35rem;
-   font-size: .8rem; } .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; } }
+   font-size: .8rem; } tr > :first-child { max-width: 45vw; overflow-wrap: anywhere; }
+   .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; } }
 """
 
 
