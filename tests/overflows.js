@@ -29,6 +29,11 @@
         && e.clientWidth)
       problems.push(`overflows its box (${e.scrollWidth} in ${e.clientWidth}): ${name(e)}`);
   }
+  for (const e of main.querySelectorAll('td, th')) {
+    const text = e.textContent.trim(), lines = e.clientHeight / (parseFloat(getComputedStyle(e).fontSize) * 1.6);
+    if (e.offsetParent && lines > 6 && e === e.parentElement.firstElementChild && text.length / lines < 4)
+      problems.push(`is a column of letters (${e.clientWidth} wide): ${name(e)}`);
+  }
   for (const image of main.querySelectorAll('img'))
     if (!image.complete || !image.naturalWidth) problems.push(`is not shown: ${image.src.slice(0, 80)}`);
   return problems;

@@ -12,6 +12,16 @@ FAULTS = {
     "wide": (WIDE, "wide"),
     "cut": (f'<div style="overflow: hidden">{WIDE}</div>', "cut off"),
     "low": ('<div style="height: 9px; overflow: hidden">two<br>lines</div>', "cut off below"),
+    "letters": (
+        f'<table style="width: 300px"><tr><td style="overflow-wrap: anywhere">{"letters " * 9}</td>'
+        f"<td>{'x' * 90}</td></tr></table>",
+        "column of letters",
+    ),
+    "entry": (
+        '<table style="width: 99px; table-layout: fixed"><tr><td>averyverylongword</td><td>x</td>'
+        "</tr></table>",
+        "overflows its box",
+    ),
     "code": ('<pre style="width: 40px">a_long_line_of_code</pre>', "overflows its box"),
     "picture": ('<img src="none.png" width="9" height="9">', "is not shown"),
     "error": ("<script>console.error('loud')</script>", "loud"),

@@ -29,7 +29,8 @@ _STYLE = """
          overflow-wrap: normal; }
  th, td { padding: .35rem .6rem; border-bottom: 1px solid var(--line); text-align: left;
           vertical-align: top; }
- tr > :first-child { position: sticky; left: 0; background: var(--paper); }
+ tr > :first-child { position: sticky; left: 0; background: var(--paper);
+                    min-width: min(9rem, 25vw); overflow-wrap: anywhere; }
  .whole { white-space: nowrap; } .word { display: inline-block; max-width: 100%; }
  img { max-width: 100%; height: auto; background: #fff; border-radius: 4px; }
  .clip { width: 100%; max-width: 880px; }
@@ -41,7 +42,7 @@ _STYLE = """
  @media (prefers-color-scheme: dark) { /* white figures turn dark, their hues stay */
    img:not(.clip) { filter: invert(.91) hue-rotate(180deg); } }
  @media (max-width: 40rem) { body { margin: 1rem auto; } th, td { padding: .3rem .35rem;
-   font-size: .8rem; } tr > :first-child { max-width: 45vw; overflow-wrap: anywhere; }
+   font-size: .8rem; } tr > :first-child { max-width: 45vw; }
    .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; } }
 """
 
