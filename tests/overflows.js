@@ -30,8 +30,10 @@
       problems.push(`overflows its box (${e.scrollWidth} in ${e.clientWidth}): ${name(e)}`);
   }
   for (const e of main.querySelectorAll('td, th')) {
-    const text = e.textContent.trim(), lines = e.clientHeight / (parseFloat(getComputedStyle(e).fontSize) * 1.6);
-    if (e.offsetParent && lines > 6 && e === e.parentElement.firstElementChild && text.length / lines < 4)
+    const text = e.textContent.trim(), range = document.createRange();
+    range.selectNodeContents(e);  // its own height, not that of its row
+    const lines = range.getBoundingClientRect().height / (parseFloat(getComputedStyle(e).fontSize) * 1.6);
+    if (lines > 6 && text.length / lines < 4)
       problems.push(`is a column of letters (${e.clientWidth} wide): ${name(e)}`);
   }
   for (const image of main.querySelectorAll('img'))

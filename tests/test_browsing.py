@@ -29,6 +29,7 @@ FAULTS = {
     "net": ('<link rel="stylesheet" href="http://127.0.0.1:9/none.css">', "asks the net"),
 }
 FINE = {
+    "high row": "<table><tr><td>short</td><td>" + "a line<br>" * 20 + "</td></tr></table>",
     "scrolls": f'<div style="overflow-x: auto">{WIDE}</div>',
     "code": '<pre style="overflow-x: auto"><code>' + "long " * 100 + "</code></pre>",
 }
