@@ -33,9 +33,7 @@ from hmi_marl.files import json_value
 from hmi_marl.reporting.blocks import as_text
 
 TEAM = TeamConfig(driver="bart", ai_sees_attention=False)
-COIN = TeamConfig(
-    driver=Driver("coin", 0.5, 0.0, 1.0, 1.0), duration=0.4, ai_sees_attention=False
-)
+COIN = TeamConfig(driver=Driver("coin", 0.5, 0.0, 1.0, 1.0), duration=0.4, ai_sees_attention=False)
 """Two steps; distracted by the toss of a coin, for good; an alert always helps."""
 
 
