@@ -61,6 +61,8 @@ CHEAP = {
     "adapt": None,  # minutes even with --quick: see test_nothing_of_an_extra_is_imported_to_adapt
     "bench": "--teams 2 --threads 1 --rounds 1 --seconds 0.01 --scaling 1",
     "oracle": "--horizon 3",
+    "reproduce map": "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 "
+    "--hidden-cells 1 --points 2 --workers 1",
     "reproduce ship": None,  # needs a finished reproduction
     "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
     "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2 --no-clip",

@@ -104,6 +104,11 @@ COMMANDS = (
         TRAIN,
         "--hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
     ),
+    _command(
+        "reproduce map",
+        CORE,
+        "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 --hidden-cells 1 --points 2",
+    ),
     _command("reproduce protocols", TRAIN, _COMPARED),
     _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}"),
     _command(

@@ -112,17 +112,22 @@ class Grid:
     """Where the drivers of a case lie."""
 
     cells: int
-    """Of each trait, in the coarser of both midpoint rules."""
+    """Of β and of α in the coarser of both midpoint rules. η has one more: losses have a ridge at
+    β = η, where points would lie if both had as many."""
     points: int
     """Of β and of α in a slice."""
     etas: tuple[float, ...]
     """η of the slices."""
 
     @property
+    def shape(self) -> tuple[int, int, int]:
+        """Points of β, α and η of the finer midpoint rule."""
+        return 3 * self.cells, 3 * self.cells, 3 * (self.cells + 1)
+
+    @property
     def middles(self) -> NDArray[np.float64]:
         """Middles of the cells of the finer rule, shape (G, 3); those of the coarser among them."""
-        count = 3 * self.cells
-        return _product([(np.arange(count) + 0.5) / count] * 3)
+        return _product([(np.arange(count) + 0.5) / count for count in self.shape])
 
     @property
     def slices(self) -> NDArray[np.float64]:
@@ -132,7 +137,7 @@ class Grid:
 
     def integral(self, values: NDArray[np.float64] | NDArray[np.bool_]) -> Integral:
         """Integrate what is known at the middles, shape (G,)."""
-        cube = values.reshape(3 * self.cells, 3 * self.cells, 3 * self.cells)
+        cube = values.reshape(self.shape)
         fine, coarse = float(cube.mean()), float(cube[1::3, 1::3, 1::3].mean())
         return Integral(fine, abs(fine - coarse))
 

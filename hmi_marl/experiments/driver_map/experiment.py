@@ -16,6 +16,7 @@ import hmi_marl
 from hmi_marl.checks import Share, Whole
 from hmi_marl.envs.attention import WINDOW
 from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.exact.driver_worth import Problem
 from hmi_marl.exact.oracle import DEFAULT_HORIZON, DEFAULT_WINDOW
 from hmi_marl.experiments.criteria import LEAST_WORTH, SAME_RULE
 from hmi_marl.experiments.driver_map.cases import (
@@ -64,10 +65,10 @@ class DriverMap(Experiment[list[CaseResult]]):
     """η of the slices that are drawn."""
     horizon: Annotated[int, Whole(1, 1000, "steps")] = DEFAULT_HORIZON
     """Steps of an episode."""
-    seen_cells: Cells = 11
-    """Cells of each trait in the coarse quadrature, attention seen; the fine one has three times
-    as many."""
-    hidden_cells: Cells = 6
+    seen_cells: Cells = 9
+    """Cells of β and of α in the coarse quadrature, attention seen, and of η less one; the fine one
+    has three times as many of each."""
+    hidden_cells: Cells = 5
     """The same, attention hidden."""
     points: Points = 21
     """Points of β and of α in a slice."""
@@ -85,6 +86,8 @@ class DriverMap(Experiment[list[CaseResult]]):
             values = getattr(self, name)
             if not values or len(set(values)) < len(values):
                 raise ValueError(f"{name} are one or more different numbers, not {values}")
+        for window in (*self.windows, self.window):
+            Problem(window, self.horizon)
 
     @classmethod
     def quick(cls) -> DriverMap:
@@ -236,7 +239,8 @@ def _mean(mean: Integral) -> str:
 def _most(loss: Loss) -> str:
     if loss.most <= SAME_RULE:
         return "0"
-    return f"{loss.most:.0f} ({', '.join(f'{trait:.3g}' for trait in loss.most_at)})"
+    digits = 0 if loss.most >= 10 else 1
+    return f"{loss.most:.{digits}f} ({', '.join(f'{trait:.3g}' for trait in loss.most_at)})"
 
 
 Column = Callable[[CaseResult], str]

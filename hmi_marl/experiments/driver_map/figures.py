@@ -79,6 +79,7 @@ class MapFigures:
         seen.set_title("attention seen", fontsize=10)
         seen.set_xlabel("window N [steps]")
         seen.set_ylabel("drivers with another best rule [%]")
+        seen.set_xticks(sorted({r.case.window for r in self._results if r.case.revealing is None}))
         seen.set_ylim(0, 100)
         seen.legend(fontsize=8, frameon=False)
         found = self._by_share()
