@@ -107,7 +107,8 @@ COMMANDS = (
     _command(
         "reproduce map",
         CORE,
-        "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 --hidden-cells 1 --points 2",
+        "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 --hidden-cells 1 "
+        "--points 2",
     ),
     _command("reproduce protocols", TRAIN, _COMPARED),
     _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}"),
