@@ -27,13 +27,13 @@ revealed is a recursion over these.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import SHARE, WORKERS
-from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
+from hmi_marl.checks import SHARE, WORKERS, Checked
+from hmi_marl.envs.attention import WINDOW, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
 from hmi_marl.exact import oracle
@@ -46,22 +46,21 @@ _SILENT, _ALERT, _BOTH = 1, 2, 3
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Checked):
     """The alert problem without the driver.
 
     Raises:
         ValueError, TypeError: a window or horizon out of range.
     """
 
-    window: int = oracle.DEFAULT_WINDOW
+    window: Annotated[int, WINDOW] = oracle.DEFAULT_WINDOW
     """N, in steps."""
-    horizon: int = oracle.DEFAULT_HORIZON
+    horizon: Annotated[int, oracle.HORIZON] = oracle.DEFAULT_HORIZON
     """T, steps in the episode."""
     weights: RewardWeights = field(default_factory=RewardWeights)
 
     def __post_init__(self) -> None:
-        check_window(self.window)
-        oracle.check_horizon(self.horizon)
+        super().__post_init__()
         oracle.check_size(self.horizon, 2, self.window + 1, self.horizon, 2)
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.checks import Checked, Share
+from hmi_marl.envs.attention import WINDOW
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.exact.driver_worth import Problem, hidden_returns, seen_returns
+from hmi_marl.exact.oracle import HORIZON
 from hmi_marl.experiments.criteria import LEAST_WORTH, SAME_RULE
 
 PAPER = "paper"
@@ -39,16 +43,16 @@ _CENTRE = 13
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(Checked):
     """One alert problem, for all drivers."""
 
-    window: int
+    window: Annotated[int, WINDOW]
     """N, in steps."""
     weights: str
     """Name of the reward weights."""
-    horizon: int
+    horizon: Annotated[int, HORIZON]
     """Steps in the episode."""
-    revealing: float | None = None
+    revealing: Share | None = None
     """Share of revealing steps with attention hidden; None if attention is seen."""
 
     @property
