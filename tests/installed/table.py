@@ -206,6 +206,7 @@ SITE_PAGES = tuple(
         "settings.md": (CORE,),
         "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),
+        "when-the-driver-matters.md": (CORE,),
     }.items()
 )
 """Every page with blocks of Python, which are one program from top to bottom, and the commands that
