@@ -37,7 +37,10 @@ from hmi_marl.demonstrations.parquet import (
     read_demonstrations,
     write_demonstrations,
 )
-from hmi_marl.files import with_checksum, without_checksum
+from hmi_marl.experiments.driver_map.cases import Case as MapCase
+from hmi_marl.experiments.driver_map.cases import CaseResult, Grid, Integral, Loss
+from hmi_marl.experiments.driver_map.experiment import read_result
+from hmi_marl.files import json_value, with_checksum, without_checksum
 from hmi_marl.people.record import TripRecord
 from hmi_marl.people.store import Store
 from hmi_marl.reading import read_json
@@ -317,6 +320,26 @@ def signed_record(folder: Path) -> Case:
     return signed_json(path, lambda: suite._read(path))
 
 
+def map_file(folder: Path) -> Path:
+    path = folder / "case.json"
+    loss = Loss(*[Integral(0.5, 0.1)] * 3, 2.0, (0.1, 0.2, 0.3), {"lisa": 1.0}, (((0.5,),),))
+    result = CaseResult(MapCase(7, "paper", 10, 0.35), Grid(1, 2, (0.1,)), {"average": loss})
+    content = {"about": {"version": "1"}, "result": json_value(result)}
+    path.write_text(json.dumps(with_checksum(content)))
+    return path
+
+
+def map_case(folder: Path) -> Case:
+    """Mutate a case of the map of when the driver matters."""
+    path = map_file(folder)
+    return json_of(path, lambda: read_result(path), checked=True)
+
+
+def signed_map_case(folder: Path) -> Case:
+    path = map_file(folder)
+    return signed_json(path, lambda: read_result(path))
+
+
 def dataset(folder: Path) -> Path:
     made = made_up([4, 2, 3], crash_step=[-1, 1, 0], driver=[0, -1, 0])
     about = {"team": {"scene": {"lidar_cells": 4}}, "hmi": "random:0.2"}
@@ -429,6 +452,8 @@ CASES = {
         block,
         record,
         signed_record,
+        map_case,
+        signed_map_case,
         observed_file,
         truth_file,
         signed_stamp,

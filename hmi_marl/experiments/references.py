@@ -182,7 +182,7 @@ class PairScore:
     regret: Estimate
     """Optimum with attention seen less the return: hiding and shortfall together."""
     hiding: float | None
-    """Cost of hiding attention: optimum with attention seen less the Bayes filter, if there is one."""
+    """Cost of hiding attention: optimum with attention seen less the Bayes filter, if any."""
     shortfall: Estimate | None
     """The HMI's own part of the regret: Bayes filter, if there is one, less the return."""
     given_up: GivenUp | None

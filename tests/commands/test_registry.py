@@ -65,6 +65,8 @@ CHEAP = {
     "oracle": "--horizon 3",
     "people delete": None,  # needs a database: see test_people.py
     "people export": None,  # the same
+    "reproduce map": "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 "
+    "--hidden-cells 1 --points 2 --workers 1",
     "reproduce ship": None,  # needs a finished reproduction
     "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
     "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2 --no-clip",

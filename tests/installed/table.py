@@ -112,6 +112,12 @@ COMMANDS = (
         TRAIN,
         "--hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
     ),
+    _command(
+        "reproduce map",
+        CORE,
+        "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 --hidden-cells 1 "
+        "--points 2",
+    ),
     _command("reproduce protocols", TRAIN, _COMPARED),
     _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}"),
     _command(
@@ -223,6 +229,7 @@ SITE_PAGES = tuple(
         "settings.md": (CORE,),
         "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),
+        "when-the-driver-matters.md": (CORE,),
     }.items()
 )
 """Every page with blocks of Python, which are one program from top to bottom, and the commands that
