@@ -34,7 +34,14 @@ from hmi_marl.demonstrations.dataset import (
 )
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
-from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, TraitDistributions, Traits, get_driver
+from hmi_marl.envs.drivers import (
+    PAPER_DRIVERS,
+    Driver,
+    DriverName,
+    TraitDistributions,
+    Traits,
+    get_driver,
+)
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import Seed, Stream, episode_seed, mix
@@ -52,7 +59,7 @@ class CollectSettings(Checked, TeamSettings):
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
-    drivers: tuple[str, ...] = PAPER_DRIVERS
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
     """Drivers: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
     steps: Steps = 300_000
     """Steps of each driver, rounded up to whole windows. Each driver has separate windows."""

@@ -1,0 +1,1 @@
+"""Traits of the person at the wheel, measured from recorded trips."""
