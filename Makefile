@@ -83,7 +83,7 @@ $(VENV)/.for-run: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.for-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) torch
-	$(PIP_INSTALL) -e '.[video,train,interop,data,ray,docs,dev]'
+	$(PIP_INSTALL) -e '.[video,train,interop,data,ray,people,docs,dev]'
 	touch $@
 
 $(VENV)/.for-docs: pyproject.toml constraints.txt | $(BIN)/python

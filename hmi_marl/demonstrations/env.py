@@ -13,6 +13,7 @@ because the car applies v_t when a^H_t = v_t. A crash ends the episode.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_hmi
 from hmi_marl.demonstrations.dataset import Observed, observed_layout
+from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import (
     DRIVERS,
@@ -34,13 +36,14 @@ from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.single import MergeDriver
+from hmi_marl.typed_json import read_as
 
 
 def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     """Make a configuration from JSON, as :func:`hmi_marl.files.json_value` writes it.
 
     Args:
-        team: fields of :class:`TeamConfig` but ``driver``; ``scene`` and ``weights`` are mappings.
+        team: fields of :class:`TeamConfig`; ``driver`` may be left out.
         defaults: values of fields that ``team`` lacks.
 
     Raises:
@@ -53,7 +56,16 @@ def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     scene: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in given.items()
     }
+    readers = {"driver": _population, "fatigue": partial(read_as, Fatigue)}
+    for name, reader in readers.items():
+        if isinstance(fields.get(name), Mapping):
+            fields[name] = reader(fields[name])
     return TeamConfig(scene=Scene(**scene), weights=RewardWeights(**weights), **fields)
+
+
+def _population(content: Mapping[str, Any]) -> Population:
+    """Return a list of drivers, or distributions of traits, from JSON."""
+    return read_as(DriverList if "drivers" in content else TraitDistributions, content)
 
 
 def team_of(observed: Observed) -> TeamConfig:

@@ -16,8 +16,8 @@ from test_examples import TINY
 Kind = Literal["command", "option", "example", "readme", "page", "site"]
 
 CORE: frozenset[str] = frozenset()
-VIDEO, TRAIN, INTEROP, DATA, RAY, DOCS = (
-    frozenset({extra}) for extra in ("video", "train", "interop", "data", "ray", "docs")
+VIDEO, TRAIN, INTEROP, DATA, RAY, PEOPLE, DOCS = (
+    frozenset({extra}) for extra in ("video", "train", "interop", "data", "ray", "people", "docs")
 )
 
 
