@@ -68,9 +68,14 @@ def write_driver(path: Path, driver: Driver, about: Mapping[str, Any] | None = N
     """
     if not is_driver_file(str(path)):
         raise ValueError(f"the name of a driver file ends in .json, not {shown(str(path))}")
+    write_json(path, driver_content(driver, about))
+
+
+def driver_content(driver: Driver, about: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the content of a driver file; see :func:`write_driver`."""
     _check_name(driver.name)
     content = {"format": FORMAT, "driver": json_value(driver), "about": json_value(about or {})}
-    write_json(path, with_checksum(content))
+    return with_checksum(content)
 
 
 def is_driver_file(text: str) -> bool:

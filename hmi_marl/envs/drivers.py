@@ -129,7 +129,7 @@ def _driver_from_text(name: str, traits: str) -> Driver:
 
 
 def spelled_out(driver: Driver) -> str:
-    """Return the text name:beta,alpha,eta,inflation, from which get_driver makes the same driver."""
+    """Return name:beta,alpha,eta,inflation, of which get_driver makes the same driver."""
     return f"{driver.name}:{','.join(map(repr, driver.traits))}"
 
 

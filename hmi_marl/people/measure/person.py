@@ -13,6 +13,7 @@ from hmi_marl.files import json_value
 from hmi_marl.people.measure.assumptions import AssumptionTest, check_assumptions
 from hmi_marl.people.measure.hmis import TrialHMI, best_hmis
 from hmi_marl.people.measure.inflation import MeasuredInflation, measure_inflation
+from hmi_marl.people.measure.steps import SEEN_AFTER
 from hmi_marl.people.measure.traits import MeasuredAttention, measure_attention, minutes_needed
 from hmi_marl.people.record import TripRecord
 from hmi_marl.reporting.statistics import Estimate
@@ -94,7 +95,7 @@ def measure_person(
     config: TeamConfig = trips[0].config
     window = config.alert_window
     pairs = [(trip.looking_away or (), trip.alerts) for trip in trips]
-    attention = measure_attention(pairs, window)
+    attention = measure_attention(pairs, window, SEEN_AFTER)
     per_minute = 60.0 * config.scene.policy_frequency
     minutes = sum(map(len, trips)) / per_minute
     inflation = None

@@ -2,6 +2,10 @@
 
 The state (d, i, c) and its order of updates are those of :mod:`hmi_marl.envs.attention`: every trip
 begins with d = i = c = 0, and i_t and c_t follow from the alerts alone.
+
+A person in the driver's seat sees the alert of a step when that step has been taken, so that it can
+change nothing before the next one: for people the window begins a step later
+(:data:`SEEN_AFTER`).
 """
 
 from __future__ import annotations
@@ -12,9 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import shown
+from hmi_marl.checks import Whole, shown
 from hmi_marl.envs.attention import check_window, next_acceptance
 
+_DELAY = Whole(0, 1000, "steps")
+SEEN_AFTER = 1
+"""Steps after which an alert can change what a person does."""
 Trip = tuple[ArrayLike, ArrayLike]
 """d_t and a^A_t of one trip, two arrays of one length, of 0 and 1."""
 
@@ -88,17 +95,19 @@ class ChainCounts:
         return {name: float(number) for name, number in vars(self).items()}
 
 
-def chain_steps(trips: Sequence[Trip], window: int) -> ChainSteps:
+def chain_steps(trips: Sequence[Trip], window: int, delay: int = 0) -> ChainSteps:
     """Find (d, i, c) before and after each step of some trips.
 
     Args:
         trips: d_t and a^A_t of each trip; trips may differ in length.
         window: N, in steps.
+        delay: steps after which an alert begins to count; 0 in the model.
 
     Raises:
         ValueError: no trips, arrays that do not fit together, or numbers other than 0 and 1.
     """
     check_window(window)
+    _DELAY("delay", delay)
     if not trips:
         raise ValueError("traits are measured from at least one trip")
     parts = [_checked(place, *trip) for place, trip in enumerate(trips)]
@@ -106,7 +115,9 @@ def chain_steps(trips: Sequence[Trip], window: int) -> ChainSteps:
     shape = len(parts), int(length.max())
     away, alerts = np.zeros((2, *shape), np.int64)
     for row, (own_away, own_alerts) in enumerate(parts):
-        away[row, : length[row]], alerts[row, : length[row]] = own_away, own_alerts
+        away[row, : length[row]] = own_away
+        late = own_alerts[: max(0, len(own_alerts) - delay)]
+        alerts[row, delay : delay + len(late)] = late
     before = np.concatenate([np.zeros((shape[0], 1), np.int64), away[:, :-1]], axis=1)
     accepted, counter, age = np.zeros((3, *shape), np.int64)
     now, since, lasted = np.zeros((3, shape[0]), np.int64)
@@ -119,9 +130,9 @@ def chain_steps(trips: Sequence[Trip], window: int) -> ChainSteps:
     return ChainSteps(*(each[within] for each in (before, away, accepted, counter, age)))
 
 
-def chain_counts(trips: Sequence[Trip], window: int) -> ChainCounts:
+def chain_counts(trips: Sequence[Trip], window: int, delay: int = 0) -> ChainCounts:
     """Count the steps of some trips of one person; see :func:`chain_steps` for the arguments."""
-    return ChainCounts.of(chain_steps(trips, window))
+    return ChainCounts.of(chain_steps(trips, window, delay))
 
 
 def _checked(place: int, away: ArrayLike, alerts: ArrayLike) -> tuple[NDArray[np.int64], ...]:

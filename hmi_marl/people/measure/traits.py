@@ -67,17 +67,18 @@ class Intervals:
         return (self.low <= value) & (value <= self.high)
 
 
-def measure_attention(trips: Sequence[Trip], window: int) -> MeasuredAttention:
+def measure_attention(trips: Sequence[Trip], window: int, delay: int = 0) -> MeasuredAttention:
     """Measure β, α and η of one person.
 
     Args:
         trips: d_t and a^A_t of each trip, arrays of 0 and 1.
         window: N, in steps.
+        delay: steps after which an alert begins to count; :data:`SEEN_AFTER` for people.
 
     Raises:
         ValueError: see :func:`chain_steps`.
     """
-    steps = chain_steps(trips, window)
+    steps = chain_steps(trips, window, delay)
     counts = ChainCounts.of(steps)
     found = {
         name: Estimate(float(each.estimate), float(each.low), float(each.high))

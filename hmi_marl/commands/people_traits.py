@@ -1,11 +1,10 @@
-"""``hmi-marl people``."""
+"""``hmi-marl people traits``."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
@@ -87,17 +86,3 @@ class PeopleTraits:
             page = report.write(folder)
         print(f"\nthe driver: --driver {self.out / f'{self.name}.json'} ({person.driver})")
         print_page(page)
-
-
-@dataclass(frozen=True)
-class PeopleCommand:
-    """Measure people's traits from their trips, and take care of their data."""
-
-    what: Annotated[
-        Annotated[PeopleTraits, tyro.conf.subcommand("traits")],
-        tyro.conf.arg(prefix_name=False),
-    ]
-
-    def run(self, command_line: str) -> None:
-        """Do it."""
-        self.what.run(command_line)
