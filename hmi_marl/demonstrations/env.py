@@ -13,7 +13,6 @@ because the car applies v_t when a^H_t = v_t. A crash ends the episode.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -56,16 +55,14 @@ def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     scene: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in given.items()
     }
-    readers = {"driver": _population, "fatigue": partial(read_as, Fatigue)}
-    for name, reader in readers.items():
-        if isinstance(fields.get(name), Mapping):
-            fields[name] = reader(fields[name])
+    if isinstance(driver := fields.get("driver"), Mapping):
+        listed = "drivers" in driver
+        fields["driver"] = (
+            read_as(DriverList, driver) if listed else read_as(TraitDistributions, driver)
+        )
+    if isinstance(fatigue := fields.get("fatigue"), Mapping):
+        fields["fatigue"] = read_as(Fatigue, fatigue)
     return TeamConfig(scene=Scene(**scene), weights=RewardWeights(**weights), **fields)
-
-
-def _population(content: Mapping[str, Any]) -> Population:
-    """Return a list of drivers, or distributions of traits, from JSON."""
-    return read_as(DriverList if "drivers" in content else TraitDistributions, content)
 
 
 def team_of(observed: Observed) -> TeamConfig:

@@ -38,6 +38,7 @@ from hmi_marl.typed_json import read_value
 FORMAT = "hmi-marl trip 1"
 Seat = Literal["driver", "vehicle_ai"]
 Kind = Literal["free", "calibration", "trial"]
+WorldName = Literal["batched", "highway"]
 SEATS: tuple[Seat, ...] = ("driver", "vehicle_ai")
 KINDS: tuple[Kind, ...] = ("free", "calibration", "trial")
 TIME = "%Y-%m-%dT%H:%M:%SZ"
@@ -122,7 +123,7 @@ class TripRecord(Checked):
     """d_t of L steps as the second task showed it; None where the chain drew it."""
     crashed: bool
     """Whether the driven car is crashed after the last step."""
-    world: Literal["batched", "highway"] = "batched"
+    world: WorldName = "batched"
     """World in which it took place."""
     digest: Annotated[str, Check(_check_digest)] = ""
     """SHA-256 of the states after every step, see :class:`StateDigest`; empty if not known."""

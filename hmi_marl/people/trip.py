@@ -28,7 +28,7 @@ from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Snapshot, World, make_world
-from hmi_marl.people.record import SEATS, TIME, Kind, Seat, StateDigest, TripRecord
+from hmi_marl.people.record import SEATS, TIME, Kind, Seat, StateDigest, TripRecord, WorldName
 
 CAR_LENGTH, CAR_WIDTH = 5.0, 2.0
 """Every vehicle's size [m], as highway-env has it."""
@@ -160,7 +160,7 @@ class Trip:
         policy: Policy | None = None,
         visitor: str = "",
         begun: str | None = None,
-        world: str = "batched",
+        world: WorldName = "batched",
     ) -> None:
         check_choice("seat", seat, SEATS)
         seed = check_seed(seed)
@@ -182,7 +182,7 @@ class Trip:
         self._empty = TripRecord(
             config, seed, seat, kind, partner, (), (), None, False,
             world=world, visitor=visitor, begun=begun,
-        )  # type: ignore[arg-type]  # fmt: skip
+        )  # fmt: skip
         self._turns.prepare()
 
     @classmethod
@@ -327,7 +327,7 @@ class _Camera:
         self._world.reset(np.array([seed], np.uint64), np.ones(1), self._all)
         self._tick = 1 / scene.simulation_frequency
         self._time = 0
-        self.moments = (self._moment(),)
+        self.moments: tuple[Moment, ...] = (self._moment(),)
         """Every simulator step of the latest decision, or the start."""
 
     def follow(self, action: int) -> None:
