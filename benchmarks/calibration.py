@@ -39,9 +39,7 @@ SETTLED = Traits.from_array([[0.1, 0.2, 0.15, 6.0]])
 
 
 class WeibullPeople(ScriptedPeople):
-    """Persons whose times in either state have Weibull's distribution, of shape 2: changes become
-    likelier with time.
-    """
+    """Persons for whom a change becomes likelier with time: Weibull's distribution of shape 2."""
 
     shape = 2.0
     _age = 0.0
@@ -61,7 +59,7 @@ class WeibullPeople(ScriptedPeople):
 
 
 class FadingPeople(ScriptedPeople):
-    """Persons to whom an alert helps twice as much at first, and no more at the end of its window."""
+    """Persons whom an alert helps twice as much at first, and no more at the end of its window."""
 
     def chance(self, away: NDArray[np.int64], helped: NDArray[np.int64]) -> NDArray[np.float64]:
         """Scale η by the step since the alert."""
@@ -114,9 +112,8 @@ def measure(count: int, seed: int) -> list[dict[str, object]]:
                 each = found[trait]
                 covered = each.covers(getattr(traits, trait))[own]
                 width = float(np.median(each.width[own]))
-                line.append(
-                    f"{trait} holds {share(int(covered.sum()), int(own.sum()))} %, width {width:.3f}"
-                )
+                held = share(int(covered.sum()), int(own.sum()))
+                line.append(f"{trait} holds {held} %, width {width:.3f}")
                 rows.append(
                     {
                         "minutes": minutes,
