@@ -49,7 +49,7 @@ def test_every_trip_begins_anew():
 
 def test_the_window_is_that_of_the_environment():
     config, rng = TeamConfig(driver="average", duration=10.0), np.random.default_rng(3)
-    teaming = Teaming(config, 1, "highway")
+    teaming = Teaming(config, 1, "batched")
     teaming.reset([1])
     alerts, seen = (rng.random(50) < 0.15).astype(int), []
     for alert in alerts:
