@@ -111,7 +111,7 @@ def _import_all_that_is_installed() -> None:
     them without any extra, so they are in modules that need none.
     """
     extras = {module for modules in EXTRAS.values() for module in modules}
-    for package in "agents", "demonstrations", "envs", "experiments", "training":
+    for package in "agents", "demonstrations", "envs", "experiments", "people", "training":
         folder = [str(ROOT / "hmi_marl" / package)]
         for module in pkgutil.walk_packages(folder, f"hmi_marl.{package}."):
             try:

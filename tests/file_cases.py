@@ -23,6 +23,7 @@ from evidence_models import untrained_evidence
 from model_cards import with_weights
 from mutations import contents, hostile, hostile_json
 from parquet_files import write_signed
+from people.trips import a_trip
 from trait_models import save_driver, untrained
 
 from hmi_marl.agents.adaptive.evidence_model import load_evidence, save_evidence
@@ -37,6 +38,9 @@ from hmi_marl.demonstrations.parquet import (
     write_demonstrations,
 )
 from hmi_marl.files import with_checksum, without_checksum
+from hmi_marl.people.record import TripRecord
+from hmi_marl.people.store import Store
+from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Table, Text, Verdicts, block_from
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 from hmi_marl.reproduction import suite
@@ -377,6 +381,33 @@ def signed_rows(folder: Path) -> Case:
     return Case(path, lambda: use(folder), mutate)
 
 
+def trip(folder: Path) -> Case:
+    path = folder / "trip.json"
+    path.write_text(json.dumps(a_trip("graded", steps=5).record().to_json()))
+    return json_of(path, lambda: TripRecord.from_json(read_json(path)))
+
+
+def people_database(folder: Path) -> Case:
+    path = folder / "people.db"
+    with Store(path) as store:
+        session = store.new_session(store.new_visitor().number, "play", {"page": 1})
+        store.begin_trip(session, a_trip(steps=5).record())
+        store.answer(session, "safe", 5)
+        store.forget()
+    content = path.read_bytes()
+
+    def mutate(seed: int) -> None:
+        for log in folder.glob("people.db-*"):
+            log.unlink()
+        path.write_bytes(hostile(content, seed))
+
+    def read() -> object:
+        with Store(path, make=False) as store:
+            return [*store.trips(), *store.sessions(), *store.answers()]
+
+    return Case(path, read, mutate)
+
+
 CASES = {
     case.__name__: case
     for case in (
@@ -402,5 +433,7 @@ CASES = {
         truth_file,
         signed_stamp,
         signed_rows,
+        trip,
+        people_database,
     )
 }

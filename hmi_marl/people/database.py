@@ -29,7 +29,7 @@ class Database:
         path: of the file.
         tables: statements that make the tables and indices, by name, as SQLite keeps them.
         version: of the tables.
-        make: the file, if there is none.
+        make: the file, if there is none, and the tables in an empty one.
 
     Raises:
         ValueError: the file is something else, or of another version; the message says which. So
@@ -40,7 +40,7 @@ class Database:
     def __init__(
         self, path: Path, tables: Mapping[str, str], version: int, make: bool = True
     ) -> None:
-        self.path, self._tables, self._version = path, tables, version
+        self.path, self._tables, self._version, self._make = path, tables, version, make
         self._lock = threading.RLock()
         if make and not path.exists():
             path.touch(mode=0o600)  # what people did is not for other users
@@ -121,7 +121,8 @@ class Database:
 
     def _open(self) -> None:
         """Check the file, and make the tables in an empty one."""
-        self._check()
+        if self._check() and not self._make:
+            raise ValueError(f"{self.path} is empty, and no database; name another file")
         self._write_ahead()
         for setting in ("synchronous = FULL", "foreign_keys = ON", "secure_delete = ON"):
             self._base.execute(f"PRAGMA {setting}")

@@ -113,10 +113,12 @@ def export(
         What was written; a folder for trips as JSON.
 
     Raises:
-        ValueError: a damaged database, a trip that does not replay, or no trips that can be
-            demonstrations where these are asked for.
+        ValueError: no such visitor, a damaged database, a trip that does not replay, or no trips
+            that can be demonstrations where these are asked for.
         FileExistsError: a Minari dataset is there already.
     """
+    if visitor is not None and visitor not in store.visitors():
+        raise ValueError(f"{store.path} has no visitor {visitor}")
     make_folder(out)
     trips = list(store.trips(visitor))
     written: list[Path] = []

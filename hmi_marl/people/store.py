@@ -23,34 +23,12 @@ from typing import Any
 from hmi_marl.checks import shown
 from hmi_marl.people.database import Database
 from hmi_marl.people.record import TIME, TripRecord
+from hmi_marl.people.tables import OF_VISITOR, SCHEMA, TABLES
 
-SCHEMA = 1
-"""Version of the tables."""
 _ALPHABET = "23456789ABCDEFGHJKLMNPQRSTUVWXYZ"
 """Letters and digits that are not mistaken for each other."""
 _CODE = 16
 """Letters of a code: 80 bits."""
-_TABLES = {
-    "visitors": """CREATE TABLE visitors (
-        number INTEGER PRIMARY KEY AUTOINCREMENT, code TEXT NOT NULL UNIQUE, made TEXT NOT NULL)""",
-    "sessions": """CREATE TABLE sessions (
-        id TEXT PRIMARY KEY, visitor INTEGER NOT NULL REFERENCES visitors ON DELETE CASCADE,
-        kind TEXT NOT NULL, state TEXT NOT NULL, made TEXT NOT NULL)""",
-    "trips": """CREATE TABLE trips (
-        number INTEGER PRIMARY KEY AUTOINCREMENT,
-        session TEXT NOT NULL REFERENCES sessions ON DELETE CASCADE, head TEXT NOT NULL,
-        seen INTEGER NOT NULL, crashed INTEGER NOT NULL, digest TEXT NOT NULL,
-        finished INTEGER NOT NULL)""",
-    "decisions": """CREATE TABLE decisions (
-        trip INTEGER NOT NULL REFERENCES trips ON DELETE CASCADE, step INTEGER NOT NULL,
-        intent INTEGER NOT NULL, alert INTEGER NOT NULL, away INTEGER,
-        PRIMARY KEY (trip, step)) WITHOUT ROWID""",
-    "answers": """CREATE TABLE answers (
-        session TEXT NOT NULL REFERENCES sessions ON DELETE CASCADE, question TEXT NOT NULL,
-        value TEXT NOT NULL, made TEXT NOT NULL, PRIMARY KEY (session, question)) WITHOUT ROWID""",
-    "sessions_of": "CREATE INDEX sessions_of ON sessions (visitor)",
-    "trips_of": "CREATE INDEX trips_of ON trips (session)",
-}
 
 
 @dataclass(frozen=True)
@@ -114,7 +92,7 @@ class Store(Database):
     """
 
     def __init__(self, path: Path, make: bool = True) -> None:
-        super().__init__(path, _TABLES, SCHEMA, make)
+        super().__init__(path, TABLES, SCHEMA, make)
 
     def new_visitor(self) -> Visitor:
         """Note a new person and return them with their code, which is not shown again."""
@@ -130,6 +108,10 @@ class Store(Database):
         """Return the number of the person with this code, or None."""
         found = self.rows("SELECT number FROM visitors WHERE code = ?", _hashed(code))
         return found[0][0] if found else None
+
+    def visitors(self) -> list[int]:
+        """Return the numbers of all people."""
+        return [number for (number,) in self.rows("SELECT number FROM visitors ORDER BY number")]
 
     def delete_visitor(self, code: str) -> dict[str, int]:
         """Delete everything of the person with this code, also from the free parts of the file.
@@ -148,7 +130,7 @@ class Store(Database):
                 raise ValueError(f"no visitor in {self.path} has this code; check its letters")
             counts = {
                 name: base.execute(f"SELECT count(*) FROM {where}", found).fetchone()[0]
-                for name, where in _OF_VISITOR.items()
+                for name, where in OF_VISITOR.items()
             }
             base.execute("DELETE FROM visitors WHERE number = ?", found)
         self.forget()
@@ -272,8 +254,9 @@ class Store(Database):
 
     def _sessions(self, rest: str, *values: Any) -> Iterator[Session]:
         columns = "id, visitor, kind, state, made"
-        for row in self.rows(f"SELECT {columns} FROM sessions {rest}", *values):
-            yield Session(*row[:3], self.parsed(row[3]), row[4])
+        rows = self.rows(f"SELECT {columns} FROM sessions {rest}", *values)
+        for identity, visitor, kind, state, made in rows:
+            yield Session(identity, visitor, kind, self.parsed(state), made)
 
     def _trips(self, rest: str, *values: Any) -> Iterator[StoredTrip]:
         query = "SELECT trips.number FROM trips JOIN sessions ON sessions.id = session"
@@ -333,16 +316,6 @@ class Store(Database):
     def _update(self, base: sqlite3.Connection, query: str, *values: Any) -> None:
         if base.execute(query, values).rowcount != 1:
             raise ValueError(f"{self.path} has no {query.split()[1][:-1]} {shown(values[-1])}")
-
-
-_OF_VISITOR = {
-    "visitors": "visitors WHERE number = ?",
-    "sessions": "sessions WHERE visitor = ?",
-    "trips": "trips JOIN sessions ON sessions.id = session WHERE visitor = ?",
-    "decisions": "decisions JOIN trips ON trips.number = trip "
-    "JOIN sessions ON sessions.id = session WHERE visitor = ?",
-    "answers": "answers JOIN sessions ON sessions.id = session WHERE visitor = ?",
-}
 
 
 def _restricted(wanted: Mapping[str, Any]) -> tuple[str, list[Any]]:

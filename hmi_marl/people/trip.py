@@ -261,7 +261,8 @@ class Trip:
         self._check_attention(away)
         result = self._turns.step([action], looking_away=away)
         if away is not None:
-            self._looking_away = [*(self._looking_away or []), *away]
+            self._looking_away = self._looking_away or []
+            self._looking_away += away
         self._intents.append(int(self._teaming.intended[0]))
         self._alerts.append(int(self._teaming.alerted[0]))
         self._score += float(result.rewards[self.seat][0])

@@ -75,6 +75,13 @@ COMMANDS = (
     _command("compare", TRAIN, _COMPARED),
     _command("export", TRAIN, "--policy trained:homer --out hmi.onnx"),
     _command("oracle", CORE, "--horizon 5"),
+    _command("people delete", CORE, "people.db CODE", not_run="needs a person's code"),
+    _command(
+        "people export",
+        CORE,
+        "people.db",
+        not_run="needs a database of people; tests/commands/test_people.py runs it without extras",
+    ),
     _command("reproduce all", TRAIN | DATA, not_run="takes a quarter of an hour with --quick"),
     _command(
         "reproduce table",
@@ -143,6 +150,20 @@ COMMANDS = (
 OPTIONS = (
     Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --num-teams 1 --minari"),
     Row("option", "compare --ray", TRAIN | RAY, f"{_COMPARED} --ray local"),
+    Row(
+        "option",
+        "people export --formats parquet",
+        DATA,
+        "people.db --formats parquet",
+        not_run="see people export",
+    ),
+    Row(
+        "option",
+        "people export --formats minari",
+        DATA,
+        "people.db --formats minari",
+        not_run="see people export",
+    ),
     Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local"),
     *(
         Row(
@@ -197,6 +218,7 @@ SITE_PAGES = tuple(
         "extending.md": (CORE,),
         "graded-alerts.md": (CORE,),
         "index.md": (CORE,),
+        "people.md": (CORE,),
         "settings.md": (CORE,),
         "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),

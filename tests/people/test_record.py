@@ -5,13 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mutations import REFUSED, hostile_json, try_reader
 from people.trips import a_trip
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.people.record import TripRecord, environment_stamp, replay
-from hmi_marl.reading import parse_json
 
 
 @pytest.fixture(scope="module")
@@ -96,26 +94,6 @@ def test_a_population_that_json_cannot_hold_is_refused():
 def test_json_of_others_is_refused_with_the_field(record, change, message):
     with pytest.raises(ValueError, match=message):
         TripRecord.from_json(change(record.to_json()))
-
-
-def try_mutations(record, seeds):
-    content, now = record.to_json(), {}
-    counts, wrong = try_reader(
-        lambda: TripRecord.from_json(parse_json(now["text"])),
-        lambda seed: now.update(text=hostile_json(content, seed)),
-        seeds,
-    )
-    assert not wrong
-    assert counts[REFUSED] > len(seeds) / 3
-
-
-def test_mutated_json_gives_only_value_errors(record):
-    try_mutations(record, range(60))
-
-
-@pytest.mark.slow
-def test_thousands_of_mutations_give_only_value_errors(record):
-    try_mutations(record, range(60, 3000))
 
 
 def test_a_replay_that_differs_says_how():

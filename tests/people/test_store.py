@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mutations import READ, REFUSED, hostile, try_reader
 from people.trips import a_trip
 
 from hmi_marl.people.store import Store, visitor_name
@@ -231,40 +230,6 @@ def test_other_files_give_one_precise_error_and_stay_as_they_are(tmp_path):
         Store(tmp_path / "no" / "such.db")
     with pytest.raises(OSError, match=str(tmp_path)):
         Store(tmp_path)
-
-
-def mutated(folder, records, seeds):
-    """Read mutated databases; only ValueError and OSError may come."""
-    path = folder / "people.db"
-    with Store(path) as store:
-        fill(store, records[:2], 1)
-    base = sqlite3.connect(path)
-    base.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    base.close()
-    content = path.read_bytes()
-
-    def mutate(seed):
-        for each in folder.glob("people.db*"):
-            each.unlink()
-        path.write_bytes(hostile(content, seed))
-
-    def read():
-        with Store(path) as store:
-            return list(store.trips()), list(store.sessions()), list(store.answers())
-
-    counts, wrong = try_reader(read, mutate, seeds)
-    assert not wrong
-    assert counts[READ] + counts[REFUSED] == len(seeds)
-    assert counts[REFUSED]
-
-
-def test_mutated_databases_are_refused_or_read(tmp_path, records):
-    mutated(tmp_path, records, range(25))
-
-
-@pytest.mark.slow
-def test_hundreds_of_mutated_databases_are_refused_or_read(tmp_path, records):
-    mutated(tmp_path, records, range(25, 600))
 
 
 def test_columns_of_another_type_are_damage(store, records):
