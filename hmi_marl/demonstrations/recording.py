@@ -61,7 +61,7 @@ class CollectSettings(Checked, TeamSettings):
     """
 
     drivers: tuple[DriverName, ...] = PAPER_DRIVERS
-    """Drivers: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    """Drivers: lisa, marge, bart, homer, average, name:beta,alpha,eta,inflation, or files."""
     steps: Steps = 300_000
     """Steps of each driver, rounded up to whole windows. Each driver has separate windows."""
     population: CountOrZero = 0

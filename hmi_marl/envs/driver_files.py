@@ -54,7 +54,7 @@ def read_driver(path: str | Path, kind: type[Driver]) -> Driver:
         raise ValueError(f"{path} is no driver file that can be used: {error}") from None
 
 
-def write_driver(path: Path, driver: Driver, about: Mapping[str, Any] | None = None) -> None:
+def write_driver(path: str | Path, driver: Driver, about: Mapping[str, Any] | None = None) -> None:
     """Write a driver file.
 
     Args:
@@ -68,7 +68,7 @@ def write_driver(path: Path, driver: Driver, about: Mapping[str, Any] | None = N
     """
     if not is_driver_file(str(path)):
         raise ValueError(f"the name of a driver file ends in .json, not {shown(str(path))}")
-    write_json(path, driver_content(driver, about))
+    write_json(Path(path), driver_content(driver, about))
 
 
 def driver_content(driver: Driver, about: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -45,7 +45,7 @@ class TableSettings(TeamSettings):
     """Settings of a table, as they were typed: nothing is checked yet."""
 
     drivers: tuple[DriverName, ...] = PAPER_DRIVERS
-    """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    """Columns: lisa, marge, bart, homer, average, name:beta,alpha,eta,inflation, or files."""
     hmis: tuple[str, ...] = PAPER_HMIS
     """Rows: NoHMI (or never), always, random[:RATE], when-distracted, AvgHMI (or average), own (or
     optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, trained:NAME, or

@@ -8,7 +8,7 @@ among others in :func:`simulate_calibrations`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_hmi
 from hmi_marl.envs.attention import distraction_probability, next_acceptance
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import Traits
+from hmi_marl.envs.drivers import Driver, Traits
 from hmi_marl.envs.streams import Stream, episode_seed, team_seed, uniform
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
@@ -63,7 +63,7 @@ class ScriptedPeople:
 
 
 def simulate_calibrations(
-    traits: Traits,
+    traits: Traits | Sequence[Driver],
     config: TeamConfig,
     trips: int,
     seed: int = 0,
@@ -72,7 +72,7 @@ def simulate_calibrations(
     """Let P scripted persons drive calibration trips, all persons side by side.
 
     Args:
-        traits: of the P persons.
+        traits: of the P persons, or drivers with these traits.
         config: settings of the teams; ``end_at_crash=False`` keeps every trip whole.
         trips: number of trips of each person.
         seed: of all; person p's k-th trip has the seed episode_seed(team_seed(seed, p), k).
@@ -81,6 +81,7 @@ def simulate_calibrations(
     Returns:
         The trips of each person.
     """
+    traits = traits if isinstance(traits, Traits) else Traits.of(traits)
     series = team_seed(seed, np.arange(len(traits)))
     found: list[list[TripRecord]] = [[] for _ in series]
     for place in range(trips):
