@@ -54,7 +54,7 @@ def best_hmis(driver: Driver, config: TeamConfig) -> dict[str, TrialHMI]:
     found = {}
     for name in TRIAL:
         policy = make_hmi(names[name], config)
-        worth = (None, None, None)
+        worth: tuple[float, ...] | tuple[None, ...] = (None, None, None)
         if isinstance(policy, AttentionRule):
             returns = oracle.evaluate(
                 policy.alert_probability(),

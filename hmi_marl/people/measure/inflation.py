@@ -116,7 +116,7 @@ def _table(
     for row, trip in enumerate(trips):
         steps = slice(0, len(trip))
         intents[row, steps], alerts[row, steps] = trip.intents, trip.alerts
-        away[row, steps] = trip.looking_away
+        away[row, steps] = trip.looking_away or 0
     applied[:, 0] = intents[:, 0]
     for t in range(1, shape[1]):
         applied[:, t] = np.where(away[:, t] == 1, applied[:, t - 1], intents[:, t])

@@ -49,7 +49,8 @@ class MeasuredPerson:
         inflation = (
             found["inflation"].mean if "inflation" in found else DRIVERS["average"].inflation
         )
-        return Driver(self.name, *(found[trait].mean for trait in TRAIT_NAMES[:3]), inflation)
+        beta, alpha, eta = (found[trait].mean for trait in TRAIT_NAMES[:3])
+        return Driver(self.name, beta, alpha, eta, inflation)
 
     @property
     def estimates(self) -> dict[str, Estimate]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, TRAIT_NAMES
@@ -32,9 +33,7 @@ _HMIS = {"own": "own (optimal for these traits)", "average": "average", "none": 
 def blocks(person: MeasuredPerson) -> list[Block]:
     """Blocks of the report."""
     counts = person.attention.counts
-    away = (counts.away + counts.helped_away) / max(
-        1.0, counts.attentive + counts.helped_attentive + counts.away + counts.helped_away
-    )
+    away = float(person.attention.steps.before.mean())
     openings = counts.openings + counts.helped_openings
     about = (
         f"{person.name}: {person.trips} trips of {person.minutes:.1f} minutes in all, "
@@ -129,7 +128,7 @@ def _worth(person: MeasuredPerson) -> Table:
     )
 
 
-def _draw(person: MeasuredPerson) -> object:
+def _draw(person: MeasuredPerson) -> Drawing:
     drawing = canvas(9.0, 6.5)
     axes = drawing.subplots(2, 2)
     _draw_traits(axes[0, 0], person)
@@ -215,9 +214,10 @@ def _binned(
     bins = np.minimum(9, (10 * before / steps.sum()).astype(np.int64))
     _, bins = np.unique(bins, return_inverse=True)
     bins = bins.reshape(-1)
-    total = np.bincount(bins, steps)
-    share, error = _share(total, np.bincount(bins, changes))
-    return np.bincount(bins, steps * time) / total, share, error
+    each = steps, changes, steps * time
+    sums = np.array([np.bincount(bins, weights) for weights in each], np.float64)
+    share, error = _share(sums[0], sums[1])
+    return sums[2] / sums[0], share, error
 
 
 def _share(

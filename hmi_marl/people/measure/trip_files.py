@@ -59,8 +59,8 @@ def measurable(trips: Sequence[TripRecord], visitor: str | None = None) -> list[
     """
     own = [trip for trip in trips if visitor is None or trip.visitor == visitor]
     if not own:
-        codes = ", ".join(sorted({trip.visitor or "(none)" for trip in trips}))
-        raise ValueError(f"no trip is of visitor {visitor!r}; there are trips of {codes}")
+        known = ", ".join(sorted({trip.visitor or "(none)" for trip in trips}))
+        raise ValueError(f"no trip is of visitor {visitor!r}; there are trips of {known}")
     seen = [trip for trip in own if trip.seat == "driver" and trip.looking_away and len(trip)]
     if not seen:
         raise ValueError(
