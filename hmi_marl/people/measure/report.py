@@ -223,5 +223,9 @@ def _binned(
 def _share(
     steps: NDArray[np.float64], changes: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shares, and how far Wilson's interval of one standard error reaches below and above."""
     share = changes / steps
-    return share, np.sqrt(share * (1 - share) / steps)
+    middle = (changes + 0.5) / (steps + 1)
+    half = np.sqrt(share * (1 - share) / steps + 0.25 / steps**2) / (1 + 1 / steps)
+    ends = np.stack([share - (middle - half), middle + half - share])
+    return share, np.maximum(ends, 0.0)
