@@ -54,6 +54,7 @@ ARGUMENTS = {
     "export": ["--policy", "trained:homer"],
     "people delete": ["people.db", "CODE"],
     "people export": ["people.db"],
+    "people traits": ["trips"],
     "reproduce ship": ["--out", "agents"],
     "sweep": ["joint"],
     "traits evaluate": ["runs/traits-id"],
@@ -65,6 +66,7 @@ CHEAP = {
     "oracle": "--horizon 3",
     "people delete": None,  # needs a database: see test_people.py
     "people export": None,  # the same
+    "people traits": None,  # needs recordings: see test_people_traits.py
     "reproduce ship": None,  # needs a finished reproduction
     "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
     "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2 --no-clip",

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import xlogy
 
 from hmi_marl.people.measure.steps import ChainCounts
 
@@ -50,10 +49,10 @@ class State:
         outside = np.asarray(p, np.float64)
         within = np.maximum(0.0, outside - np.asarray(eta, np.float64))
         return (
-            xlogy(self.ones, outside)
-            + xlogy(self.steps - self.ones, 1.0 - outside)
-            + xlogy(self.helped_ones, within)
-            + xlogy(self.helped_steps - self.helped_ones, 1.0 - within)
+            _times_log(self.ones, outside)
+            + _times_log(self.steps - self.ones, 1.0 - outside)
+            + _times_log(self.helped_ones, within)
+            + _times_log(self.helped_steps - self.helped_ones, 1.0 - within)
         )
 
     def best(self, eta: ArrayLike) -> tuple[_Array, _Array]:
@@ -146,7 +145,7 @@ class Likelihood:
                 (state.helped_ones, state.helped_steps),
             ):
                 share = ones / np.maximum(steps, 1.0)
-                total = total + xlogy(ones, share) + xlogy(steps - ones, 1.0 - share)
+                total = total + _times_log(ones, share) + _times_log(steps - ones, 1.0 - share)
         return total
 
 
@@ -173,3 +172,9 @@ def _highest(function: Callable[[_Array], _Array], shape: tuple[int, ...]) -> tu
     which = values.argmax(axis=0)[None]
     place, value = (np.take_along_axis(each, which, 0)[0] for each in (places, values))
     return place, value
+
+
+def _times_log(count: _Array, probability: _Array) -> _Array:
+    """``count`` times the log of a probability: 0 for no steps, -∞ for some that cannot happen."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(count > 0, count * np.log(probability), 0.0)

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from hmi_marl.checks import Real
 from hmi_marl.people.measure.likelihood import Likelihood
@@ -28,7 +27,8 @@ from hmi_marl.reporting.statistics import CONFIDENCE, Estimate
 ATTENTION_TRAITS = ("beta", "alpha", "eta")
 FEW = 10
 """Fewer events than these, outside windows, and an interval is widened to the exact one."""
-_DROP = float(stats.chi2.ppf(CONFIDENCE, 1)) / 2
+_DROP = 1.920729
+"""Half of the 95 % quantile of χ² with one degree of freedom."""
 _TIED = 1e-6
 """Difference of log likelihoods that counts as none."""
 _ROOM = 17
@@ -141,6 +141,8 @@ def _widened(
     steps: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Widen intervals to those of Clopper and Pearson where there are few events."""
+    from scipy import stats  # takes half a second
+
     others = steps - events
     few = np.minimum(events, others) < FEW
     tail = (1.0 - CONFIDENCE) / 2
