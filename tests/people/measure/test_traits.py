@@ -129,9 +129,9 @@ def test_arrays_of_trips_are_measured():
     ],
 )
 def test_intervals_cover_at_few_events_and_at_edges(traits, steps):
-    """At least 93 % of 2000, four standard errors below 95 % and 0.1 more; η from few events 90."""
+    """At least 92 % of 600: 95 % less 3.4 standard errors."""
     beta, alpha, eta = traits
-    rng, people = np.random.default_rng(0), 2000
+    rng, people = np.random.default_rng(0), 600
     chances = beta, max(0.0, beta - eta), alpha, min(1.0, alpha + eta)
     drawn = [rng.binomial(n, p, people).astype(float) for n, p in zip(steps, chances, strict=True)]
     numbers = [
@@ -139,4 +139,4 @@ def test_intervals_cover_at_few_events_and_at_edges(traits, steps):
     ]
     for trait, found in intervals(ChainCounts(*numbers)).items():
         covered = found.covers({"beta": beta, "alpha": alpha, "eta": eta}[trait]).mean()
-        assert covered > 0.93, (trait, covered)
+        assert covered > 0.92, (trait, covered)
