@@ -253,6 +253,8 @@ def allowed(hint: Any) -> str:
 
 def _check_tuple(name: str, parts: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
     if not isinstance(value, (tuple, list)):
+        if str in get_args(parts[0])[:1]:
+            raise TypeError(f"{name} takes a tuple of names, not {shown(value)}")
         raise TypeError(f"{name} is a tuple of numbers, not {shown(value)}")
     if parts[-1] is Ellipsis:
         return tuple(check_value(f"each of {name}", parts[0], each) for each in value)

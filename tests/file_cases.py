@@ -37,10 +37,13 @@ from hmi_marl.demonstrations.parquet import (
     read_demonstrations,
     write_demonstrations,
 )
+from hmi_marl.envs.driver_files import write_driver
+from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.experiments.driver_map.cases import Case as MapCase
 from hmi_marl.experiments.driver_map.cases import CaseResult, Grid, Integral, Loss
 from hmi_marl.experiments.driver_map.experiment import read_result
 from hmi_marl.files import json_value, with_checksum, without_checksum
+from hmi_marl.people.measure.trip_files import measurable, read_trips
 from hmi_marl.people.record import TripRecord
 from hmi_marl.people.store import Store
 from hmi_marl.reading import read_json
@@ -404,6 +407,23 @@ def signed_rows(folder: Path) -> Case:
     return Case(path, lambda: use(folder), mutate)
 
 
+def driver_file(folder: Path) -> Case:
+    path = folder / "mona.json"
+    write_driver(path, Driver("mona", 0.1, 0.5, 0.2, 2.0), {"trips": 3})
+    return json_of(path, lambda: get_driver(str(path)))
+
+
+def signed_driver_file(folder: Path) -> Case:
+    path = driver_file(folder).path
+    return signed_json(path, lambda: get_driver(str(path)))
+
+
+def trips_of_a_person(folder: Path) -> Case:
+    path = folder / "trips.json"
+    path.write_text(json.dumps([a_trip(steps=5, visitor="ada").record().to_json()]))
+    return json_of(path, lambda: measurable(read_trips([path])))
+
+
 def trip(folder: Path) -> Case:
     path = folder / "trip.json"
     path.write_text(json.dumps(a_trip("graded", steps=5).record().to_json()))
@@ -459,6 +479,9 @@ CASES = {
         signed_stamp,
         signed_rows,
         trip,
+        trips_of_a_person,
+        driver_file,
+        signed_driver_file,
         people_database,
     )
 }

@@ -81,11 +81,12 @@ def known_names(seat: str) -> dict[str, str]:
 
 def is_learned(name: str, seat: str) -> bool:
     """Whether a name stands for a policy in a file rather than for a registered one."""
-    if mixed_names(name):
+    kind, colon, _ = name.partition(":")
+    if colon and kind in _REGISTRIES[seat]:  # such as mixture:..., or optimal:measured/visitor.json
         return False
     if is_shipped(name) or "/" in name or os.sep in name or name.endswith(".json"):
         return True
-    return name.partition(":")[0] not in _REGISTRIES[seat] and Path(name).is_dir()
+    return kind not in _REGISTRIES[seat] and Path(name).is_dir()
 
 
 def mixed_names(name: str) -> tuple[str, ...]:
@@ -168,7 +169,7 @@ def _adapt(config: TeamConfig, argument: str, sequential: bool) -> Policy:
 def _driver(name: str, config: TeamConfig, kind: str) -> Driver:
     """The driver model of this name, or without a name the only driver of the teams."""
     if name:
-        return get_driver(name.lower())
+        return get_driver(name)
     if config.only_driver is None:
         raise ValueError(
             f"HMI {kind!r} is the optimum for the driver of the team, but driver= is a population; "

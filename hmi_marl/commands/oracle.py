@@ -23,7 +23,7 @@ class Oracle:
     """
 
     driver: str = "homer"
-    """lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    """lisa, marge, bart, homer, average, name:beta,alpha,eta,inflation, or a driver file."""
     window: int = oracle.DEFAULT_WINDOW
     """N, the steps for which an alert stays in effect."""
     horizon: int = oracle.DEFAULT_HORIZON

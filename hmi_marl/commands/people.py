@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from hmi_marl.checks import Count
+from hmi_marl.commands.people_traits import PeopleTraits
 from hmi_marl.ownership import owned
 from hmi_marl.people.export import Format
 from hmi_marl.people.store import Store, visitor_name
@@ -73,7 +74,8 @@ class PeopleCommand:
 
     what: Annotated[
         Annotated[ExportPeople, tyro.conf.subcommand("export")]
-        | Annotated[DeletePeople, tyro.conf.subcommand("delete")],
+        | Annotated[DeletePeople, tyro.conf.subcommand("delete")]
+        | Annotated[PeopleTraits, tyro.conf.subcommand("traits")],
         tyro.conf.arg(prefix_name=False),
     ]
 

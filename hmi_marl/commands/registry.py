@@ -178,6 +178,11 @@ SUBCOMMANDS = (
                 "Delete all data of one person from a database, by the code that they were given.",
                 "commands.people:DeletePeople",
             ),
+            Subcommand(
+                "traits",
+                "Measure the traits of a person from recorded trips, and make a driver of them.",
+                "commands.people_traits:PeopleTraits",
+            ),
         ),
         choice="what",
     ),

@@ -10,7 +10,7 @@ import tyro
 
 from hmi_marl.checks import Count
 from hmi_marl.commands.train import use_quiet_threads
-from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.envs.drivers import PAPER_DRIVERS, DriverName
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.sweep.experiment import Sweep, plan_table
@@ -45,7 +45,7 @@ class SweepCommand:
     """Seed of the first run of each combination; those of the others are mixed from it."""
     episodes: Count = 500
     """Evaluation episodes of each run with each driver."""
-    drivers: tuple[str, ...] = PAPER_DRIVERS
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
     """Drivers of the evaluation: known names, or name:beta,alpha,eta,inflation."""
     dry_run: bool = False
     """Print the plan, and what of it is done, instead."""

@@ -21,7 +21,7 @@ class Watch(TeamSettings):
     """
 
     driver: str = "homer"
-    """lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    """lisa, marge, bart, homer, average, name:beta,alpha,eta,inflation, or a driver file."""
     hmi: str = "optimal"
     """never, always, random[:RATE], when-distracted, optimal[:DRIVER], average, belief[:DRIVER],
     the folder of a trained run, trained:NAME, or mixture:NAME,NAME,... of these."""

@@ -34,7 +34,14 @@ from hmi_marl.demonstrations.dataset import (
 )
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
-from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, TraitDistributions, Traits, get_driver
+from hmi_marl.envs.drivers import (
+    PAPER_DRIVERS,
+    Driver,
+    DriverName,
+    TraitDistributions,
+    Traits,
+    get_driver,
+)
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
@@ -53,8 +60,8 @@ class CollectSettings(Checked, TeamSettings):
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
-    drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Drivers: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
+    """Drivers: lisa, marge, bart, homer, average, name:beta,alpha,eta,inflation, or files."""
     steps: Steps = 300_000
     """Steps of each driver, rounded up to whole windows. Each driver has separate windows."""
     population: CountOrZero = 0

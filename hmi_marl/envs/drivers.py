@@ -16,7 +16,8 @@ from typing import Annotated, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.checks import SHARE, Checked, Real, Share, Whole, shown
+from hmi_marl.checks import SHARE, Check, Checked, Real, Share, Whole, shown
+from hmi_marl.envs.driver_files import is_driver_file, read_driver
 from hmi_marl.envs.streams import Stream, uniform
 
 TRAIT_NAMES = ("beta", "alpha", "eta", "inflation")
@@ -95,19 +96,22 @@ PAPER_DRIVERS = ("lisa", "marge", "bart", "homer")
 def get_driver(driver: str | Driver) -> Driver:
     """Look a driver up by name (case does not matter), or pass a :class:`Driver` through.
 
-    A name with traits, ``"mona:0.4,0.3,0.5,2"``, is a custom driver: β, α, η, inflation.
+    A name with traits, ``"mona:0.4,0.3,0.5,2"``, is a custom driver: β, α, η, inflation. A name
+    that ends in ``.json`` is the path of a driver file; see :mod:`hmi_marl.envs.driver_files`.
     """
     if isinstance(driver, Driver):
         return driver
     if not isinstance(driver, str):
         raise TypeError(f"expected a driver's name or a Driver, not {driver!r}")
+    if is_driver_file(driver):
+        return read_driver(driver, Driver)
     name, colon, traits = driver.partition(":")
     if colon:
         return _driver_from_text(name, traits)
     if driver.lower() not in DRIVERS:
         from hmi_marl.registry import unknown  # needed for this error alone
 
-        own = "a custom one is name:beta,alpha,eta,inflation"
+        own = "a custom one is name:beta,alpha,eta,inflation, or a driver file, FILE.json"
         raise ValueError(f"{unknown('driver', driver, DRIVERS)}; {own}")
     return DRIVERS[driver.lower()]
 
@@ -122,6 +126,23 @@ def _driver_from_text(name: str, traits: str) -> Driver:
             f"a custom driver is name:beta,alpha,eta,inflation, not {name + ':' + traits!r}"
         ) from None
     return Driver(name, beta, alpha, eta, inflation)
+
+
+def spelled_out(driver: Driver) -> str:
+    """Return name:beta,alpha,eta,inflation, of which get_driver makes the same driver."""
+    return f"{driver.name}:{','.join(map(repr, driver.traits))}"
+
+
+def _as_traits(name: str, value: str) -> str:
+    """Return a driver's name, or of a driver file name:beta,alpha,eta,inflation."""
+    if not (isinstance(value, str) and is_driver_file(value)):
+        return value
+    return spelled_out(get_driver(value))
+
+
+DriverName = Annotated[str, Check(_as_traits, "a driver's name, name:β,α,η,inflation or FILE.json")]
+"""Driver's name in settings. Of a file the traits are kept, so that stored settings do not change
+with it."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from hmi_marl import workers
 from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.cli import main
 from hmi_marl.commands.registry import SUBCOMMANDS
-from hmi_marl.files import sha256_of
+from hmi_marl.files import sha256_of, write_json
 from hmi_marl.people.store import Store
 from hmi_marl.training.runs import start
 
@@ -202,6 +202,15 @@ BAD: dict[str, dict[str, list[str]]] = {
         "database": ["/no/such.db", "file"],
         "formats": ["nope", ""],
         "visitor": ["0", "99"],
+    },
+    "people traits": {
+        **OUT,
+        "recordings": ["", "/no/such", "file"],
+        "name": ["a/b"],
+        "visitor": ["nobody"],
+        "driver-policy": ["nope", "/no/such", "rule"],
+        "widths": ["0", "nan"],
+        "seed": ["-1"],
     },
     "traits train": {
         **TRAITS,
@@ -431,6 +440,7 @@ PRESET = {
     "export": {"policy": "trained:homer"},
     "people delete": {"database": "PEOPLE", "code": "K7QF2M9PXW4ZH8TD"},
     "people export": {"database": "PEOPLE"},
+    "people traits": {"recordings": "TRIP"},
     "reproduce ship": {"out": "out", "run": "/no/such"},
     "traits train": {"demonstrations": "DATA"},
     "traits evaluate": {"demonstrations": "DATA", "runs": "MODEL"},
@@ -438,7 +448,7 @@ PRESET = {
     "watch": {"out": "clip.gif"},
 }
 """Options that a command needs anyway, so that nothing else is wrong with it."""
-POSITIONAL = ("runs", "PROTOCOLS", "database", "code")
+POSITIONAL = ("runs", "PROTOCOLS", "database", "code", "recordings")
 
 
 @dataclass(frozen=True)
@@ -493,6 +503,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     for package in ("torch", "rsl_rl", "pyarrow", "sklearn", "onnx", "ray"):
         pytest.importorskip(package)
     from demonstrations import made_up
+    from people.trips import a_trip
     from trait_models import untrained
 
     from hmi_marl.demonstrations.parquet import OBSERVED, write_demonstrations
@@ -507,7 +518,8 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }
     save_traits(folder / "model", replace(model.card, training=training), model.weights)
     Store(folder / "people.db").close()
-    named = {"DATA": "data", "MODEL": "model", "PEOPLE": "people.db"}
+    write_json(folder / "trip.json", a_trip(steps=3).record().to_json())
+    named = {"DATA": "data", "MODEL": "model", "PEOPLE": "people.db", "TRIP": "trip.json"}
     return {word: str(folder / name) for word, name in named.items()}
 
 

@@ -54,6 +54,7 @@ ARGUMENTS = {
     "export": ["--policy", "trained:homer"],
     "people delete": ["people.db", "CODE"],
     "people export": ["people.db"],
+    "people traits": ["trips"],
     "reproduce ship": ["--out", "agents"],
     "sweep": ["joint"],
     "traits evaluate": ["runs/traits-id"],
@@ -67,6 +68,7 @@ CHEAP = {
     "people export": None,  # the same
     "reproduce map": "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 "
     "--hidden-cells 1 --points 2 --workers 1",
+    "people traits": None,  # needs recordings: see test_people_traits.py
     "reproduce ship": None,  # needs a finished reproduction
     "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
     "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2 --no-clip",

@@ -83,6 +83,12 @@ COMMANDS = (
         "people.db",
         not_run="needs a database of people; tests/commands/test_people.py runs it without extras",
     ),
+    _command(
+        "people traits",
+        CORE,
+        "trips",
+        not_run="needs recordings; tests/commands/test_people_traits.py runs it without extras",
+    ),
     _command("reproduce all", TRAIN | DATA, not_run="takes a quarter of an hour with --quick"),
     _command(
         "reproduce table",

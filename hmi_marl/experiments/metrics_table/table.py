@@ -18,7 +18,7 @@ from hmi_marl.agents.hmis import AttentionRule, OptimalAlert
 from hmi_marl.agents.learned.policy import LearnedPolicy
 from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import TeamConfig, TeamSettings
-from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, DriverName
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.streams import Seed, episode_seed
 from hmi_marl.envs.worlds import check_world
@@ -44,8 +44,8 @@ EPISODES_PER_TASK = {"highway": 4, "batched": 256}
 class TableSettings(TeamSettings):
     """Settings of a table, as they were typed: nothing is checked yet."""
 
-    drivers: tuple[str, ...] = PAPER_DRIVERS
-    """Columns: lisa, marge, bart, homer, average, or name:beta,alpha,eta,inflation."""
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
+    """Columns: lisa, marge, bart, homer, average, name:beta,alpha,eta,inflation, or files."""
     hmis: tuple[str, ...] = PAPER_HMIS
     """Rows: NoHMI (or never), always, random[:RATE], when-distracted, AvgHMI (or average), own (or
     optimal), optimal:DRIVER, belief[:DRIVER], the folders of trained runs, trained:NAME, or

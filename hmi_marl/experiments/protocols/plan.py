@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar
 
 from hmi_marl.checks import Checked, Count, OpenShare, Steps, Weight
 from hmi_marl.envs.config import Duration, VehicleRange
-from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
+from hmi_marl.envs.drivers import PAPER_DRIVERS, DriverName, get_driver
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.protocols.arms import MAIN
 from hmi_marl.experiments.protocols.task_plan import TaskPlan
@@ -71,7 +71,7 @@ class ComparisonSettings(Checked):
     """Episodes that driver and HMI of one run play, and drivers with known HMIs."""
     cross_episodes: Count = 250
     """Episodes of every other pair, and of every snapshot: the first of these."""
-    drivers: tuple[str, ...] = PAPER_DRIVERS
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
     """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     num_teams: Count = 512
     """Teams that train side by side."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.checks import Count
-from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.envs.drivers import PAPER_DRIVERS, DriverName
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, NEVER_NEGATIVE
 from hmi_marl.experiments.experiment import Experiment, Place
@@ -77,7 +77,7 @@ class Sweep(Experiment[SweepResults]):
     """Seed of the first run of each combination; those of the others are mixed from it."""
     episodes: Count = 500
     """Evaluation episodes of each run with each driver."""
-    drivers: tuple[str, ...] = PAPER_DRIVERS
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
     """Drivers of the evaluation: known names, or name:beta,alpha,eta,inflation."""
 
     name = "sweep"

@@ -12,7 +12,7 @@ import numpy as np
 import hmi_marl
 from hmi_marl.checks import Checked, Count
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import PAPER_DRIVERS, get_driver
+from hmi_marl.envs.drivers import PAPER_DRIVERS, DriverName, get_driver
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.episodes import play_named
 from hmi_marl.experiments.sweep.plan import SweptRun
@@ -38,7 +38,7 @@ class Evaluation(Checked):
         ValueError: unknown drivers, or some of the same name.
     """
 
-    drivers: tuple[str, ...] = PAPER_DRIVERS
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
     """Drivers, each of whom drives all of them."""
     episodes: Count = 500
     """Number of the episodes."""

@@ -26,7 +26,7 @@ from hmi_marl.checks import (
     check_mini_batches,
 )
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
-from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.envs.drivers import PAPER_DRIVERS, DriverName
 from hmi_marl.envs.rewards import SHARES, Sharing
 from hmi_marl.envs.streams import Seed
 
@@ -181,7 +181,7 @@ class TrainSettings(Checked, TeamSettings):
     variants: ClassVar[Mapping[str, Mapping[str, Any]]] = {"": {}}
     """Settings with which protocols are compared, by what is added to the protocol's name."""
 
-    drivers: tuple[str, ...] = PAPER_DRIVERS
+    drivers: tuple[DriverName, ...] = PAPER_DRIVERS
     """Drivers, one drawn for each episode: known names, or name:beta,alpha,eta,inflation."""
     seed: Seed = 0
     """Random seed. The same seed gives the same weights (on one machine)."""

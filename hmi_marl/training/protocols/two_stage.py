@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from hmi_marl.checks import STEPS, Steps, StepsOrZero
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.drivers import DriverName
 from hmi_marl.envs.rewards import Sharing
 from hmi_marl.training.protocols.settings import LEARNED, Budget, Phase, TrainSettings
 
@@ -20,7 +21,7 @@ class TwoStage(TrainSettings):
     Example: hmi-marl train two-stage --hmi-for homer --out runs/homer
     """
 
-    hmi_for: str = POPULATION
+    hmi_for: DriverName = POPULATION
     """Driver that the HMI is trained for: a name (average makes an AvgHMI), or population for all
     of the drivers, which the policies distinguish by the traits that they observe."""
     driver_steps: Steps = 12_000_000
