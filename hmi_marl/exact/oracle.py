@@ -369,11 +369,33 @@ def reachable(
     Arguments as in :func:`solve_alerts`. History-dependent and random policies are covered too,
     since in a Markov decision process a Markov policy attains both ends.
     """
+    problem = driver, window, horizon, weights
+    by_steps = reachable_by_steps(*problem, strengths=strengths, fatigue=fatigue)
+    return Reachable(*map(float, by_steps[-1]))
+
+
+def reachable_by_steps(
+    driver: str | Driver,
+    window: int = DEFAULT_WINDOW,
+    horizon: int = DEFAULT_HORIZON,
+    weights: RewardWeights | None = None,
+    *,
+    strengths: Sequence[float] = FULL,
+    fatigue: Fatigue | None = None,
+) -> NDArray[np.float64]:
+    """The least and the most distraction return in episodes of 0 to ``horizon`` steps.
+
+    Arguments as in :func:`solve_alerts`. No policy can leave the mean of the rows over some
+    episodes' lengths, even one that knew the lengths.
+
+    Returns:
+        Least and most for each number of steps, shape (horizon + 1, 2).
+    """
     chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
-    ends = []
-    for choose in (np.min, np.max):
+    ends = np.zeros((chain.horizon + 1, 2))
+    for column, choose in enumerate((np.min, np.max)):
         value = np.zeros(chain.states)
-        for _ in range(chain.horizon):
+        for steps in range(1, chain.horizon + 1):
             value = choose(chain.rewards["distraction"] + chain.expected(value), axis=0)
-        ends.append(float(value.flat[0]))
-    return Reachable(*ends)
+            ends[steps, column] = value.flat[0]
+    return ends
