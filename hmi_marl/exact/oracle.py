@@ -370,8 +370,8 @@ def reachable(
     since in a Markov decision process a Markov policy attains both ends.
     """
     problem = driver, window, horizon, weights
-    by_steps = reachable_by_steps(*problem, strengths=strengths, fatigue=fatigue)
-    return Reachable(*map(float, by_steps[-1]))
+    ends = reachable_by_steps(*problem, strengths=strengths, fatigue=fatigue)[-1]
+    return Reachable(*ends.tolist())
 
 
 def reachable_by_steps(
@@ -383,13 +383,10 @@ def reachable_by_steps(
     strengths: Sequence[float] = FULL,
     fatigue: Fatigue | None = None,
 ) -> NDArray[np.float64]:
-    """The least and the most distraction return in episodes of 0 to ``horizon`` steps.
+    """The least and the most distraction return in 0 to ``horizon`` steps, (horizon + 1, 2).
 
-    Arguments as in :func:`solve_alerts`. No policy can leave the mean of the rows over some
-    episodes' lengths, even one that knew the lengths.
-
-    Returns:
-        Least and most for each number of steps, shape (horizon + 1, 2).
+    Arguments as in :func:`solve_alerts`. Over episodes of several lengths no policy leaves the mean
+    of their rows in expectation, even one that knew the lengths.
     """
     chain = _Chain.of(driver, window, horizon, weights, strengths, fatigue)
     ends = np.zeros((chain.horizon + 1, 2))

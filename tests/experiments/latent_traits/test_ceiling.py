@@ -113,13 +113,11 @@ def test_a_single_observation_tells_less_than_a_window(steering: Path) -> None:
         CollectSettings(steps=2000, duration=2.0, driver_policy=str(steering), num_teams=10_000)
     )
     one, whole = (exact_evidence(data, None, steps) for steps in (1, None))
-    first = replace(
-        data.observed,
-        actions=data.observed.actions[:, :1],
-        alerts=data.observed.alerts[:, :1],
-        length=np.ones_like(data.observed.length),
-    )
-    expected = evidence(first, None, PAPER_DRIVERS)
+    observed = data.observed
+    config = team_of(observed)
+    policy = load_policy(steering, "driver", config, greedy=False)
+    first = observed.actions[:, :1], observed.alerts[:, :1], np.ones_like(observed.length)
+    expected = identify(config, policy, FOUR, observed.seeds, *first)  # type: ignore[arg-type]
     np.testing.assert_array_equal(one.log_evidence, expected.log_evidence)
     assert np.ptp(one.log_evidence, axis=1).mean() < np.ptp(whole.log_evidence, axis=1).mean()
     found = from_one_step(data, None)

@@ -355,7 +355,7 @@ def test_the_text_holds_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     ):
         assert part in text
     assert "nan" not in text
-    missed = report_of(results(none=[one(hits=30)]), tmp_path, monkeypatch).text
+    missed = report_of(seeds({"none": [one(hits=30)]}), tmp_path, monkeypatch).text
     assert "not supported  unsupervised" in missed
 
 
@@ -394,7 +394,7 @@ def test_json_holds_every_seed_and_no_nan(tmp_path: Path, monkeypatch: pytest.Mo
     assert first["driving"][0]["imitated"]["alert_effect"]["mean"] is None
     judged_here = judged_together(REPORT.judge(results(**several)))
     assert content["verdicts"] == [v.as_json() for v in judged_here]
-    assert set(REPORT.numbers(results(**several))) == {"pool", "supervisions"}
+    assert set(REPORT.numbers(results(**several))) == {"pool", "supervisions", "one_step"}
 
 
 # Figures and the page.
@@ -462,5 +462,5 @@ def test_the_page_needs_no_other_file_and_is_escaped(
     assert "unsupervised: 20 points above chance</td><td>unsupervised, accuracy 60.0%" in html
     assert "from pools of 2, 4, 16." in html
     assert "not supported" not in html
-    report_of(results(none=[one(hits=30)]), tmp_path, monkeypatch)
+    report_of(seeds({"none": [one(hits=30)]}), tmp_path, monkeypatch)
     assert "<td class='bad'>not supported</td>" in (tmp_path / PAGE).read_text("utf-8")
