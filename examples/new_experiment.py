@@ -21,7 +21,7 @@ from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.registry import EXPERIMENTS, Where
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Table, Text
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,14 @@ class WindowLength(Experiment):
         """Judge whether the optimum takes fewer alerts with longer windows, for each driver."""
         verdicts = []
         for driver in self.drivers:
-            alerts = [best.alerts for name, _, best, _ in results if name == driver]
-            fewer = [after < before for before, after in pairwise(alerts)]
-            reason = ", ".join(f"{number:.1f}" for number in alerts)
-            verdicts.append(Verdict.of_parts(f"{driver}: fewer alerts", fewer, reason))
+            alerts = [(window, best.alerts) for name, window, best, _ in results if name == driver]
+            fewer = tuple(
+                Part.exact(
+                    f"alerts, N = {after[0]} less {before[0]}", after[1] - before[1], below=0.0
+                )
+                for before, after in pairwise(alerts)
+            )
+            verdicts.append(Verdict(f"{driver}: fewer alerts", fewer))
         return verdicts
 
     def blocks(self, results):

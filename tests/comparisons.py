@@ -65,7 +65,7 @@ def scored(name: str, of: Sums, share: float) -> PairScore:
 
 
 def exactly(value: float) -> Estimate:
-    return Estimate(value, value, value)
+    return Estimate(value, value, value, 0.0, 100)
 
 
 def played(of: Sums, names: tuple[str, ...], share: float = 0.5, apart: float = 0.1) -> Played:

@@ -48,7 +48,8 @@ from hmi_marl.people.record import TripRecord
 from hmi_marl.people.store import Store
 from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Table, Text, Verdicts, block_from
-from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.reporting.statistics import mean
+from hmi_marl.reporting.verdicts import Part, Verdict
 from hmi_marl.reproduction import suite
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.checkpoint import Checkpoint
@@ -289,7 +290,8 @@ def preferences(folder: Path) -> Case:
 
 def block(folder: Path) -> Case:
     path = folder / "report.json"
-    verdicts = Verdicts([Verdict("it holds", Outcome.SUPPORTED, "1 > 0", "2.1")])
+    parts = (Part.exact("x", 1.0, above=0.0), Part.mean("y", mean([1.0, 2.0]), "runs", below=9.0))
+    verdicts = Verdicts([Verdict("it holds", parts, "1 > 0", "2.1")])
     blocks = [Text("a", "b"), Table("t", ["", "x"], [["y", "1"]]), verdicts]
     path.write_text(json.dumps([each.as_json() for each in blocks]))
 

@@ -48,6 +48,8 @@ NO_SETTINGS = {
     "hmi_marl.training.runs.processes.Processes": "read from torchrun's environment",
     "hmi_marl.training.runs.checkpoint.Checkpoint": "state of a run",
     "hmi_marl.demonstrations.recording.Tally": "results",
+    "hmi_marl.reporting.statistics.Estimate": "the same",
+    "hmi_marl.reporting.verdicts": "the same",
     "hmi_marl.envs.render.TeamStatus": "results",
     "hmi_marl.experiments.metrics_table.table.Cell": "results",
     "hmi_marl.experiments.speed.bench._Contestant": "results",

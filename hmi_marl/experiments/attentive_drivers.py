@@ -19,13 +19,13 @@ from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.episodes import play_named
+from hmi_marl.experiments.episodes import Episodes, play_named
 from hmi_marl.experiments.experiment import Agent, Experiment, Place, spec
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
-from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.statistics import UNKNOWN, Estimate
+from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
 
@@ -45,6 +45,9 @@ class DriverRow:
     crash_rate: Estimate
     time_headway: float
     """Median over episodes of each episode's median while a vehicle is ahead [s]."""
+    headway_ratio: Estimate = UNKNOWN
+    """Ratio of an episode's median headway to the confident driver's in the same episode, geometric
+    mean; of the cautious driver."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +100,9 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
         """Learn, and let both drivers drive with the policy of each snapshot."""
         place.train([self.job(place.folder)])
         return [
-            assess(policy, steps, driver, self.episodes)
+            row
             for steps, policy in place.each(snapshots(place.folder), "snapshots")
-            for driver in (CONFIDENT, CAUTIOUS)
+            for row in assess(policy, steps, self.episodes)
         ]
 
     def numbers(self, results: list[DriverRow]) -> dict[str, Any]:
@@ -109,28 +112,18 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
     def judge(self, results: list[DriverRow]) -> list[Verdict]:
         """Judge the drivers after all learning."""
         confident, cautious = results[-2:]
-        ratio = cautious.time_headway / confident.time_headway
-        fast = [
-            Verdict.of_parts(
-                f"{row.driver}: speed return of at least "
-                f"{criteria.LEAST_SPEED_RETURN[row.driver]:.0f}",
-                [row.speed_return.mean >= criteria.LEAST_SPEED_RETURN[row.driver]],
-                row.speed_return.shown(),
-            )
-            for row in (confident, cautious)
-        ]
+        fast = []
+        for row in (confident, cautious):
+            least = criteria.LEAST_SPEED_RETURN[row.driver]
+            part = Part.mean("speed return", row.speed_return, EPISODES, above=least, seeds=1)
+            fast.append(Verdict(f"{row.driver}: speed return of at least {least:.0f}", (part,)))
+        most, crashes = criteria.MOST_CRASHES, confident.crash_rate
+        few = Part.share("crash rate", crashes, EPISODES, below=most, seeds=1, form="z.2%")
+        keeps = headway_part(cautious.headway_ratio)
         return [
             *fast,
-            Verdict.of_parts(
-                f"confident: crashes under {100 * criteria.MOST_CRASHES:.0f} %",
-                [confident.crash_rate.mean < criteria.MOST_CRASHES],
-                f"{confident.crash_rate.percent()} %",
-            ),
-            Verdict.of_parts(
-                f"cautious: keep {criteria.LEAST_HEADWAY_RATIO} times the headway",
-                [ratio >= criteria.LEAST_HEADWAY_RATIO],
-                f"{ratio:.2f} times",
-            ),
+            Verdict(f"confident: crashes under {100 * most:.0f} %", (few,)),
+            Verdict(f"cautious: keep {criteria.LEAST_HEADWAY_RATIO} times the headway", (keeps,)),
         ]
 
     def blocks(self, results: list[DriverRow]) -> Sequence[Block]:
@@ -141,6 +134,9 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
             "speed return": lambda row: row.speed_return.shown(),
             "crashes [%]": lambda row: row.crash_rate.percent(),
             "median headway [s]": lambda row: f"{row.time_headway:.2f}",
+            "times the confident one's": lambda row: (
+                row.headway_ratio.shown(".2f") if row.headway_ratio.count else ""
+            ),
         }
         return [Table.of("As they learn", results, columns)]
 
@@ -150,16 +146,36 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
         return [Agent("attentive-driver", find_policy(place.folder, DRIVER), what)]
 
 
-def assess(policy: Path, steps: int, driver: Driver, episodes: int) -> DriverRow:
-    """Let a driver drive with a learned policy, without alerts."""
-    played = play_named(TeamConfig(driver=driver), str(policy), "never", episodes)
+def headway_part(ratio: Estimate) -> Part:
+    """State that the cautious driver keeps more headway than the confident one."""
+    least = criteria.LEAST_HEADWAY_RATIO
+    what = "headway, times the confident driver's"
+    return Part.ratio(what, ratio, EPISODES, above=least, seeds=1, form="z.2f")
+
+
+def assess(policy: Path, steps: int, episodes: int) -> list[DriverRow]:
+    """Let both drivers drive with a learned policy, without alerts, in the same episodes."""
+    played = {
+        driver: play_named(TeamConfig(driver=driver), str(policy), "never", episodes)
+        for driver in (CONFIDENT, CAUTIOUS)
+    }
+    return [
+        _row(driver, steps, found, played[CONFIDENT] if driver == CAUTIOUS else None)
+        for driver, found in played.items()
+    ]
+
+
+def _row(driver: Driver, steps: int, played: Episodes, confident: Episodes | None) -> DriverRow:
     headways = played.median_time_headway
     return DriverRow(
         driver=driver.name,
         steps=steps,
         speed_return=statistics.mean(played.returns["speed_reward"]),
-        crash_rate=statistics.share(int(played.crashed.sum()), episodes),
+        crash_rate=statistics.share(int(played.crashed.sum()), len(headways)),
         time_headway=float(np.median(headways[np.isfinite(headways)])),
+        headway_ratio=UNKNOWN
+        if confident is None
+        else statistics.geometric_ratio(headways, confident.median_time_headway),
     )
 
 

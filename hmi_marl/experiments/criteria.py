@@ -17,9 +17,9 @@ PAPER_TOLERANCE: Mapping[str, float] = MappingProxyType(
 )
 """Largest difference of ours from a figure that the paper prints that agrees, as a share of that
 figure. Speed returns of all policies are close together, so theirs is smaller."""
-REACHABLE_LEAST, REACHABLE_MOST = 1.001, 0.94
-"""Factors on the ends of the reachable distraction returns: the paper's episodes may have been a
-few steps shorter than ours."""
+NO_DIFFERENCE = 0.01
+"""Difference between two HMIs that counts as none, as a share of the rival's value: where the whole
+interval of a gain is below it, the gain is not supported."""
 ETA_1_TOLERANCE = 0.1
 """Largest difference of a figure that the paper prints from what η = 1 would give, as a share."""
 OPTIMAL_SHARE = 0.99
@@ -71,9 +71,15 @@ KL_INFLUENCE = 2.0
 """Ratio of these from which supervision counts as a heavy influence."""
 SMALLEST_KL = 1e-9
 """Least value that the unsupervised average KL counts as: equal vectors have 0 [nats]."""
-APART, PARTLY_APART = 0.9, 0.75
-"""Share of pools next to their own kind, and of drivers named, from which kinds count as apart, and
-as partly apart. By chance it is one half for two kinds."""
+NO_MORE_ACCURATE = 0.05
+"""Gain in accuracy that counts as none: where the whole interval is below it, labels add nothing.
+"""
+APART = 0.9
+"""Share of pools next to their own kind, and of drivers named, from which kinds count as apart. By
+chance it is one half for two kinds."""
+HIDES = 0.5
+"""Accuracy of the exact classifier of one of four drivers below which an observation hides who
+drives."""
 SHOWN_BY_SCENARIO = 0.95
 """Accuracy of the exact classifier from which a scenario shows who drives."""
 
@@ -85,10 +91,13 @@ GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.90, "3 trips": 0
 """Least share of the gap between AvgHMI and an HMI that knows the driver that is closed."""
 POPULATION_GAP_CLOSED = 0.80
 """The same for the continuous population after three trips."""
+FIRST_SECONDS_LOSS = 3.0
+"""Loss of attention return against AvgHMI in the first 5 s that counts as none: a tenth of what one
+accepted alert earns."""
 MOST_REGRET = 0.10
 """Largest regret 20 s after a change of driver, as a share of what the knowing HMI earns."""
-USEFUL, FULLY_USEFUL = 0.5, 0.9
-"""Share of that gap closed after three trips by a representation useful in part, and in full."""
+USEFUL = 0.5
+"""Share of the exact worth of knowing the driver from which a representation counts as useful."""
 
 # Protocols.
 

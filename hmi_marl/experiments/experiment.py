@@ -26,7 +26,7 @@ from hmi_marl.files import json_value
 from hmi_marl.ownership import check_free, owned
 from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.verdicts import Verdict, judged_together
 from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.jobs import Job, train_all
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -154,7 +154,10 @@ class Experiment(Checked, ABC, Generic[R]):
         """JSON content of the results, without durations and paths; verdicts are added to it."""
 
     def judge(self, results: R) -> Sequence[Verdict]:
-        """Judge the results by the criteria; nothing by default."""
+        """Judge the results by the criteria, not yet corrected for the number of parts.
+
+        Nothing by default.
+        """
         return ()
 
     @abstractmethod
@@ -192,7 +195,7 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
 
 def _conduct(experiment: Experiment[Any], place: Place) -> Report:
     results = experiment.run(place)
-    verdicts = experiment.judge(results)
+    verdicts = judged_together(experiment.judge(results))
     judged = [Verdicts(verdicts)] if verdicts else []
     listed = {"verdicts": [verdict.as_json() for verdict in verdicts]} if verdicts else {}
     report = Report(

@@ -26,7 +26,7 @@ from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -41,7 +41,7 @@ whenever the driver is distracted, which is far from the optimum under fatigue."
 CAPTION = (
     "Attention returns per episode: of the learned HMI, of the exact optimum over the same steps, "
     "and exact of two rules: the strongest alert when distracted, and silence. share: of the "
-    "optimum's gain over silence. shortfall: of the optimum's size."
+    "optimum's gain over silence. shortfall: of the optimum's size. least: return that is asked."
 )
 
 
@@ -110,21 +110,27 @@ class GradedRow:
         return (self.optimum - self.learned.mean) / abs(self.optimum)
 
     @property
-    def holds(self) -> bool:
-        """Whether enough was learned.
+    def least(self) -> float:
+        """Least attention return that counts as enough.
 
-        Where the optimum is positive, by the return itself; otherwise, since a share of a loss says
-        little, by the gain over silence.
+        Where the optimum is positive, a share of it; otherwise, since a share of a loss says
+        little, the return at that share of the gain over silence.
         """
-        reached = 1.0 - self.shortfall if self.optimum > 0 else self.share
-        return reached >= GRADED_OPTIMUM_SHARE
+        start = 0.0 if self.optimum > 0 else self.silent
+        return start + GRADED_OPTIMUM_SHARE * (self.optimum - start)
+
+    @property
+    def part(self) -> Part:
+        """State that enough was learned."""
+        what = f"{self.case.describe()} (optimum {self.optimum:.1f})"
+        return Part.mean(what, self.learned, EPISODES, above=self.least, seeds=1, form="z.1f")
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
         return json_value(self) | {
             "share_of_gain_over_silence": self.share,
             "shortfall": self.shortfall,
-            "holds": self.holds,
+            "least": self.least,
         }
 
 
@@ -219,10 +225,9 @@ class GradedAlerts(Experiment[list[GradedRow]]):
     def judge(self, results: list[GradedRow]) -> list[Verdict]:
         """Judge each learned HMI by the exact optimum."""
         return [
-            Verdict.of_parts(
+            Verdict(
                 f"{row.case.describe()}: {100 * GRADED_OPTIMUM_SHARE:.0f} % of the exact optimum",
-                [row.holds],
-                f"{row.learned.shown()} of {row.optimum:.1f}",
+                (row.part,),
             )
             for row in results
         ]
@@ -237,7 +242,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
             "silent": lambda row: f"{row.silent:.1f}",
             "share": lambda row: f"{100 * row.share:.1f} %",
             "shortfall": lambda row: f"{100 * row.shortfall:.1f} %",
-            f"{100 * GRADED_OPTIMUM_SHARE:.0f} %": lambda row: "holds" if row.holds else "MISSED",
+            "least": lambda row: f"{row.least:.1f}",
         }
         return [Text(CAPTION), Table.of("Attention returns", results, columns)]
 

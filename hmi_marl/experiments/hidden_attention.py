@@ -16,7 +16,7 @@ from hmi_marl.checks import Count, Steps, Units
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
-from hmi_marl.exact.hidden_attention import solve_belief
+from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments.criteria import BAYES_MARGIN
 from hmi_marl.experiments.episodes import evaluation_seeds, play_named
 from hmi_marl.experiments.experiment import (
@@ -33,7 +33,7 @@ from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
 from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -58,21 +58,35 @@ class HiddenRow:
     """Returns by HMI."""
     learned_minus_bayes: Estimate
     """Own HMIs, paired by episode."""
+    bayes_own_minus_average: Estimate
+    """Bayes filters, paired by episode: the worth of knowing the driver, by exact rules."""
+    own_minus_bayes_average: Estimate
+    """Learned own HMI less the Bayes filter for the average driver, paired by episode."""
     own_minus_average: Estimate
-    """Learned HMIs, paired by episode: the worth of knowing the driver."""
+    """Learned HMIs, paired by episode; large also where the learned AvgHMI is a poor one."""
     exact_own: float
     """Expectation of the rule that is optimal on the belief, if steps reveal d independently with
     that probability and the episode runs its whole time."""
+    exact_average: float
+    """The same of the rule that is optimal for the average driver, with this driver."""
 
     @property
-    def as_good(self) -> bool:
-        """Whether the learned HMI does as well as the Bayes filter.
+    def exact_worth(self) -> float:
+        """Exact gain from knowing the driver, per episode."""
+        return self.exact_own - self.exact_average
+
+    @property
+    def as_good(self) -> Part:
+        """State that the learned HMI does as well as the Bayes filter, within a margin.
 
         The filter's rule is the optimum if steps reveal d independently, so a learned HMI can earn
-        about as much at most. A difference within the margin counts as none, whatever the interval.
+        about as much at most.
         """
-        bayes = self.attention_return[BAYES_OWN].mean
-        return self.learned_minus_bayes.mean >= -BAYES_MARGIN * abs(bayes)
+        most = BAYES_MARGIN * abs(self.attention_return[BAYES_OWN].mean)
+        what = "learned less Bayes filter"
+        return Part.mean(
+            what, self.learned_minus_bayes, EPISODES, paired=True, above=-most, seeds=1
+        )
 
 
 @dataclass(frozen=True)
@@ -156,28 +170,33 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             label: play_named(team, str(place.driver_run), hmi, self.episodes).attention_return()
             for label, hmi in hmis.items()
         }
-        exact = solve_belief(DRIVERS[model], team.alert_window, team.horizon, team.weights, share)
+        game = team.alert_window, team.horizon, team.weights
+        own_rule, average_rule = (
+            solve_belief(DRIVERS[k], *game, share) for k in (model, "average")
+        )
         return HiddenRow(
             driver=model,
             revealing=share,
             attention_return={k: statistics.mean(values) for k, values in returns.items()},
             learned_minus_bayes=statistics.mean(returns[LEARNED_OWN] - returns[BAYES_OWN]),
+            bayes_own_minus_average=statistics.mean(returns[BAYES_OWN] - returns[BAYES_AVERAGE]),
+            own_minus_bayes_average=statistics.mean(returns[LEARNED_OWN] - returns[BAYES_AVERAGE]),
             own_minus_average=statistics.mean(returns[LEARNED_OWN] - returns[LEARNED_AVERAGE]),
-            exact_own=exact.total_return,
+            exact_own=own_rule.total_return,
+            exact_average=rule_return(average_rule, model, team.weights),
         )
 
     def numbers(self, results: list[HiddenRow]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [json_value(row) | {"as_good_as_bayes": row.as_good} for row in results]}
+        return {"rows": [json_value(row) | {"exact_worth": row.exact_worth} for row in results]}
 
     def judge(self, results: list[HiddenRow]) -> list[Verdict]:
         """Judge each learned HMI by the Bayes filter."""
         return [
-            Verdict.of_parts(
+            Verdict(
                 f"{row.driver}: learned HMI as good as the Bayes filter, within "
                 f"{100 * BAYES_MARGIN:.0f} %",
-                [row.as_good],
-                f"{row.learned_minus_bayes.shown('+.1f')} per episode",
+                (row.as_good,),
             )
             for row in results
         ]
@@ -185,24 +204,34 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
     def blocks(self, results: list[HiddenRow]) -> Sequence[Block]:
         """Tables of returns and of paired differences."""
         returns = [
-            [row.driver, f"{100 * row.revealing:.1f} %", f"{row.exact_own:.1f}"]
+            [row.driver, f"{100 * row.revealing:.1f} %"]
+            + [f"{value:.1f}" for value in (row.exact_own, row.exact_average)]
             + [estimate.shown() for estimate in row.attention_return.values()]
             for row in results
         ]
         differences: dict[str, Callable[[HiddenRow], str]] = {
             "driver": lambda row: row.driver,
-            "learned - Bayes, own": lambda row: row.learned_minus_bayes.shown("+.1f"),
+            "exact worth of knowing": lambda row: f"{row.exact_worth:+.1f}",
+            "own - AvgHMI, Bayes": lambda row: row.bayes_own_minus_average.shown("+.1f"),
+            "learned own - Bayes AvgHMI": lambda row: row.own_minus_bayes_average.shown("+.1f"),
             "own - AvgHMI, learned": lambda row: row.own_minus_average.shown("+.1f"),
-            "verdict": lambda row: "as good as Bayes" if row.as_good else "MISSED",
+            "learned - Bayes, own": lambda row: row.learned_minus_bayes.shown("+.1f"),
         }
         return [
             Table(
-                "Attention return by HMI, attention hidden (exact: own rule, whole episodes, if "
-                "steps reveal d independently with the share that was measured)",
-                ["driver", "revealing", "exact, own", *results[0].attention_return],
+                "Attention return by HMI, attention hidden (exact: whole episodes, if steps reveal "
+                "d independently with the share that was measured)",
+                [
+                    *("driver", "revealing", "exact, own", "exact, AvgHMI"),
+                    *results[0].attention_return,
+                ],
                 returns,
             ),
-            Table.of("Paired differences per episode", results, differences),
+            Table.of(
+                "Paired differences per episode, and the exact worth of knowing the driver",
+                results,
+                differences,
+            ),
         ]
 
     def agents(self, place: Place) -> list[Agent]:

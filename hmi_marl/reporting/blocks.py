@@ -31,8 +31,8 @@ Picture = bytes | Callable[[], bytes]
 """PNG or GIF, or a function that draws one."""
 COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
 """Colours of figures, in their order."""
-_CLASSES = {Outcome.SUPPORTED: "good", Outcome.PARTLY: "half", Outcome.NOT_SUPPORTED: "bad"}
-"""Style classes of the page by outcome; grey for the others."""
+_CLASSES = {Outcome.SUPPORTED: "good", Outcome.UNDETERMINED: "half", Outcome.NOT_SUPPORTED: "bad"}
+"""Style classes of the page by outcome."""
 
 
 class Block(ABC):
@@ -242,33 +242,47 @@ class Verdicts(Block):
     kind: ClassVar = "verdicts"
 
     def as_text(self) -> str:
-        """Render in columns for a terminal."""
+        """Render for a terminal: outcome and claim, then the numbers, then what they rest on."""
         width = max((len(verdict.outcome) for verdict in self.verdicts), default=0)
-        lines = [
-            f"  {verdict.outcome:<{width}}  {verdict.claim}" + _in_brackets(verdict.reason)
-            for verdict in self.verdicts
-        ]
+        lines = []
+        for verdict in self.verdicts:
+            lines.append(f"  {verdict.outcome:<{width}}  {verdict.claim}")
+            told = (line for line in (verdict.summary, verdict.basis) if line)
+            lines += [f"  {'':<{width}}    {line}" for line in told]
         return "\n".join([self.title, *lines, *_lines(self.note)])
 
     def as_html(self) -> str:
-        """Render for a page, outcomes coloured."""
+        """Render for a page, outcomes coloured, with all parts of each verdict to be unfolded."""
         counts = Counter(verdict.outcome for verdict in self.verdicts)
         summary = ", ".join(
             f"{counts[outcome]} {outcome}" for outcome in Outcome if counts[outcome]
         )
-        rows = "".join(
-            f"<tr><td>{in_html(verdict.claim)}"
-            + (f"<br><span class='small'>{in_html(verdict.where)}</span>" if verdict.where else "")
-            + f"</td><td>{in_html(verdict.reason)}</td>"
-            f"<td class='{_CLASSES.get(verdict.outcome, 'small')}'>{verdict.outcome}</td></tr>"
-            for verdict in self.verdicts
-        )
+        rows = "".join(_verdict_row(verdict) for verdict in self.verdicts)
         note = f" {in_html(self.note)}" if self.note else ""
         return (
             f"<h3>{in_html(self.title)}</h3>\n<p>{in_html(summary)}.{note}</p>\n"
             "<div class='wide'><table><tr><th>claim</th><th>by the numbers of this run</th>"
             f"<th>verdict</th></tr>{rows}</table></div>"
         )
+
+
+def _verdict_row(verdict: Verdict) -> str:
+    where = f"<br><span class='small'>{in_html(verdict.where)}</span>" if verdict.where else ""
+    basis = f"<br><span class='small'>{in_html(verdict.basis)}</span>" if verdict.basis else ""
+    parts = ""
+    if len(verdict.parts) > 1:
+        confidence = verdict.correction.confidence
+        items = "".join(
+            f"<li>{in_html(part.shown(confidence))} {outcome}; {in_html(part.basis())}</li>"
+            for part, outcome in zip(verdict.parts, verdict.outcomes, strict=True)
+        )
+        parts = f"<details><summary>{len(verdict.parts)} parts</summary><ul>{items}</ul></details>"
+    outcome = verdict.outcome
+    return (
+        f"<tr><td>{in_html(verdict.claim)}{where}</td>"
+        f"<td>{in_html(verdict.summary)}{basis}{parts}</td>"
+        f"<td class='{_CLASSES[outcome]}'>{outcome}</td></tr>"
+    )
 
 
 def block_from(content: Any) -> Block:
@@ -313,10 +327,6 @@ def png(drawing: Drawing, dpi: int = 110) -> bytes:
 
 def _lines(note: str) -> list[str]:
     return [f"  {note}"] if note else []
-
-
-def _in_brackets(reason: str) -> str:
-    return f" ({reason})" if reason else ""
 
 
 def _base64(content: bytes) -> str:

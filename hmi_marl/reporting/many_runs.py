@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.reporting.statistics import CONFIDENCE, Estimate
+from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, t_interval
 
 RESAMPLES = 2000
 """Resamples of a bootstrap. They are drawn from a fixed seed, so a report can be repeated."""
@@ -135,12 +135,12 @@ def paired_differences(
     for values in apart:
         middle = float(values.mean()) if len(values) else math.nan
         if len(values) < 2:
-            estimates.append(Estimate(middle, math.nan, math.nan))
+            estimates.append(Estimate(middle, math.nan, math.nan, count=len(values)))
             raw.append(math.nan)
             continue
         error = float(values.std(ddof=1)) / math.sqrt(len(values))
-        half = float(stats.t.ppf((1.0 + level) / 2.0, len(values) - 1)) * error
-        estimates.append(Estimate(middle, middle - half, middle + half))
+        low, high = t_interval(middle, error, len(values), level)
+        estimates.append(Estimate(middle, low, high, error, len(values)))
         t = abs(middle) / error if error else (math.inf if middle else 0.0)
         raw.append(2.0 * float(stats.t.sf(t, len(values) - 1)))
     return [
@@ -186,14 +186,16 @@ def _resampled(
     confidence: float,
 ) -> Estimate:
     """Estimate a statistic of one or more kinds of runs, each of which is resampled by itself."""
-    found = float(statistic(parts))
-    if min(len(part) for part in parts) < 2:
-        return Estimate(found, math.nan, math.nan)
+    found, runs = float(statistic(parts)), min(len(part) for part in parts)
+    if runs < 2:
+        return Estimate(found, math.nan, math.nan, count=runs)
     rng = np.random.default_rng(_SEED)
-    tail = _tail(min(len(part) for part in parts), confidence)
+    tail = _tail(runs, confidence)
     drawn = [part[rng.integers(len(part), size=(RESAMPLES, len(part)))] for part in parts]
-    low, high = np.quantile(statistic(drawn), [tail, 1.0 - tail])
-    return Estimate(found, float(low), float(high))
+    values = statistic(drawn)
+    low, high = np.quantile(values, [tail, 1.0 - tail])
+    error = float(values.std()) * math.sqrt(runs / (runs - 1))  # resamples are too narrow
+    return Estimate(found, float(low), float(high), error, runs)
 
 
 def _tail(runs: int, confidence: float) -> float:

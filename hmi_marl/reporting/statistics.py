@@ -1,15 +1,23 @@
-"""Means and shares with their 95 % intervals, and how they are written."""
+"""Means and shares with their 95 % intervals, and how they are written.
+
+An estimate also keeps its standard error and the number of independent units that it is over, so
+that a verdict can ask for an interval of another confidence (:mod:`hmi_marl.reporting.verdicts`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 CONFIDENCE = 0.95
+_ONE_DEVIATION = math.erf(math.sqrt(0.5))
+"""Confidence of an interval of one standard deviation to either side."""
 
 
 @dataclass(frozen=True)
@@ -19,6 +27,21 @@ class Estimate:
     mean: float
     low: float
     high: float
+    error: float = field(default=math.nan, compare=False)
+    """Standard error; NaN where it is not known, and of a share, whose interval is Wilson's."""
+    count: int = field(default=0, compare=False)
+    """Independent units (episodes, training seeds) that it is over; 0 where that is not known."""
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Estimate:
+        """Read what :meth:`as_json` wrote."""
+        known = {name: math.nan if value is None else value for name, value in content.items()}
+        error, count = known.get("error", math.nan), int(known.get("count", 0))
+        return cls(known["mean"], known["low"], known["high"], error, count)
+
+    def __neg__(self) -> Estimate:
+        """Turn a difference around."""
+        return Estimate(-self.mean, -self.high, -self.low, self.error, self.count)
 
     def agrees(self, other: float, share: float) -> bool:
         """Check that ``other`` is in the interval, or the mean within this share of ``other``."""
@@ -39,6 +62,9 @@ class Estimate:
         return Estimate(100 * self.mean, 100 * self.low, 100 * self.high).shown(form)
 
 
+UNKNOWN = Estimate(math.nan, math.nan, math.nan)
+
+
 def number(value: float | None, form: str = "z.1f") -> str:
     """Write a number, or a dash where it is not known."""
     return "-" if value is None or not math.isfinite(value) else format(value, form)
@@ -53,15 +79,13 @@ def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
     if len(finite) == 0:
-        return Estimate(math.nan, math.nan, math.nan)
+        return UNKNOWN
     middle = float(finite.mean())
     if len(finite) == 1:
-        return Estimate(middle, math.nan, math.nan)
-    from scipy import stats  # takes half a second; settings that hold an Estimate do without
-
+        return Estimate(middle, math.nan, math.nan, count=1)
     error = float(finite.std(ddof=1)) / math.sqrt(len(finite))
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(finite) - 1)) * error
-    return Estimate(middle, max(middle - half, lowest), middle + half)
+    low, high = t_interval(middle, error, len(finite))
+    return Estimate(middle, max(low, lowest), high, error, len(finite))
 
 
 def ratio(
@@ -83,11 +107,12 @@ def ratio(
     holds = (amount != 0) | (count != 0)
     amount, count = amount[holds], count[holds]
     if not count.sum() > 0:
-        return Estimate(math.nan, math.nan, math.nan)
+        return UNKNOWN
     middle = float(amount.sum() / count.sum())
     around = mean((amount - middle * count) / count.mean())  # of mean 0 but for rounding
     half = around.high - around.mean
-    return Estimate(middle, max(middle - half, lowest), min(middle + half, highest))
+    low, high = max(middle - half, lowest), min(middle + half, highest)
+    return Estimate(middle, low, high, around.error, around.count)
 
 
 def average(estimates: Sequence[Estimate]) -> Estimate:
@@ -96,10 +121,12 @@ def average(estimates: Sequence[Estimate]) -> Estimate:
     NaN without estimates.
     """
     if not estimates:
-        return Estimate(math.nan, math.nan, math.nan)
+        return UNKNOWN
     middle = float(np.mean([each.mean for each in estimates]))
     half = math.hypot(*(each.high - each.mean for each in estimates)) / len(estimates)
-    return Estimate(middle, middle - half, middle + half)
+    error = math.hypot(*(each.error for each in estimates)) / len(estimates)
+    count = min(each.count for each in estimates)
+    return Estimate(middle, middle - half, middle + half, error, count)
 
 
 def share(successes: int, trials: int) -> Estimate:
@@ -110,10 +137,8 @@ def share(successes: int, trials: int) -> Estimate:
     """
     if not 0 <= successes <= trials or trials == 0:
         raise ValueError(f"{successes} successes in {trials} trials make no share")
-    from scipy import stats
-
-    interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
-    return Estimate(successes / trials, float(interval.low), float(interval.high))
+    found = successes / trials
+    return Estimate(found, *wilson_interval(found, trials), count=trials)
 
 
 def accuracy(right: NDArray[np.bool_], trials: int) -> Estimate:
@@ -124,4 +149,68 @@ def accuracy(right: NDArray[np.bool_], trials: int) -> Estimate:
     hits, count = int(right.sum()), len(right)
     low = share(hits * trials // count, trials).low
     high = share(-(-hits * trials // count), trials).high
-    return Estimate(hits / count, low, high)
+    return Estimate(hits / count, low, high, count=trials)
+
+
+def mean_share(shares: Sequence[Estimate]) -> Estimate:
+    """Average shares of the same trials over several training seeds, with Student's t interval.
+
+    The luck of the trials is the same for all seeds, so that it does not average out over them: a
+    standard deviation of the mean share of as many trials is added to the standard error. One seed
+    has no interval.
+
+    Args:
+        shares: one of each seed, as :func:`share` makes them.
+    """
+    over = mean([each.mean for each in shares])
+    if over.count < 2:
+        return over
+    low, high = wilson_interval(over.mean, shares[0].count, _ONE_DEVIATION)
+    error = math.hypot(over.error, (high - low) / 2)
+    ends = t_interval(over.mean, error, over.count)
+    return Estimate(over.mean, max(ends[0], 0.0), min(ends[1], 1.0), error, over.count)
+
+
+def geometric_ratio(ones: ArrayLike, others: ArrayLike) -> Estimate:
+    """Geometric mean of paired ratios of positive values, shapes (E,).
+
+    Student's t interval of the logarithms; ``error`` is that of their mean. Pairs in which one is
+    not finite are left out.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log = mean(np.log(np.asarray(ones, np.float64)) - np.log(np.asarray(others, np.float64)))
+    middle, low, high = (math.exp(value) for value in (log.mean, log.low, log.high))
+    return Estimate(middle, low, high, log.error, log.count)
+
+
+def t_interval(
+    mean: float, error: float, count: int, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Student's t interval of a mean over two or more units, from its standard error."""
+    half = _t_quantile((1.0 + confidence) / 2.0, count - 1) * error
+    return mean - half, mean + half
+
+
+def wilson_interval(
+    share: float, trials: int, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Wilson's interval of a share of trials: all shares that a score test does not exclude."""
+    z = _z_quantile((1.0 + confidence) / 2.0)
+    centre, width = share + z**2 / (2 * trials), 1.0 + z**2 / trials
+    half = z * math.sqrt(share * (1.0 - share) / trials + z**2 / (4 * trials**2))
+    low = 0.0 if share == 0.0 else (centre - half) / width  # not below by rounding
+    return low, 1.0 if share == 1.0 else (centre + half) / width
+
+
+@lru_cache(maxsize=4096)
+def _t_quantile(probability: float, degrees: int) -> float:
+    from scipy import stats  # takes half a second; settings that hold an Estimate do without
+
+    return float(stats.t.ppf(probability, degrees))
+
+
+@lru_cache(maxsize=4096)
+def _z_quantile(probability: float) -> float:
+    from scipy import stats
+
+    return float(stats.norm.ppf(probability))

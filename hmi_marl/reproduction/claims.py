@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hmi_marl.reporting.verdicts import Outcome, Verdict
-from hmi_marl.reproduction import findings
+from hmi_marl.experiments.metrics_table.differences import AVERAGE, NONE
+from hmi_marl.reporting.verdicts import Verdict, judged_together
+from hmi_marl.reproduction import findings, trait_findings
 from hmi_marl.reproduction.findings import (
     DISTRACTION,
     SPEED,
     Check,
     Results,
-    kinds_apart,
     personalised_beats,
-    untestable,
+    undetermined,
 )
+from hmi_marl.reproduction.trait_findings import kinds_apart
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Claim:
         missing = [name for name in self.needs if name not in results]
         if missing:
             reason = f"this run has no stage {' and '.join(missing)}"
-            return Verdict(self.text, Outcome.NOT_RUN, reason, self.where)
+            return Verdict(self.text, reason=reason, where=self.where)
         return replace(self.check(results), claim=self.text, where=self.where)
 
 
@@ -49,7 +50,7 @@ CLAIMS = (
         "Contributions, Sec. VI",
         "The model of distraction and cautiousness is validated by 500 human subjects.",
         (),
-        untestable("a survey of people; nothing here stands for people"),
+        undetermined("a survey of people; nothing here stands for people"),
     ),
     Claim(
         "Sec. IV",
@@ -67,7 +68,7 @@ CLAIMS = (
         "Sec. V",
         "A single observation hides who drives; aggregating many makes it possible to tell.",
         ("traits",),
-        findings.more_is_clearer,
+        trait_findings.more_is_clearer,
     ),
     Claim(
         "Sec. VI",
@@ -79,20 +80,20 @@ CLAIMS = (
         "Sec. VIII-A",
         "Labels of preferences can be obtained more easily than labels of drivers.",
         (),
-        untestable("a matter of asking people"),
+        undetermined("a matter of asking people"),
     ),
     Claim(
         DISTINGUISH,
         "The ability to distinguish drivers is heavily influenced by the level of supervision "
         "(average KL 435 without, 4940 by driver, 2872 by preference).",
         ("traits",),
-        findings.supervision_counts,
+        trait_findings.supervision_counts,
     ),
     Claim(
         DISTINGUISH,
         "Supervision by labels or by preferences is sufficient to distinguish driver types.",
         ("traits",),
-        findings.supervision_suffices,
+        trait_findings.supervision_suffices,
     ),
     Claim(
         DISTINGUISH,
@@ -116,14 +117,14 @@ CLAIMS = (
         DISTINGUISH,
         "By preference: there is more separation where drivers are more distracted.",
         ("traits",),
-        findings.distraction_separates,
+        trait_findings.distraction_separates,
     ),
     Claim(
         DISTINGUISH,
         "That levels of confidence are not distinguished among the attentive is due to the "
         "scenario.",
         ("traits",),
-        findings.scenario_hides,
+        trait_findings.scenario_hides,
     ),
     Claim(METRICS, "The distraction returns that the table prints.", (), findings.reachable_cells),
     Claim(
@@ -131,13 +132,13 @@ CLAIMS = (
         "Distraction is least with driver-specific HMIs: -101.2 on average against -283.0 with "
         "AvgHMI.",
         ("table",),
-        personalised_beats("average", DISTRACTION),
+        personalised_beats(AVERAGE, DISTRACTION),
     ),
     Claim(
         METRICS,
         "... and against -470.8 with no HMI.",
         ("table",),
-        personalised_beats("none", DISTRACTION),
+        personalised_beats(NONE, DISTRACTION),
     ),
     Claim(
         METRICS,
@@ -168,11 +169,9 @@ CLAIMS = (
         METRICS,
         "Drivers are faster with their own HMI: 448 on average against 423 with AvgHMI.",
         ("table",),
-        personalised_beats("average", SPEED),
+        personalised_beats(AVERAGE, SPEED),
     ),
-    Claim(
-        METRICS, "... and against 427 with no HMI.", ("table",), personalised_beats("none", SPEED)
-    ),
+    Claim(METRICS, "... and against 427 with no HMI.", ("table",), personalised_beats(NONE, SPEED)),
     Claim(
         METRICS,
         "Without assistance all but Lisa are slower.",
@@ -183,14 +182,14 @@ CLAIMS = (
         "Conclusions",
         "Latent structure of different drivers can be uncovered.",
         ("traits",),
-        findings.structure_uncovered,
+        trait_findings.structure_uncovered,
     ),
     Claim(
         "Abstract, Conclusions",
         "The representation may be useful for interaction: it allows to deploy policies "
         "appropriate for specific drivers.",
-        ("adapt",),
-        findings.representation_is_useful,
+        ("traits",),
+        trait_findings.representation_is_useful,
     ),
     Claim(
         "Conclusions",
@@ -201,9 +200,26 @@ CLAIMS = (
 )
 
 
-def judge(results: Results) -> list[Verdict]:
-    """Judge every claim by the numbers of the experiments that have been run."""
-    return [claim.judge(results) for claim in CLAIMS]
+@dataclass(frozen=True)
+class Judged:
+    """All verdicts of a reproduction, corrected for the number of their parts together."""
+
+    claims: list[Verdict]
+    """Verdicts on the paper's claims."""
+    experiments: dict[str, list[Verdict]]
+    """Verdicts on the criteria of the experiments, by experiment."""
+
+
+def judge(results: Results) -> Judged:
+    """Judge every claim by the numbers of the experiments, together with their own verdicts."""
+    own = {
+        name: [Verdict.from_json(each) for each in numbers.get("verdicts", ())]
+        for name, numbers in results.items()
+    }
+    claims = [claim.judge(results) for claim in CLAIMS]
+    together = iter(judged_together([*claims, *(v for several in own.values() for v in several)]))
+    judged = [next(together) for _ in claims]
+    return Judged(judged, {name: [next(together) for _ in each] for name, each in own.items()})
 
 
 def claims_json(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:

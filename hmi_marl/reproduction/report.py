@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -35,9 +36,13 @@ _INTRODUCTION = (
     "without its pictures: ours are compared to what it prints, in numbers and in words."
 )
 _ABOUT_CLAIMS = (
-    "Claims are in short or quoted. Every verdict is computed from the numbers of this run. "
-    "Returns differ where their 95 % intervals do not overlap, other numbers are compared as they "
-    "are; a claim of several parts is partly supported if some of them hold."
+    "Claims are in short or quoted. Every verdict is computed from the numbers of this run, by one "
+    "rule: a part is supported if its whole interval lies on the claimed side of the threshold, "
+    "not supported if it lies on the other side (or is too small to matter), else undetermined; a "
+    "claim is supported if all its parts are, not supported if one is not, else undetermined. "
+    "Intervals allow for the number of parts in the whole report, so that the chance of any false "
+    "verdict is at most 5 %. HMIs are compared in the same episodes. What was trained once is "
+    "judged as the agents that were learned here; ways of learning are judged over training seeds."
 )
 
 __all__ = ["NUMBERS", "PAGE", "full_report"]
@@ -47,7 +52,8 @@ def full_report(records: Sequence[Record], command_line: str) -> Report:
     """Make the report of a reproduction, from its experiments' records."""
     results = {record.experiment.name: record.numbers for record in records}
     settings = {record.experiment.name: record.experiment.settings() for record in records}
-    verdicts, audited, made = judge(results), audit(), made_with()
+    judged, audited, made = judge(results), audit(), made_with()
+    verdicts = judged.claims
     blocks: list[Block] = [
         Text(_INTRODUCTION),
         Heading("The paper's claims", "claims"),
@@ -58,7 +64,11 @@ def full_report(records: Sequence[Record], command_line: str) -> Report:
     for record in records:
         experiment = record.experiment
         blocks += [Heading(experiment.title, experiment.name), Text(experiment.paper)]
-        blocks += record.blocks
+        own = judged.experiments[experiment.name]
+        blocks += [
+            replace(block, verdicts=own) if isinstance(block, Verdicts) else block
+            for block in record.blocks
+        ]
     blocks += [
         Heading("Exact optimum and ceilings", "exact"),
         *exact_blocks(results),
@@ -73,7 +83,12 @@ def full_report(records: Sequence[Record], command_line: str) -> Report:
         "claims": claims_json(verdicts),
         "exact": exact_values(),
         "audit": json_value(audited),
-        "stages": results,
+        "stages": {
+            name: {**numbers, "verdicts": [each.as_json() for each in own]} if own else numbers
+            for (name, numbers), own in zip(
+                results.items(), judged.experiments.values(), strict=True
+            )
+        },
     }
     return Report(NAME, "The paper, made again", blocks, numbers, command_line, settings)
 
@@ -119,16 +134,19 @@ def exact_blocks(results: Mapping[str, Mapping[str, Any]]) -> list[Block]:
         Table(f"The optimum over {HORIZON} steps, attention seen", head, rows),
         Text(
             "No HMI can do better than the optimum. With attention seen it is the same rule for "
-            "every driver here, to alert exactly when distracted."
+            "these five named drivers, to alert exactly when distracted. It is not for every "
+            "driver: with low α, β and η other alerts are better."
         ),
     ]
     if "hidden" in results:
         returns = [
-            [row["driver"], f"{row['exact_own']:.1f}"]
+            [row["driver"]]
+            + [f"{row[name]:.1f}" for name in ("exact_own", "exact_average", "exact_worth")]
             + [f"{row['attention_return'][hmi]['mean']:.1f}" for hmi in (BAYES_OWN, LEARNED_OWN)]
             for row in results["hidden"]["rows"]
         ]
-        head = ["driver", "exact, whole episodes", "Bayes filter, played", "learned, played"]
+        head = ["driver", "exact, own rule", "exact, average rule", "worth of knowing"]
+        head += ["Bayes filter, played", "learned, played"]
         blocks.append(Table("The Bayes filter, attention hidden: attention returns", head, returns))
     if "traits" in results:
         seeds = next(iter(results["traits"]["supervisions"].values()))["seeds"]

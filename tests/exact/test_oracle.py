@@ -59,6 +59,9 @@ def test_the_optimum_equals_brute_force_over_all_policies(name, window):
     assert solution.total_return == pytest.approx(max(totals), abs=1e-9)
     assert solution.values[0, 0, 0, 0] == pytest.approx(max(totals), abs=1e-9)
     least, most = oracle.reachable(driver, window, horizon)
+    by_steps = oracle.reachable_by_steps(driver, window, horizon + 3)
+    assert by_steps[horizon].tolist() == [least, most]
+    assert by_steps[0].tolist() == [0.0, 0.0]
     assert least == pytest.approx(min(distractions), abs=1e-9)
     assert most == pytest.approx(max(distractions), abs=1e-9)
 

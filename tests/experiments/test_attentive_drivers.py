@@ -5,34 +5,39 @@ import pytest
 from hmi_marl.cli import main
 from hmi_marl.experiments.attentive_drivers import CAUTIOUS, CONFIDENT, AttentiveDrivers, DriverRow
 from hmi_marl.reporting.blocks import Verdicts
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.statistics import Estimate, share
 
 
 def driving(who, speed, crashes, headway):
+    """A row of 10,000 episodes; a confident driver's headway is 1 s."""
     return DriverRow(
         who.name,
         1_000_000,
-        Estimate(speed, speed - 1, speed + 1),
-        Estimate(crashes, crashes / 2, 2 * crashes),
+        Estimate(speed, speed - 1, speed + 1, 0.5, 10_000),
+        share(round(10_000 * crashes), 10_000),
         headway,
+        Estimate(headway, headway - 0.02, headway + 0.02, 0.01 / headway, 10_000),
     )
 
 
 def test_what_is_asked_of_trained_drivers_is_held_against_them():
-    def holds(*rows):
-        return [verdict.holds for verdict in AttentiveDrivers().judge(list(rows))]
+    def judged(*rows):
+        return [verdict.outcome for verdict in AttentiveDrivers().judge(list(rows))]
 
-    good = holds(driving(CONFIDENT, 461, 0.03, 1.0), driving(CAUTIOUS, 406, 0.1, 1.2))
-    assert good == [True, True, True, True]
-    bad = holds(driving(CONFIDENT, 459, 0.04, 1.0), driving(CAUTIOUS, 404, 0.1, 1.19))
-    assert bad == [False, False, False, False]
+    good = judged(driving(CONFIDENT, 462, 0.03, 1.0), driving(CAUTIOUS, 407, 0.1, 1.24))
+    assert good == ["supported"] * 4
+    bad = judged(driving(CONFIDENT, 458, 0.05, 1.0), driving(CAUTIOUS, 403, 0.1, 1.16))
+    assert bad == ["not supported"] * 4
+    near = judged(driving(CONFIDENT, 460.5, 0.04, 1.0), driving(CAUTIOUS, 405.5, 0.1, 1.21))
+    assert near == ["undetermined"] * 4
 
 
 def test_missed_claims_are_told():
-    rows = [driving(CONFIDENT, 459, 0.03, 1.0), driving(CAUTIOUS, 410, 0.1, 1.5)]
+    rows = [driving(CONFIDENT, 458, 0.03, 1.0), driving(CAUTIOUS, 410, 0.1, 1.5)]
     text = Verdicts(AttentiveDrivers().judge(rows)).as_text()
     assert "not supported  confident: speed return of at least 460" in text
-    assert "supported      cautious: keep 1.2 times the headway (1.50 times)" in text
+    assert "supported      cautious: keep 1.2 times the headway" in text
+    assert "headway, times the confident driver's 1.50 [1.48, 1.52] (> 1.20?)" in text
 
 
 @pytest.mark.usefixtures("trained_here")

@@ -21,7 +21,7 @@ from hmi_marl.experiments.registry import EXPERIMENTS, Where
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Figure, Table, png
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
 from hmi_marl.reproduction.suite import full_suite
 
 HELP = "Measure how much less distracted a driver is with alerts."
@@ -52,17 +52,16 @@ class Alerting(Experiment[dict[str, Estimate]]):
         for hmi in place.each(("never", "optimal"), "HMIs"):
             seats = make_driver_policy("rule", team), make_hmi(hmi, team)
             played = play_episodes(team, *seats, seeds, world="batched")
-            found[hmi] = statistics.mean(played.distracted / played.length)
-        return found
+            found[hmi] = played.distracted / played.length
+        less = statistics.mean(found["never"] - found["optimal"])
+        return {hmi: statistics.mean(values) for hmi, values in found.items()} | {"less": less}
 
     def numbers(self, results: dict[str, Estimate]) -> dict[str, Any]:
         return {"distracted": {hmi: found.as_json() for hmi, found in results.items()}}
 
     def judge(self, results: dict[str, Estimate]) -> list[Verdict]:
-        less = results["optimal"].high < results["never"].low
-        return [
-            Verdict.of_parts("alerts reduce distraction", [less], results["optimal"].shown(".2f"))
-        ]
+        less = Part.mean("less", results["less"], EPISODES, paired=True, above=0.0)
+        return [Verdict("alerts reduce distraction", (less,))]
 
     def blocks(self, results: dict[str, Estimate]) -> Sequence[Block]:
         drawing = Drawing(figsize=(3, 2))

@@ -11,6 +11,7 @@ from hmi_marl.experiments.criteria import GRADED_OPTIMUM_SHARE
 from hmi_marl.experiments.graded_alerts import CASES, Case, GradedAlerts, GradedRow
 from hmi_marl.reporting.blocks import as_text
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import Outcome
 from hmi_marl.training.ppo.run import train
 
 WEARY = Case("weary", "average", (0.5, 1.0), (20, 5, 1.0))
@@ -19,7 +20,7 @@ TINY = GradedAlerts(hmi_steps=1, episodes=100, num_teams=8)
 
 
 def row(learned, optimum, silent):
-    estimate = Estimate(learned, learned - 1, learned + 1)
+    estimate = Estimate(learned, learned - 1, learned + 1, 0.5, 10_000)
     return GradedRow(FRESH, estimate, estimate, optimum, 0.0, silent, 9.0, (4.0, 5.0))
 
 
@@ -27,25 +28,30 @@ def test_share_and_shortfall_by_hand():
     good = row(learned=980.0, optimum=1000.0, silent=600.0)
     assert good.shortfall == pytest.approx(0.02)
     assert good.share == pytest.approx(380 / 400)
-    assert good.holds
-    assert not row(learned=960.0, optimum=1000.0, silent=-600.0).holds
+    assert good.least == pytest.approx(970.0)
+    assert good.part.outcome() is Outcome.SUPPORTED
+    short = row(learned=960.0, optimum=1000.0, silent=-600.0)
+    assert short.part.outcome() is Outcome.NOT_SUPPORTED
+    near = row(learned=970.5, optimum=1000.0, silent=-600.0)
+    assert near.part.outcome() is Outcome.UNDETERMINED
     # A loss: 3 % of -100 would be 3, but what counts is the gain over silence, 497 of 500.
     loss = row(learned=-103.0, optimum=-100.0, silent=-600.0)
     assert (loss.shortfall, loss.share) == (pytest.approx(0.03), pytest.approx(0.994))
-    assert loss.holds
-    assert not row(learned=-120.0, optimum=-100.0, silent=-600.0).holds
+    assert loss.least == pytest.approx(-115.0)
+    assert loss.part.outcome() is Outcome.SUPPORTED
+    more = row(learned=-120.0, optimum=-100.0, silent=-600.0)
+    assert more.part.outcome() is Outcome.NOT_SUPPORTED
     told = good.as_json()
     assert told["case"]["strengths"] == [0.5, 1.0]
-    assert told["learned"] == {"mean": 980.0, "low": 979.0, "high": 981.0}
-    assert (told["holds"], told["shortfall"]) == (True, pytest.approx(0.02))
+    assert told["learned"]["mean"] == 980.0
+    assert (told["least"], told["shortfall"]) == (pytest.approx(970.0), pytest.approx(0.02))
 
 
 def test_the_text_tells_every_case_and_whether_it_holds():
     rows = [row(980.0, 1000.0, 600.0), row(900.0, 1000.0, 600.0)]
     text = as_text(TINY.blocks(rows))
     assert text.count("homer, 0.5 1") == 2
-    assert text.count("holds") == 1
-    assert text.count("MISSED") == 1
+    assert text.count("970.0") == 2  # the least return that is asked for
     assert [verdict.holds for verdict in TINY.judge(rows)] == [True, False]
     assert WEARY.describe() == "average, 0.5 1, fatigue 20 5 1"
 
@@ -116,4 +122,4 @@ def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, cap
 def test_a_learned_hmi_reaches_97_percent_of_the_optimum(case, tmp_path):
     settings = GradedAlerts()
     train(settings.training(case), tmp_path / case.name, quiet=True)
-    assert settings.assess(case, tmp_path).holds
+    assert settings.assess(case, tmp_path).part.outcome() is Outcome.SUPPORTED

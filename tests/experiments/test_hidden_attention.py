@@ -16,24 +16,34 @@ from hmi_marl.experiments.hidden_attention import (
 from hmi_marl.experiments.signalling import revealing_share
 from hmi_marl.reporting.blocks import as_text
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import Outcome
 
 
 def row(difference, bayes=-200.0):
     """Of an HMI that is ``difference`` better than a Bayes filter that comes to ``bayes``."""
-    exactly = Estimate(difference, difference, difference)
+    found = Estimate(difference, difference - 0.2, difference + 0.2, 0.1, 10_000)
     returns = {BAYES_OWN: Estimate(bayes, bayes, bayes)}
-    return HiddenRow("bart", 0.3, returns, exactly, exactly, -225.0)
+    return HiddenRow("bart", 0.3, returns, found, found, found, found, -225.0, -400.0)
 
 
 def test_a_learned_hmi_is_as_good_within_a_hundredth_of_the_filter():
-    assert row(1.0).as_good
-    assert row(-1.9).as_good
-    assert not row(-2.1).as_good
-    assert row(-2.1, bayes=1000.0).as_good
-    rows = [row(-1.9), row(-2.1)]
-    text = as_text(HiddenAttention().blocks(rows))
-    assert text.count("as good as Bayes") == text.count("MISSED") == 1
-    assert [verdict.holds for verdict in HiddenAttention().judge(rows)] == [True, False]
+    supported, not_supported, undetermined = Outcome
+    for found, outcome in (
+        (row(1.0), supported),
+        (row(-1.7), supported),
+        (row(-2.0), undetermined),
+        (row(-2.3), not_supported),
+        (row(-2.3, bayes=1000.0), supported),
+    ):
+        (verdict,) = HiddenAttention().judge([found])
+        assert verdict.outcome is outcome
+
+
+def test_the_exact_worth_of_knowing_the_driver_comes_before_the_learned_one():
+    text = as_text(HiddenAttention().blocks([row(-1.7)]))
+    assert text.index("exact worth of knowing") < text.index("own - AvgHMI, learned")
+    assert "+175.0" in text
+    assert HiddenAttention().numbers([row(-1.7)])["rows"][0]["exact_worth"] == 175.0
 
 
 def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.exact import oracle
 from hmi_marl.files import json_value, write_json
 from hmi_marl.paper.audit import (
@@ -12,6 +13,7 @@ from hmi_marl.paper.audit import (
     HORIZONS,
     AuditedCell,
     audit,
+    reachable_in_the_paper,
 )
 
 Cells = dict[tuple[str, str], AuditedCell]
@@ -132,12 +134,19 @@ def test_the_audit_goes_through_json(tmp_path: Path, audited: list[AuditedCell])
 
 def test_each_driver_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
     solved = []
-    reachable = oracle.reachable
+    solve = oracle.solve_alerts
 
-    def counted(*settings: Any) -> oracle.Reachable:
+    def counted(*settings: Any) -> oracle.AlertSolution:
         solved.append(settings)
-        return reachable(*settings)
+        return solve(*settings)
 
-    monkeypatch.setattr(oracle, "reachable", counted)
-    assert len(audit(window=2)) == 12
-    assert len(solved) == len(set(solved)) == 4 * len(HORIZONS)
+    monkeypatch.setattr(oracle, "solve_alerts", counted)
+    assert len(audit(window=5)) == len(audit(window=5)) == 12
+    # Every driver as printed and with η = 1.
+    assert len(solved) == len(set(solved)) + 2 * len(HORIZONS) == 8 * len(HORIZONS)
+
+
+def test_the_range_of_the_paper_is_over_all_its_horizons() -> None:
+    least, most = reachable_in_the_paper(DRIVERS["bart"])
+    each = [oracle.reachable("bart", 7, steps) for steps in HORIZONS]
+    assert (least, most) == (min(r.least for r in each), max(r.most for r in each))

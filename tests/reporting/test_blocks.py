@@ -16,8 +16,9 @@ from hmi_marl.reporting.blocks import (
     block_from,
     png,
 )
-from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 
+TWO = Part.exact("a - b", 2.0, above=1.0)
 BLOCKS: tuple[Block, ...] = (
     Heading("Part & parcel", "part"),
     Text("a < b, as `hmi-marl table --quick` shows", "In short"),
@@ -25,7 +26,10 @@ BLOCKS: tuple[Block, ...] = (
     Figure("bars", 'a "figure"', b"\x89PNG\x00", b"narrow"),
     Clip("drive", "4 s: <homer>", b"GIF"),
     Verdicts(
-        (Verdict("a > b", Outcome.SUPPORTED, "2 > 1", "Sec. I"), Verdict("c", Outcome.NOT_RUN))
+        (
+            Verdict("a > b", (TWO, Part.exact("a", 3.0, above=2.0)), "two things", "Sec. I"),
+            Verdict("c", reason="not run"),
+        )
     ),
 )
 
@@ -56,8 +60,11 @@ Some <title>
 4 s: <homer>
 
 Verdicts
-  supported  a > b (2 > 1)
-  not run    c"""
+  supported     a > b
+                  a - b 2 (> 1?); a 3 (> 2?); two things
+                  exact
+  undetermined  c
+                  not run"""
     )
 
 
@@ -73,8 +80,10 @@ def test_html_escapes_what_is_said_and_holds_figures_and_clips() -> None:
         'src="data:image/png;base64,iVBORwA="',
         'srcset="data:image/png;base64,bmFycm93"',
         'src="data:image/gif;base64,R0lG"',
-        "1 supported, 1 not run.",
+        "1 supported, 1 undetermined.",
         "<td class='good'>supported</td>",
+        "<td class='half'>undetermined</td>",
+        "<summary>2 parts</summary><ul><li>a - b 2 (&gt; 1?) supported; exact</li>",
     ):
         assert shown in html
 
@@ -86,7 +95,7 @@ def test_html_escapes_what_is_said_and_holds_figures_and_clips() -> None:
         {"kind": "film"},
         {"kind": "table"},
         {"kind": "figure", "content": "?"},
-        {"kind": "verdicts", "verdicts": [{"claim": "a", "outcome": "maybe"}]},
+        {"kind": "verdicts", "verdicts": [{"claim": "a", "parts": "maybe"}]},
     ],
 )
 def test_what_is_no_block_is_refused(content: dict) -> None:

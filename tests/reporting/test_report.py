@@ -2,9 +2,8 @@ import json
 from pathlib import Path
 
 import hmi_marl
-from hmi_marl.reporting.blocks import Figure, Heading, Text, Verdicts
+from hmi_marl.reporting.blocks import Figure, Heading, Text
 from hmi_marl.reporting.report import Report, Stopwatch
-from hmi_marl.reporting.verdicts import Outcome, Verdict
 
 BLOCKS = (Heading("One & all", "one"), Text("a < b"), Figure("bars", 'a "figure"', b"\x89PNG\x00"))
 
@@ -48,14 +47,3 @@ def test_durations_have_names() -> None:
         pass
     assert list(watch.seconds) == ["waiting"]
     assert 0.0 <= watch.seconds["waiting"] < 1.0
-
-
-def test_a_verdict_of_parts_is_supported_if_all_hold_and_partly_if_some_do() -> None:
-    def outcome(*held: bool) -> Outcome:
-        return Verdict.of_parts("a claim", held).outcome
-
-    assert outcome(True, True) is Outcome.SUPPORTED
-    assert outcome(True, False) is Outcome.PARTLY
-    assert outcome(False, False) is Outcome.NOT_SUPPORTED
-    assert Verdict.of_parts("a claim", [True]).holds
-    assert "1 supported" in Verdicts([Verdict.of_parts("a claim", [True])]).as_html()

@@ -5,7 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hmi_marl.reporting.statistics import Estimate, accuracy, average, mean, number, ratio, share
+from hmi_marl.reporting.statistics import (
+    Estimate,
+    accuracy,
+    average,
+    geometric_ratio,
+    mean,
+    mean_share,
+    number,
+    ratio,
+    share,
+    wilson_interval,
+)
 
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20)
 COUNTS = st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -47,7 +58,9 @@ def test_one_value_has_a_mean_but_no_interval() -> None:
 
 
 def test_no_values_have_no_mean() -> None:
-    assert all(math.isnan(value) for value in vars(mean([])).values())
+    estimate = mean([])
+    assert all(map(math.isnan, (estimate.mean, estimate.low, estimate.high, estimate.error)))
+    assert estimate.count == 0
 
 
 @pytest.mark.parametrize("odd", [math.inf, -math.inf, math.nan])
@@ -97,9 +110,45 @@ def test_an_accuracy_has_the_interval_of_independent_trials() -> None:
 
 
 def test_json_says_none_where_nothing_is_known() -> None:
-    assert mean([5.0]).as_json() == {"mean": 5.0, "low": None, "high": None}
-    assert mean([]).as_json() == {"mean": None, "low": None, "high": None}
-    assert Estimate(1.0, 0.5, 1.5).as_json() == {"mean": 1.0, "low": 0.5, "high": 1.5}
+    nothing = {"low": None, "high": None, "error": None}
+    assert mean([5.0]).as_json() == {"mean": 5.0, "count": 1, **nothing}
+    assert mean([]).as_json() == {"mean": None, "count": 0, **nothing}
+    known = Estimate(1.0, 0.5, 1.5, 0.25, 9)
+    content = {"mean": 1.0, "low": 0.5, "high": 1.5, "error": 0.25, "count": 9}
+    assert known.as_json() == content
+    again = Estimate.from_json(content)
+    assert (again, again.error, again.count) == (known, 0.25, 9)
+    assert math.isnan(Estimate.from_json(mean([]).as_json()).mean)
+
+
+def test_every_estimate_knows_its_standard_error_and_its_units() -> None:
+    found = mean([1, 2, 3, 4, 5])
+    assert (found.error, found.count) == (pytest.approx(math.sqrt(0.5)), 5)
+    turned = -mean([2.0, 5.0])
+    assert (turned.mean, turned.error, turned.count) == (-3.5, pytest.approx(1.5), 2)
+    assert (turned.low, turned.high) == (-mean([2.0, 5.0]).high, -mean([2.0, 5.0]).low)
+    # deviations 1 - 2 and 3 - 2 of two episodes of one step each
+    of_steps = ratio([1.0, 3.0], [1.0, 1.0])
+    assert (of_steps.error, of_steps.count) == (pytest.approx(1.0), 2)
+    assert average([found, found]).error == pytest.approx(math.sqrt(0.5) / math.sqrt(2))
+    assert (share(3, 4).count, accuracy(np.ones(8, np.bool_), 4).count) == (4, 4)
+
+
+def test_shares_over_seeds_keep_the_luck_of_their_trials() -> None:
+    same = mean_share([share(100, 100)] * 5)  # no spread over seeds
+    low, high = wilson_interval(1.0, 100, math.erf(math.sqrt(0.5)))
+    assert (same.mean, same.error, same.count) == (1.0, pytest.approx((high - low) / 2), 5)
+    assert same.low < 1.0 == same.high
+    spread = mean_share([share(50, 100), share(70, 100)])
+    assert spread.error == pytest.approx(math.hypot(0.1, math.sqrt(0.24 / 101)), rel=0.02)
+    assert math.isnan(mean_share([share(9, 10)]).low)
+
+
+def test_a_ratio_of_positive_values_by_its_logarithms() -> None:
+    found = geometric_ratio([2.0, 8.0, math.inf], [1.0, 1.0, 1.0])
+    assert (found.mean, found.count) == (pytest.approx(4.0), 2)
+    assert found.error == pytest.approx(math.log(2.0))
+    assert found.low == pytest.approx(math.exp(math.log(4) - 12.7062 * math.log(2)), rel=1e-4)
 
 
 @settings(deadline=None, database=None)
@@ -163,7 +212,8 @@ def test_a_ratio_of_equal_counts_is_a_mean() -> None:
 
 
 def test_a_ratio_without_counts_is_not_known() -> None:
-    assert all(math.isnan(value) for value in vars(ratio([0.0], [0])).values())
+    assert math.isnan(ratio([0.0], [0]).mean)
+    assert math.isnan(ratio([0.0], [0]).low)
     one = ratio([1.0, 0.0], [4, 0])
     assert one.mean == 0.25
     assert math.isnan(one.low)

@@ -1,9 +1,10 @@
 """Play unknown drivers with every HMI, and measure what the HMIs earn.
 
-Attention is hidden: with attention seen the best alert rule is the same for every driver. Drivers
-are of the four types, of a continuous population, or change in mid-trip. Every HMI meets the same
-drivers on the same roads. The gap is between two exact rules: AvgHMI, the optimum for the average
-driver, and the optimum for the driver at the wheel; see :mod:`hmi_marl.exact.hidden_attention`.
+Attention is hidden: with attention seen the best alert rule is the same for the five named drivers
+(not for every driver: at low α, β and η it is another). Drivers are of the four types, of a
+continuous population, or change in mid-trip. Every HMI meets the same drivers on the same roads.
+The gap is between two exact rules: AvgHMI, the optimum for the average driver, and the optimum for
+the driver at the wheel; see :mod:`hmi_marl.exact.hidden_attention`.
 """
 
 from __future__ import annotations

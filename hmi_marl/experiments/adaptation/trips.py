@@ -24,7 +24,8 @@ from hmi_marl.envs.rewards import ATTENTION_TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.teaming import Teaming
-from hmi_marl.reporting.statistics import CONFIDENCE, Estimate
+from hmi_marl.reporting import statistics
+from hmi_marl.reporting.statistics import CONFIDENCE, UNKNOWN, Estimate
 
 DRAWS = 2000
 """Resamples of a bootstrap."""
@@ -196,23 +197,22 @@ def closed(
     gap, regret = weights @ gaps, weights @ regrets
     count = weights @ each
     per_gap, per_regret = (
-        _interval(gap / count, gaps.sum() / each.sum()),
-        _interval(regret / count, regrets.sum() / each.sum()),
+        _interval(drawn / count, statistics.ratio(sums, each))
+        for drawn, sums in ((gap, gaps), (regret, regrets))
     )
     if per_gap.low <= 0:
-        return Closed(Estimate(np.nan, np.nan, np.nan), per_gap, per_regret)
+        return Closed(UNKNOWN, per_gap, per_regret)
+    linear = statistics.ratio(gaps - regrets, gaps)
     with np.errstate(divide="ignore", invalid="ignore"):  # a few resamples may have no gap
-        share = _interval(1.0 - regret / gap, float(1.0 - regrets.sum() / gaps.sum()))
-    return Closed(share, per_gap, per_regret)
+        return Closed(_interval(1.0 - regret / gap, linear), per_gap, per_regret)
 
 
 def ratio(above: NDArray[np.float64], below: NDArray[np.float64], seed: int = 0) -> Estimate:
     """Divide the mean of ``above`` (E,) by the size of ``below``'s, paired; NaN if that is 0."""
-    weights = _resamples(len(above), seed)
+    weights, sign = _resamples(len(above), seed), np.sign(below.mean())
+    linear = statistics.ratio(above, sign * below)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _interval(
-            (weights @ above) / np.abs(weights @ below), float(above.mean() / abs(below.mean()))
-        )
+        return _interval((weights @ above) / np.abs(weights @ below), linear)
 
 
 def by_second(
@@ -233,6 +233,7 @@ def _resamples(count: int, seed: int) -> NDArray[np.float64]:
     return rng.multinomial(count, np.full(count, 1 / count), DRAWS).astype(np.float64)
 
 
-def _interval(draws: NDArray[np.float64], middle: float) -> Estimate:
+def _interval(draws: NDArray[np.float64], linear: Estimate) -> Estimate:
+    """Take the interval from the draws, and all else from a linearised estimate."""
     low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Estimate(float(middle), float(low), float(high))
+    return replace(linear, low=float(low), high=float(high))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.learned.policy import LearnedPolicy, find_policy, load_policy
-from hmi_marl.demonstrations.dataset import Demonstrations, Observed
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver
@@ -97,11 +97,15 @@ def check_at_random(observed: Observed) -> None:
 
 
 def evidence(
-    observed: Observed, policy_source: str | None, drivers: Sequence[str | Driver]
+    observed: Observed,
+    policy_source: str | None,
+    drivers: Sequence[str | Driver],
+    steps: int | None = None,
 ) -> Identification:
     """Compute the exact log evidence of E windows for K candidates, shape (E, K).
 
-    The policy's source is ``given`` of :func:`driver_policy_of`.
+    The policy's source is ``given`` of :func:`driver_policy_of`. With ``steps`` it is that of the
+    first steps of each window alone.
 
     Raises:
         FileNotFoundError: the driver policy is not there.
@@ -114,12 +118,18 @@ def evidence(
     check_at_random(observed)
     config = team_of(observed)
     policy = driver_policy_of(observed, policy_source, config)
-    windows = observed.seeds, observed.actions, observed.alerts, observed.length
-    return identify(config, policy, drivers, *windows)
+    actions, alerts, length = observed.actions, observed.alerts, observed.length
+    if steps is not None:
+        actions, alerts, length = actions[:, :steps], alerts[:, :steps], np.minimum(length, steps)
+    return identify(config, policy, drivers, observed.seeds, actions, alerts, length)
 
 
-def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identification:
+def exact_evidence(
+    unseen: Demonstrations, driver_policy: str | None, steps: int | None = None
+) -> Identification:
     """Compute the exact evidence of these windows, with the drivers in them as candidates.
+
+    ``steps`` as of :func:`evidence`.
 
     Raises:
         NoCeilingError: the drivers' traits are not known; or see :func:`evidence`.
@@ -133,7 +143,7 @@ def exact_evidence(unseen: Demonstrations, driver_policy: str | None) -> Identif
         Driver(name, **dict(zip(TRAIT_NAMES, truth.traits[at].tolist(), strict=True)))
         for name, at in zip(observed.names, first, strict=True)
     ]
-    return evidence(observed, driver_policy, drivers)
+    return evidence(observed, driver_policy, drivers, steps)
 
 
 def ceiling(
@@ -187,3 +197,14 @@ def ceilings(identification: Identification, pools: ArrayLike, true: ArrayLike) 
             identification, pools, true, [driver.eta >= LIKES_HELP for driver in drivers]
         ),
     )
+
+
+def from_one_step(unseen: Demonstrations, driver_policy: str | None) -> Ceilings:
+    """Accuracies of the Bayes classifier that sees a single observation: the first of each window.
+
+    Raises:
+        NoCeilingError, FileNotFoundError, ValueError: see :func:`exact_evidence`.
+    """
+    named = np.flatnonzero(unseen.observed.driver != MISSING)
+    found = exact_evidence(unseen, driver_policy, steps=1)
+    return ceilings(found, named[:, None], unseen.observed.driver[named])

@@ -108,9 +108,10 @@ class TraitEvaluation(TraitReport):
         found: dict[str, list[Assessment]] = {}
         parts = 1 + assessment.PARTS * len(models)
         with tqdm(total=parts, unit=" parts", desc="judging") as bar:
-            exact = None
+            exact = one_step = None
             try:
                 exact = ceiling.exact_evidence(split.unseen, self.driver_policy)
+                one_step = ceiling.from_one_step(split.unseen, self.driver_policy)
             except ceiling.NoCeilingError as error:
                 bar.write(str(error), file=sys.stderr)
             bar.update()
@@ -120,7 +121,8 @@ class TraitEvaluation(TraitReport):
                     model, split, exact, unknown, self.size, windows, bar.update, whole, embedding
                 )
                 found.setdefault(name, []).append(one)
-        return TraitResults({name: found[name] for name in SUPERVISIONS if name in found}, pool)
+        found = {name: found[name] for name in SUPERVISIONS if name in found}
+        return TraitResults(found, pool, one_step)
 
     def settings(self) -> dict[str, Any]:
         """See :meth:`Experiment.settings`."""

@@ -7,21 +7,23 @@ have been learned several times, from different seeds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, Identified
+from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.figures import TITLES, draw_accuracy, embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
 from hmi_marl.experiments.latent_traits.probes import TraitR2
 from hmi_marl.experiments.latent_traits.reward import RewardRanking
+from hmi_marl.files import json_value
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text, png
 from hmi_marl.reporting.statistics import Estimate, number
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.verdicts import SEEDS, Part, Verdict
 
 T = TypeVar("T")
 
@@ -34,6 +36,8 @@ class TraitResults:
     """By supervision, one for each seed."""
     pool: int
     """Windows that the models pool."""
+    one_step: Ceilings | None = None
+    """Accuracies of the exact classifier that sees a single observation; None if not known."""
 
     @property
     def first(self) -> Mapping[str, Assessment]:
@@ -51,7 +55,22 @@ class TraitResults:
         if len(probes) == 1:
             return probes[0]
         found = over_seeds([probe.mean for probe in probes])
-        return Estimate(found.mean, max(found.low, 0.0), min(found.high, 1.0))
+        return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
+
+    def by_seed(self, setting: str, size: int, of: str = "types") -> Estimate:
+        """Average the same over training seeds; without an interval for a single one."""
+        return statistics.mean_share(
+            [getattr(one.at_pool(size), of).linear_probe for one in self.assessments[setting]]
+        )
+
+    def kl_ratio(self, setting: str, other: str, size: int) -> Estimate:
+        """Ratio of the average KL of two settings, paired by seed, geometric mean."""
+        kl = [
+            [max(one.at_pool(size).types.average_kl, criteria.SMALLEST_KL) for one in several]
+            for several in (self.assessments[setting], self.assessments[other])
+        ]
+        seeds = min(map(len, kl))
+        return statistics.geometric_ratio(kl[0][:seeds], kl[1][:seeds])
 
     def average_kl(self, setting: str, size: int) -> Estimate:
         """Average the KL between driver types over seeds."""
@@ -60,9 +79,7 @@ class TraitResults:
 
 def over_seeds(values: Sequence[float]) -> Estimate:
     """Return the mean with its t interval; for a single seed without one."""
-    if len(values) > 1:
-        return statistics.mean(values)
-    return Estimate(values[0], values[0], values[0])
+    return statistics.mean(values)
 
 
 class TraitReport(Experiment[TraitResults]):
@@ -76,39 +93,41 @@ class TraitReport(Experiment[TraitResults]):
         """Judge the means of the settings that were learned, with pools of the models' size."""
         size, found = results.pool, results.assessments
         first = next(iter(results.first.values())).at_pool(size)
+        seeds = {name: len(several) for name, several in found.items()}
         verdicts = []
 
-        def add(claim: str, holds: bool, reason: str) -> None:
-            verdicts.append(Verdict.of_parts(claim, [holds], reason))
+        def accuracy(claim: str, name: str, least: float, of: str = "types") -> None:
+            share = results.by_seed(name, size, of)
+            what = f"{TITLES[name]}, accuracy"
+            part = Part.mean(what, share, SEEDS, above=least, seeds=seeds[name], form="z.1%")
+            verdicts.append(Verdict(claim, (part,)))
 
         if "id" in found and first.ceilings is not None:
-            short = first.ceilings.identity.mean - results.accuracy("id", size).mean
             margin = criteria.IDENTITY_MARGIN
             claim = f"by driver: accuracy within {100 * margin:.0f} points of the ceiling"
-            add(claim, short <= margin, f"{100 * short:.1f} points below it")
+            accuracy(claim, "id", first.ceilings.identity.mean - margin)
         if "preference" in found and first.preferences and first.ceilings:
-            reached = results.accuracy("preference", size, "preferences").mean
-            short, margin = first.ceilings.preference.mean - reached, criteria.PREFERENCE_MARGIN
+            margin = criteria.PREFERENCE_MARGIN
             claim = f"by preference: of preferences within {100 * margin:.0f} points of the ceiling"
-            add(claim, short <= margin, f"{100 * short:.1f} points below it")
+            least = first.ceilings.preference.mean - margin
+            accuracy(claim, "preference", least, "preferences")
         if "none" in found:
-            above = results.accuracy("none", size).mean - first.types.chance
             claim = f"unsupervised: {100 * criteria.ABOVE_CHANCE:.0f} points above chance"
-            add(claim, above >= criteria.ABOVE_CHANCE, f"{100 * above:.1f} points above it")
-            unsupervised = max(results.average_kl("none", size).mean, criteria.SMALLEST_KL)
-            for name in ("id", "preference"):
-                if name in found:
-                    factor = results.average_kl(name, size).mean / unsupervised
-                    claim = (
-                        f"{TITLES[name]}: KL {criteria.KL_FACTOR:.0f} times the unsupervised one"
-                    )
-                    add(claim, factor >= criteria.KL_FACTOR, f"{factor:.1f} times")
+            accuracy(claim, "none", first.types.chance + criteria.ABOVE_CHANCE)
+            least = criteria.KL_FACTOR
+            for name in (name for name in ("id", "preference") if name in found):
+                both = min(seeds[name], seeds["none"])
+                ratio = results.kl_ratio(name, "none", size)
+                part = Part.ratio("KL ratio", ratio, SEEDS, above=least, seeds=both, form=".2f")
+                claim = f"{TITLES[name]}: KL {least:.0f} times the unsupervised one"
+                verdicts.append(Verdict(claim, (part,)))
         return verdicts
 
     def numbers(self, results: TraitResults) -> dict[str, Any]:
         """JSON content."""
         return {
             "pool": results.pool,
+            "one_step": json_value(results.one_step),
             "supervisions": {
                 name: {
                     "accuracy": results.accuracy(name, results.pool).as_json(),

@@ -11,20 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.experiments import criteria
+from hmi_marl.experiments.metrics_table.differences import AVERAGE, NONE, OWN, Differences
 from hmi_marl.experiments.metrics_table.table import Cell
 from hmi_marl.files import json_value
+from hmi_marl.paper.audit import reachable_in_the_paper
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.reporting.blocks import COLOURS, canvas, png
 from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.verdicts import EPISODES, Part
 
-AVERAGE, NONE = "AvgHMI", "NoHMI"
 METRICS = (
     ("distraction_return", "Distraction return", DISTRACTION_RETURNS),
     ("speed_return", "Speed return", SPEED_RETURNS),
@@ -58,6 +59,8 @@ class PaperTable:
     cells: dict[tuple[str, str], Cell]
     average: Cell | None = None
     """AvgHMI with the average driver, for whom it was trained; not in the paper's table."""
+    differences: Differences | None = None
+    """Differences between HMIs, paired by episode; None for a table without episodes."""
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -85,11 +88,31 @@ class PaperTable:
         return "own" if hmi == driver else None
 
 
-def agrees_with_exact(cell: Cell) -> bool:
-    """Check that a cell's distraction return is the exact one, within 2 % or its interval."""
-    exact = cell.exact_distraction_return_same_steps
-    assert exact is not None
-    return cell.distraction_return.agrees(exact, criteria.EXACT_TOLERANCE)
+def exact_part(hmi: str, driver: str, cell: Cell) -> Part:
+    """State that a cell's distraction return is the exact one over as many steps, within 2 %."""
+    most = criteria.EXACT_TOLERANCE * abs(cell.exact_distraction_return_same_steps or 0.0)
+    return Part.mean(
+        f"{driver} with the HMI for {hmi}, less exact",
+        cell.distraction_minus_exact,
+        EPISODES,
+        paired=True,
+        above=-most,
+        below=most,
+        seeds=int(cell.learned),
+    )
+
+
+def optimum_part(driver: str, cell: Cell) -> Part:
+    """State that an own HMI misses less than 2 % of the exact optimum of attention."""
+    most = criteria.EXACT_TOLERANCE * abs(cell.optimal_attention_return_same_steps)
+    return Part.mean(
+        f"{driver}, less the optimum",
+        cell.attention_minus_optimum,
+        EPISODES,
+        paired=True,
+        above=-most,
+        seeds=1,
+    )
 
 
 def shortfall(cell: Cell) -> float:
@@ -98,12 +121,11 @@ def shortfall(cell: Cell) -> float:
     return (best - cell.attention_return.mean) / abs(best)
 
 
-def paper_verdict(cell: Cell, metric: str, printed: float) -> str:
+def paper_compared(cell: Cell, driver: Driver, metric: str, printed: float) -> str:
     """Compare a figure that the paper prints with ours."""
     got: Estimate = getattr(cell, metric)
     if metric == "distraction_return":
-        reach = cell.reachable_distraction_return
-        least, most = criteria.REACHABLE_LEAST * reach.least, criteria.REACHABLE_MOST * reach.most
+        least, most = reachable_in_the_paper(driver)
         if not least <= printed <= most:
             return "out of reach of every alert policy"
     if got.agrees(printed, criteria.PAPER_TOLERANCE[metric]):
@@ -119,63 +141,36 @@ class Average:
     """personalised, average or none."""
     metric: str
     ours: Estimate
-    """All cells play the same seeds, so their errors go together: the interval is the mean of the
-    cells' intervals, which is right if they do so wholly and too wide otherwise."""
+    """Mean of the drivers in the same episodes."""
     exact: float | None
     """Exact value over the same steps; None where it is not known."""
     paper: float
 
     @property
-    def verdict(self) -> str:
-        """Whether the paper's figure is ours, and ours the exact one."""
-        agrees = self.ours.agrees(self.paper, criteria.PAPER_TOLERANCE[self.metric])
-        difference = self.paper - self.ours.mean
-        verdict = "paper agrees" if agrees else f"paper differs by {difference:+.0f}"
-        if self.exact is None:
-            return verdict
-        exact = self.ours.agrees(self.exact, criteria.EXACT_TOLERANCE)
-        return f"{verdict}, {'exact' if exact else 'MISSED the exact value'}"
+    def compared(self) -> str:
+        """Comparison of the paper's figure with ours."""
+        if self.ours.agrees(self.paper, criteria.PAPER_TOLERANCE[self.metric]):
+            return "paper agrees"
+        return f"paper differs by {self.paper - self.ours.mean:+.0f}"
 
 
 def averages(table: PaperTable) -> list[Average]:
-    """Averages of both metrics for personalised, average and no HMIs."""
+    """Averages of both metrics for personalised, average and no HMIs; none without episodes."""
+    if table.differences is None:
+        return []
     found = []
-    for label, row in (("personalised", "own"), ("average", AVERAGE), ("none", NONE)):
+    for label, row in (("personalised", OWN), ("average", AVERAGE), ("none", NONE)):
         cells = [
-            table.own(driver) if row == "own" else table.cells[row, driver]
+            table.own(driver) if row == OWN else table.cells[row, driver]
             for driver in table.columns
         ]
         for metric, _, printed in METRICS:
-            estimates = [getattr(cell, metric) for cell in cells]
-            ends = ("mean", "low", "high")
-            ours = (float(np.mean([getattr(e, end) for e in estimates])) for end in ends)
+            ours = table.differences.rows[row][metric]
             exact = [cell.exact_distraction_return_same_steps for cell in cells]
             known = metric == "distraction_return" and None not in exact
             mean_exact = float(np.mean([e for e in exact if e is not None])) if known else None
             paper = mean_over_drivers(printed[row])
-            found.append(Average(label, metric, Estimate(*ours), mean_exact, paper))
-    return found
-
-
-def orders(table: PaperTable) -> dict[str, str]:
-    """Order of the paper's three averages, by metric, and whether ours is the same.
-
-    Two of ours count as equal where their intervals overlap.
-    """
-    found = {}
-    for metric, title, _ in METRICS:
-        three = [average for average in averages(table) if average.metric == metric]
-        by_paper = sorted(three, key=lambda average: -average.paper)
-        order = " > ".join(average.hmi for average in by_paper)
-        pairs = list(pairwise(by_paper))
-        if all(a.ours.low > b.ours.high for a, b in pairs):
-            verdict = "ours too"
-        elif any(b.ours.low > a.ours.high for a, b in pairs):
-            verdict = "ours is another"
-        else:
-            equal = [f"{a.hmi} and {b.hmi}" for a, b in pairs if a.ours.low <= b.ours.high]
-            verdict = f"ours too, but that {', '.join(equal)} are equal"
-        found[title] = f"paper: {order}; {verdict}"
+            found.append(Average(label, metric, ours, mean_exact, paper))
     return found
 
 
@@ -186,11 +181,11 @@ def numbers(tables: Sequence[PaperTable]) -> dict[str, Any]:
         "tables": {name: _cells(table) for name, table in by_name.items()},
         "averages": {
             name: [
-                json_value(average) | {"verdict": average.verdict} for average in averages(table)
+                json_value(average) | {"compared": average.compared} for average in averages(table)
             ]
             for name, table in by_name.items()
         },
-        "orders": {name: orders(table) for name, table in by_name.items()},
+        "differences": {name: json_value(table.differences) for name, table in by_name.items()},
         "average_driver_with_own_hmi": {
             name: table.average.as_json() | {"hmi": AVERAGE}  # instead of its path
             for name, table in by_name.items()
@@ -209,7 +204,6 @@ def _cells(table: PaperTable) -> list[dict[str, Any]]:
         | {
             "hmi": hmi,
             "driver": driver,
-            "agrees_with_exact": agrees_with_exact(cell),
             "attention_shortfall": shortfall(cell),
             "paper": {
                 metric: printed[row][driver] if row else None

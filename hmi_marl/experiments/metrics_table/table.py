@@ -32,7 +32,7 @@ from hmi_marl.experiments.episodes import (
 )
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.statistics import UNKNOWN, Estimate
 from hmi_marl.workers import check_workers, results
 
 PAPER_HMIS = ("NoHMI", "always", "AvgHMI", "own")
@@ -126,8 +126,8 @@ class Cell:
     """Attention return of the exact optimum for this driver, attention seen, over as many steps."""
     optimal_distraction_return: float
     """Distraction return of the exact optimum for this driver, attention seen."""
-    reachable_distraction_return: oracle.Reachable
-    """Least and most that any alert policy can reach."""
+    reachable_distraction_return_same_steps: oracle.Reachable
+    """Least and most that any alert policy can reach, over as many steps as the episodes had."""
     rule_shortfall: float
     """Loss of "the strongest alert exactly when distracted" against the exact optimum for this
     driver, over an episode that runs its whole time, in attention return."""
@@ -138,6 +138,10 @@ class Cell:
     1 is the optimum, 0 no alerts; None if alerts can gain nothing or were not judged."""
     learned: bool = False
     """Whether the HMI is a learned policy."""
+    distraction_minus_exact: Estimate = UNKNOWN
+    """Distraction return less the exact one over as many steps, paired by episode."""
+    attention_minus_optimum: Estimate = UNKNOWN
+    """Attention return less the exact optimum over as many steps, paired by episode."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain JSON content: ``alerts`` and ``crash_rate`` as numbers with ``*_interval``."""
@@ -146,8 +150,8 @@ class Cell:
             content[name] = value
             if name in ("alerts", "crash_rate"):
                 content |= {name: value["mean"], f"{name}_interval": [value["low"], value["high"]]}
-        reachable = self.reachable_distraction_return._asdict()
-        return content | {"reachable_distraction_return": reachable}
+        name = "reachable_distraction_return_same_steps"
+        return content | {name: getattr(self, name)._asdict()}
 
 
 def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) -> Cell:
@@ -156,11 +160,14 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
     settings, policy = exact_settings(team), make_hmi(hmi, team)
     best, rules = oracle.solve_alerts(**settings), ExactRules.of(team)
     exact = same_steps = following = lost = None
+    from_exact = UNKNOWN
     rule = known_rule(policy, team)
     if rule is not None:
         returns = oracle.evaluate(rule, **settings)
         exact = returns.distraction_return
-        same_steps = float(returns.return_after(episodes.length, ["distraction"]).mean())
+        by_episode = returns.return_after(episodes.length, ["distraction"])
+        same_steps = float(by_episode.mean())
+        from_exact = statistics.mean(episodes.returns["distraction"] - by_episode)
         if isinstance(policy, AttentionRule):  # which a learned HMI may have missed
             lost = rules.optimum - returns.total_return
     if episodes.alerting is not None:
@@ -169,6 +176,8 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
         if lost is None:
             lost = float(episodes.alerting.lost.sum() / played * team.horizon)
     minutes = episodes.length / team.scene.policy_frequency / 60
+    optimum = best.return_after(episodes.length)
+    reach = oracle.reachable_by_steps(**settings)[episodes.length].mean(axis=0)
     return Cell(
         driver=driver,
         hmi=hmi,
@@ -182,13 +191,15 @@ def make_cell(config: TableConfig, driver: str, hmi: str, episodes: Episodes) ->
         min_time_headway=statistics.mean(episodes.min_time_headway, lowest=0.0),
         exact_distraction_return=exact,
         exact_distraction_return_same_steps=same_steps,
-        optimal_attention_return_same_steps=float(best.return_after(episodes.length).mean()),
+        optimal_attention_return_same_steps=float(optimum.mean()),
         optimal_distraction_return=best.distraction_return,
-        reachable_distraction_return=oracle.reachable(**settings),
+        reachable_distraction_return_same_steps=oracle.Reachable(*map(float, reach)),
         rule_shortfall=max(0.0, rules.optimum - rules.when_distracted),
         share_following_rule=following,
         share_of_gain=None if lost is None else rules.share_of_gain(lost),
         learned=isinstance(policy, LearnedPolicy),
+        distraction_minus_exact=from_exact,
+        attention_minus_optimum=statistics.mean(episodes.attention_return() - optimum),
     )
 
 
@@ -228,7 +239,15 @@ def play_cell(config: TableConfig, driver: str, hmi: str, numbers: range) -> Epi
 def make_table(
     config: TableConfig, workers: int | None = None, progress: Callable[[int], Any] = id
 ) -> list[Cell]:
-    """Play every cell and add it up, row by row; the result does not depend on ``workers``.
+    """Play every cell and add it up, row by row; see :func:`play_table`."""
+    played = play_table(config, workers, progress)
+    return [make_cell(config, *cell, episodes) for cell, episodes in played.items()]
+
+
+def play_table(
+    config: TableConfig, workers: int | None = None, progress: Callable[[int], Any] = id
+) -> dict[tuple[str, str], Episodes]:
+    """Play every cell, by driver and HMI, row by row; the same for any number of ``workers``.
 
     Workers (by default as many as cores) begin by importing the script that started them: unless
     there is 1, a script that calls this needs an ``if __name__ == "__main__":`` around what it
@@ -245,10 +264,7 @@ def make_table(
     for (driver, hmi, _), episodes in zip(tasks, results(play_task, tasks, workers), strict=True):
         played[driver, hmi].append(episodes)
         progress(len(episodes.seeds))
-    return [
-        make_cell(config, driver, hmi, Episodes.join(episodes))
-        for (driver, hmi), episodes in played.items()
-    ]
+    return {cell: Episodes.join(episodes) for cell, episodes in played.items()}
 
 
 def _chunks(config: TableConfig) -> list[range]:

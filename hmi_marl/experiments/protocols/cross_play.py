@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.experiments.protocols.arms import RULE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, crossed, pairs_of, rule_pairs
-from hmi_marl.experiments.protocols.results import UNKNOWN, TaskResults
+from hmi_marl.experiments.protocols.results import TaskResults
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.statistics import UNKNOWN, Estimate
 
 METRIC = "attention_return"
 """Return that is compared: it is what partners earn by understanding each other."""

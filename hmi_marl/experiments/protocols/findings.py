@@ -5,42 +5,38 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.experiments import criteria
+from hmi_marl.experiments.episode_sums import Sums
 from hmi_marl.experiments.protocols.arms import (
     JOINT,
     MAIN,
     SIMULTANEOUS,
     TWO_STAGE,
 )
-from hmi_marl.experiments.protocols.gaming import Finding, gaming_of, worst_finding
+from hmi_marl.experiments.protocols.gaming import Gaming, gaming_of, worst_finding
 from hmi_marl.experiments.protocols.pairs import pairs_of
 from hmi_marl.experiments.protocols.results import (
-    UNKNOWN,
     Comparison,
     TaskResults,
     divergence,
     optimum,
     regret,
 )
+from hmi_marl.reporting import statistics
 from hmi_marl.reporting.many_runs import Difference, over_runs, paired_differences
-from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.reporting.statistics import UNKNOWN, Estimate
+from hmi_marl.reporting.verdicts import SEEDS, Part, Verdict
 
 COMPARED_METRICS = ("team_return", "attention_return")
 """Metrics in which protocols are compared with two-stage."""
 SWEPT = ("divergence", "attention_return")
 """Quantities that should fall with λ."""
-_OUTCOMES: dict[Finding, Outcome] = {
-    "fine": Outcome.SUPPORTED,
-    "crashes more": Outcome.PARTLY,
-    "GAMED": Outcome.NOT_SUPPORTED,
-    "unknown": Outcome.UNTESTABLE,
-}
 
 
 @dataclass(frozen=True)
@@ -121,23 +117,19 @@ def sweep(results: TaskResults) -> list[SweepPoint]:
     ]
 
 
-def rises(results: TaskResults, points: Sequence[SweepPoint]) -> list[str]:
-    """List rises with λ between any two points, paired by seed.
+def _falling(results: TaskResults, points: Sequence[SweepPoint]) -> list[Part]:
+    """State that neither quantity rises from one λ to the next, paired by seed.
 
-    A rise counts if it differs from 0, corrected for all pairs of points, or if its mean is more
-    than ``criteria.SWEEP_END`` of the way between the ends: few runs find no difference anywhere.
+    A rise of less than ``criteria.SWEEP_END`` of the way between the ends counts as none.
     """
     found = []
     for name in SWEPT:
         values = [_swept(results, point.arm, name) for point in points]
         most = criteria.SWEEP_END * abs(float(values[0].mean() - values[-1].mean()))
-        steps = list(combinations(range(len(points)), 2))
-        changes = paired_differences([(values[b], values[a]) for a, b in steps])
-        found += [
-            f"{name.replace('_', ' ')} from λ = {points[a].weight:g} to {points[b].weight:g}"
-            for (a, b), change in zip(steps, changes, strict=True)
-            if change.estimate.mean > (0.0 if change.differs else most)
-        ]
+        changes = paired_differences([(after, before) for before, after in pairwise(values)])
+        for (one, other), change in zip(pairwise(points), changes, strict=True):
+            what = f"{name.replace('_', ' ')}, λ = {other.weight:g} less {one.weight:g}"
+            found.append(_over_runs(what, change.estimate, paired=True, below=most))
     return found
 
 
@@ -166,7 +158,7 @@ def judge(comparison: Comparison) -> list[Verdict]:
 def _near_optimum(results: TaskResults) -> list[Verdict]:
     """Attention seen: the exact optimum of attention is reached.
 
-    The interval must lie within the tolerance too, so that a wide one supports nothing.
+    The whole interval must lie within the tolerance, so that a wide one supports nothing.
     """
     verdicts = []
     for protocol in results.plan.protocols:
@@ -178,47 +170,38 @@ def _near_optimum(results: TaskResults) -> list[Verdict]:
             f"{results.plan.name}, {protocol}: attention return within "
             f"{100 * criteria.EXACT_TOLERANCE:g} % of the exact optimum"
         )
-        reason = (
-            f"optimum {best:.1f}, less the return {missing.shown('+z.1f')}, "
-            f"{len(pairs)} runs, at most {most:.1f} apart"
-        )
-        verdicts.append(_within(claim, missing, most, reason))
+        part = _within(f"optimum {best:.1f}, less the return", missing, most)
+        verdicts.append(Verdict(claim, (part,)))
     return verdicts
 
 
-def _within(claim: str, difference: Estimate, most: float, reason: str) -> Verdict:
-    """Judge whether a difference is small: supported by its whole interval, in part by its mean."""
-    if not math.isfinite(difference.low):
-        return Verdict(claim, Outcome.UNTESTABLE, reason)
-    widest = max(abs(difference.low), abs(difference.high))
-    return Verdict.of_parts(claim, [abs(difference.mean) <= most, widest <= most], reason)
+def _over_runs(what: str, estimate: Estimate, **more: Any) -> Part:
+    """State something of an estimate over training runs, each of a seed of its own."""
+    return Part.mean(what, estimate, SEEDS, seeds=estimate.count, form="+z.1f", **more)
+
+
+def _within(what: str, difference: Estimate, most: float) -> Part:
+    """State that a difference is small, by its whole interval."""
+    return _over_runs(what, difference, paired=True, above=-most, below=most)
 
 
 def _no_difference(results: TaskResults, changes: Sequence[Compared]) -> list[Verdict]:
     """Attention seen: protocols do not differ in attention return.
 
-    Supported if no difference excludes 0 and all intervals lie within the tolerance; in part if
-    only one of both holds, since few runs find no difference anywhere.
+    Every interval must lie within the tolerance, since few runs find no difference anywhere.
     """
     task = results.plan.name
     found = [c for c in changes if c.task == task and c.metric == "attention_return"]
     if not found:
         return []
-    known = [c.difference for c in found if c.difference.differs is not None]
     best = results.mean_of(results.own(TWO_STAGE), optimum).mean
     most = criteria.EXACT_TOLERANCE * abs(best)
-    apart = [c for c in found if c.difference.differs]
     claim = (
         f"{task}: no protocol differs from two-stage in attention return, by intervals within "
         f"{100 * criteria.EXACT_TOLERANCE:g} % of the optimum"
     )
-    reason = "; ".join(
-        f"{c.protocol} {c.difference.estimate.shown('+z.1f')}" for c in apart or found
-    )
-    if not known:
-        return [Verdict(claim, Outcome.UNTESTABLE, reason)]
-    narrow = all(max(-d.estimate.low, d.estimate.high) <= most for d in known)
-    return [Verdict.of_parts(claim, [not apart, narrow], f"{reason}; within {most:.1f}")]
+    parts = (_within(c.protocol, c.difference.estimate, most) for c in found)
+    return [Verdict(claim, tuple(parts))]
 
 
 def way_to_optimum(results: TaskResults, protocol: str) -> Estimate:
@@ -250,11 +233,9 @@ def _signalling_pays(results: TaskResults) -> list[Verdict]:
         f"{results.plan.name}, {SIMULTANEOUS}: at least {criteria.SIGNALLING_GAIN:g} of the way "
         "from the two-stage HMI to the optimum that sees attention"
     )
-    reason = f"{way.shown('.2f')} over {len(results.own(SIMULTANEOUS))} runs"
-    if not math.isfinite(way.low):
-        return [Verdict(claim, Outcome.UNTESTABLE, reason)]
-    held = [value >= criteria.SIGNALLING_GAIN for value in (way.mean, way.low)]
-    return [Verdict.of_parts(claim, held, reason)]
+    gain, form = criteria.SIGNALLING_GAIN, "z.2f"
+    part = Part.mean("share of the way", way, SEEDS, above=gain, seeds=way.count, form=form)
+    return [Verdict(claim, (part,), "standard error by bootstrap")]
 
 
 def against_average_hmi(results: TaskResults) -> dict[str, Difference]:
@@ -287,15 +268,12 @@ def _no_convention(results: TaskResults) -> list[Verdict]:
     """Attention hidden: a jointly trained HMI does not help a driver that learned alone."""
     verdicts = []
     for protocol, change in against_average_hmi(results).items():
-        low, high = change.estimate.low, change.estimate.high
         claim = (
             f"{results.plan.name}, {protocol}: its HMI does worse with the stage-1 driver than the "
             "HMI for the average driver"
         )
-        reason = f"{change.estimate.shown('+z.1f')} per episode, paired over {change.pairs} runs"
-        outcome = Outcome.SUPPORTED if high < 0.0 else Outcome.NOT_SUPPORTED
-        is_open = change.differs is None or low < 0.0 <= high
-        verdicts.append(Verdict(claim, Outcome.UNTESTABLE if is_open else outcome, reason))
+        part = _over_runs("difference per episode", change.estimate, paired=True, below=0.0)
+        verdicts.append(Verdict(claim, (part,)))
     return verdicts
 
 
@@ -325,31 +303,47 @@ def _sweep(results: TaskResults) -> list[Verdict]:
         "free": f"{name}: with the smallest λ as with the free driver",
         "natural": f"{name}: with the largest λ as with the two-stage driver",
     }
-    if not all(math.isfinite(each.low) for each in (whole, first, last)):
-        return [Verdict(claim, Outcome.UNTESTABLE, shown) for claim in claims.values()]
-    rising = rises(results, points)
-    reason = f"{shown}; free minus two-stage {whole.shown('+z.1f')}"
-    if rising:
-        reason += f"; rises: {', '.join(rising)}"
-    limit = f"at most {most:.1f} apart, {criteria.SWEEP_END:g} of the way"
+    way = _over_runs("free minus two-stage", whole, paired=True, above=0.0)
     return [
-        Verdict.of_parts(claims["falls"], [not rising, whole.low > 0.0], reason),
-        _within(claims["free"], first, most, f"{first.shown('+z.1f')} less, {limit}"),
-        _within(claims["natural"], last, most, f"{last.shown('+z.1f')} more, {limit}"),
+        Verdict(claims["falls"], (way, *_falling(results, points)), shown),
+        Verdict(claims["free"], (_within("free minus smallest λ", first, most),)),
+        Verdict(claims["natural"], (_within("largest λ minus two-stage", last, most),)),
     ]
 
 
 def _not_gamed(results: TaskResults) -> list[Verdict]:
-    """Crashing early does not pay."""
+    """Crashing early does not pay: no driver crashes more than the two-stage one.
+
+    Crash rates are paired by seed. Whether crashing would pay is told beside them.
+    """
     gaming, verdicts = gaming_of(results), []
     for protocol in results.plan.protocols:
         if protocol == TWO_STAGE:
             continue
         worst = worst_finding(gaming, protocol)
-        rows = [row for row in gaming if row.protocol == protocol and row.finding == worst]
+        own = [row for row in gaming if row.protocol == protocol]
         reason: str = worst
         if worst != "fine":
-            reason += f" with {', '.join(row.driver for row in rows)}"
+            reason += f" with {', '.join(row.driver for row in own if row.finding == worst)}"
         claim = f"{protocol}: crashes no more than {TWO_STAGE}, and crashing does not pay"
-        verdicts.append(Verdict(claim, _OUTCOMES[worst], reason))
+        parts = tuple(_crashes_no_more(results, row) for row in own)
+        verdicts.append(Verdict(claim, parts, reason))
     return verdicts
+
+
+def _crashes_no_more(results: TaskResults, row: Gaming) -> Part:
+    """State that a driver crashes no more than the two-stage one, paired by seed."""
+    rates = [
+        np.array([_crash_rate(results.played[pair].sums[row.driver]) for pair in results.own(arm)])
+        for arm in (row.protocol, TWO_STAGE)
+        if arm in results.plan.protocols
+    ]
+    count = min(map(len, rates))
+    more = UNKNOWN if len(rates) < 2 else statistics.mean(rates[0][:count] - rates[1][:count])
+    what, most = f"{row.driver}: more crashes", criteria.MORE_CRASHES
+    seeds = more.count
+    return Part.mean(what, more, SEEDS, paired=True, below=most, seeds=seeds, form="+z.1%")
+
+
+def _crash_rate(sums: Sums) -> float:
+    return sums.crashes / sums.episodes if sums.episodes else math.nan

@@ -25,8 +25,8 @@ from hmi_marl.experiments import criteria
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.pairs import Pair
-from hmi_marl.experiments.protocols.results import UNKNOWN, TaskResults, crash_rate
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.experiments.protocols.results import TaskResults, crash_rate
+from hmi_marl.reporting.statistics import UNKNOWN, Estimate
 
 Finding = Literal["reference", "fine", "crashes more", "GAMED", "unknown"]
 _WORST: tuple[Finding, ...] = ("GAMED", "crashes more", "unknown", "fine", "reference")

@@ -19,11 +19,9 @@ from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.many_runs import over_runs, paired_differences
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.statistics import UNKNOWN, Estimate
 from hmi_marl.training.protocols.settings import TEAM, TrainSettings
 from hmi_marl.training.runs.folder import read_curve
-
-UNKNOWN = Estimate(math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -156,14 +154,15 @@ class TaskResults:
         """Average a difference from an exact value over drivers and runs.
 
         All runs play the same episodes, whose luck does not average out over runs: the half
-        interval over episodes is added to that over runs, as squares.
+        interval over episodes is added to that over runs, as squares; so are standard errors.
         """
         names = self.plan.settings.driver_names
         each = [statistics.average([value(self.played[p], name) for name in names]) for p in pairs]
         over = statistics.mean([found.mean for found in each])
         luck = float(np.mean([found.high - found.mean for found in each]))
         half = math.hypot(over.high - over.mean, luck)
-        return Estimate(over.mean, over.mean - half, over.mean + half)
+        error = math.hypot(over.error, float(np.mean([found.error for found in each])))
+        return Estimate(over.mean, over.mean - half, over.mean + half, error, over.count)
 
     def pooled(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Sums:
         """Join the episodes of several pairs."""

@@ -13,7 +13,14 @@ from hmi_marl.demonstrations.env import team_of
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS
 from hmi_marl.exact.identify import Identification, identify
-from hmi_marl.experiments.latent_traits.ceiling import ceiling, ceilings, driver_policy_of, evidence
+from hmi_marl.experiments.latent_traits.ceiling import (
+    ceiling,
+    ceilings,
+    driver_policy_of,
+    evidence,
+    exact_evidence,
+    from_one_step,
+)
 from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
@@ -99,6 +106,23 @@ def test_the_evidence_is_that_of_the_oracle(steering: Path) -> None:
     found = evidence(observed, None, PAPER_DRIVERS)
     assert found.drivers == FOUR
     np.testing.assert_array_equal(found.log_evidence, expected.log_evidence)
+
+
+def test_a_single_observation_tells_less_than_a_window(steering: Path) -> None:
+    (data,) = collect(
+        CollectSettings(steps=2000, duration=2.0, driver_policy=str(steering), num_teams=10_000)
+    )
+    one, whole = (exact_evidence(data, None, steps) for steps in (1, None))
+    observed = data.observed
+    config = team_of(observed)
+    policy = load_policy(steering, "driver", config, greedy=False)
+    first = observed.actions[:, :1], observed.alerts[:, :1], np.ones_like(observed.length)
+    expected = identify(config, policy, FOUR, observed.seeds, *first)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(one.log_evidence, expected.log_evidence)
+    assert np.ptp(one.log_evidence, axis=1).mean() < np.ptp(whole.log_evidence, axis=1).mean()
+    found = from_one_step(data, None)
+    windows = np.arange(len(data.observed.driver))[:, None]
+    assert found == ceilings(one, windows, data.observed.driver)
 
 
 # Accuracy.

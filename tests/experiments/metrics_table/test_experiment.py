@@ -1,4 +1,5 @@
 import json
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -6,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hmi_marl.cli import main
-from hmi_marl.envs.drivers import DRIVERS, get_driver
+from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, get_driver
 from hmi_marl.experiments import experiment
 from hmi_marl.experiments.experiment import spec
 from hmi_marl.experiments.metrics_table import experiment as module
@@ -15,8 +16,9 @@ from hmi_marl.experiments.metrics_table.paper_table import (
     ETA_1,
     PRINTED,
     PaperTable,
-    agrees_with_exact,
-    paper_verdict,
+    exact_part,
+    optimum_part,
+    paper_compared,
     shortfall,
 )
 from hmi_marl.experiments.metrics_table.table import TableConfig, make_cell, play_cell
@@ -79,10 +81,48 @@ def test_a_reproduction_of_nothing_is_refused(name):
         MetricsTable(**{name: 0})
 
 
-def test_a_cell_agrees_within_its_interval_or_two_percent(cell):
-    assert agrees_with_exact(with_distraction(cell, -110, -120, -100, exact=-119))
-    assert agrees_with_exact(with_distraction(cell, -101.9, -102, -101.8, exact=-100))
-    assert not agrees_with_exact(with_distraction(cell, -102.1, -102.2, -102.05, exact=-100))
+@pytest.mark.parametrize(
+    ("off", "outcome"),
+    [(1.8, "supported"), (2.0, "undetermined"), (2.2, "not supported")],
+)
+def test_a_cell_is_exact_if_its_whole_interval_lies_within_two_percent(cell, off, outcome):
+    for sign in (1.0, -1.0):
+        found = replace(
+            cell,
+            exact_distraction_return_same_steps=-100.0,
+            distraction_minus_exact=Estimate(sign * off, math.nan, math.nan, 0.05, 10_000),
+        )
+        assert exact_part("homer", "homer", found).outcome() == outcome
+
+
+@pytest.mark.parametrize(
+    ("missing", "outcome"),
+    [(1.8, "supported"), (2.0, "undetermined"), (2.2, "not supported"), (-9.0, "supported")],
+)
+def test_an_own_hmi_reaches_the_optimum_or_not(cell, missing, outcome):
+    found = replace(
+        cell,
+        optimal_attention_return_same_steps=-100.0,
+        attention_minus_optimum=Estimate(-missing, math.nan, math.nan, 0.05, 10_000),
+    )
+    assert optimum_part("homer", found).outcome() == outcome
+
+
+def test_both_tables_are_judged_with_every_cell(cell):
+    cells = {
+        (row, driver): cell
+        for driver in PAPER_DRIVERS
+        for row in (*PAPER_DRIVERS, "AvgHMI", "NoHMI")
+    }
+    judged = MetricsTable().judge([PaperTable(v, cells, cell) for v in (PRINTED, ETA_1)])
+    assert [len(verdict.parts) for verdict in judged] == [24, 5, 24, 5]
+    assert all("1 training seed" in verdict.basis for verdict in judged[1::2])
+
+
+def test_ranges_and_exact_values_are_over_the_same_steps(cell):
+    reach = cell.reachable_distraction_return_same_steps
+    assert reach.least <= cell.exact_distraction_return_same_steps <= reach.most
+    assert reach.least == pytest.approx(-8 * cell.steps.mean)
 
 
 def test_the_shortfall_is_a_share_of_the_optimum_whatever_its_sign(cell):
@@ -99,13 +139,11 @@ def test_the_shortfall_is_a_share_of_the_optimum_whatever_its_sign(cell):
 
 
 def test_the_verdict_on_the_paper_is_out_of_reach_agrees_or_differs(cell):
-    bart = replace(
-        with_distraction(cell, -770, -775, -765, exact=-769),
-        reachable_distraction_return=cell.reachable_distraction_return._replace(
-            least=-800.0, most=-770.0
-        ),
-    )
-    verdict = paper_verdict
+    bart = with_distraction(cell, -770, -775, -765, exact=-769)
+
+    def verdict(cell, metric, printed):
+        return paper_compared(cell, DRIVERS["bart"], metric, printed)
+
     assert verdict(bart, "distraction_return", -123.0).startswith("out of reach")
     assert verdict(bart, "distraction_return", -745.0) == "agrees"
     fast = replace(cell, speed_return=Estimate(440.0, 435.0, 445.0))
@@ -143,6 +181,12 @@ def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys, monkeyp
     numbers = {name: content[name] for name in content if name not in ("command", "seconds")}
     assert str(tmp_path) not in json.dumps(numbers)
     assert "training hmi-bart-eta-1" in content["seconds"]
+    differences = content["differences"]["printed"]
+    for one, other in (("own", "AvgHMI"), ("own", "NoHMI")):
+        whole = differences["between_rows"][f"{one} - {other}"]["speed_return"]["all"]
+        assert whole["count"] == 4
+        rows = (differences["rows"][row]["speed_return"]["mean"] for row in (one, other))
+        assert whole["mean"] == pytest.approx(next(rows) - next(rows))
     shortfalls = content["attention_shortfall_of_own_hmis"]
     assert list(shortfalls["printed"]) == ["lisa", "marge", "bart", "homer", "average"]
     page = (out / "index.html").read_text()

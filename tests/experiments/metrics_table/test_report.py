@@ -237,9 +237,9 @@ def test_csv_parses_back_to_the_same_numbers(cells: list[Cell]) -> None:
             estimate = getattr(cell, name)
             ends = (float(line[name]), float(line[f"{name}_low"]), float(line[f"{name}_high"]))
             assert Estimate(*ends) == estimate
-        least, most = cell.reachable_distraction_return
-        assert float(line["reachable_distraction_return_least"]) == least
-        assert float(line["reachable_distraction_return_most"]) == most
+        least, most = cell.reachable_distraction_return_same_steps
+        assert float(line["reachable_distraction_return_same_steps_least"]) == least
+        assert float(line["reachable_distraction_return_same_steps_most"]) == most
     assert float(lines[0]["speed_return"]) == 42.0
     assert float(lines[1]["speed_return"]) == 31.5
 

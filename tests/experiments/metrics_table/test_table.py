@@ -168,7 +168,12 @@ def test_exact_returns_are_the_oracles(cells: list[Cell], driver: str) -> None:
     for cell in cells:
         if cell.driver == driver:
             assert cell.optimal_distraction_return == optimum.distraction_return
-            assert cell.reachable_distraction_return == oracle.reachable(driver, 7, 10)
+            reachable = oracle.reachable_by_steps(driver, 7, 10)
+            reach = cell.reachable_distraction_return_same_steps
+            assert cell.steps.mean <= 10
+            assert reachable[10, 0] <= reach.least <= reach.most <= reachable[1, 1]
+            if cell.steps.low == cell.steps.high == 10:
+                assert reach == pytest.approx(oracle.reachable(driver, 7, 10))
 
 
 def test_the_window_and_the_duration_reach_the_exact_returns() -> None:
@@ -230,7 +235,7 @@ def test_a_cell_as_json_has_the_promised_keys(cells: list[Cell]) -> None:
         assert content["hmi"] == cell.hmi
         assert content["episodes"] == 5
         for name in ESTIMATES:
-            assert content[name].keys() == {"mean", "low", "high"}
+            assert content[name].keys() == {"mean", "low", "high", "error", "count"}
         assert content["speed_return"] == vars(cell.speed_return)
         assert content["distraction_return"] == vars(cell.distraction_return)
         assert content["alerts"] == cell.alerts.mean
@@ -238,8 +243,8 @@ def test_a_cell_as_json_has_the_promised_keys(cells: list[Cell]) -> None:
         assert content["crash_rate"] == cell.crash_rate.mean
         assert content["crash_rate_interval"] == [cell.crash_rate.low, cell.crash_rate.high]
         assert content["exact_distraction_return"] == cell.exact_distraction_return
-        least, most = cell.reachable_distraction_return
-        assert content["reachable_distraction_return"] == {"least": least, "most": most}
+        least, most = cell.reachable_distraction_return_same_steps
+        assert content["reachable_distraction_return_same_steps"] == {"least": least, "most": most}
 
 
 def test_what_is_not_known_is_null_in_json(tmp_path: Path) -> None:
@@ -248,8 +253,9 @@ def test_what_is_not_known_is_null_in_json(tmp_path: Path) -> None:
     )
     write_json(tmp_path / "cell.json", cell.as_json())
     content = json.loads((tmp_path / "cell.json").read_text())
-    assert content["min_time_headway"] == {"mean": None, "low": None, "high": None}
-    assert content["speed_return"] == {"mean": 0.0, "low": None, "high": None}
+    nothing = {"low": None, "high": None, "error": None}
+    assert content["min_time_headway"] == {"mean": None, "count": 0, **nothing}
+    assert content["speed_return"] == {"mean": 0.0, "count": 1, **nothing}
     assert content["alerts"] == 0.0
     assert content["alerts_interval"] == [None, None]
     assert content["exact_distraction_return"] is None
@@ -262,7 +268,7 @@ def test_alerts_and_crashes_of_a_played_table_make_sense(cells: list[Cell]) -> N
     for cell in cells:
         assert cell.steps.mean <= 10
         assert 0.0 < cell.speed_return.mean <= 5.0 * 10
-        least, most = cell.reachable_distraction_return
+        least, most = cell.reachable_distraction_return_same_steps
         assert least <= cell.optimal_distraction_return <= most
 
 
