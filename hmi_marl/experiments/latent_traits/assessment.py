@@ -90,8 +90,8 @@ class Embedding:
     types: NDArray[np.int64]
     """Indices of ``names``, shape (P,)."""
     names: tuple[str, ...]
-    states: NDArray[np.float64] | None = None
-    """Hidden states of the held-out windows, shape (E, H), to be used again."""
+    sums: NDArray[np.float64] | None = None
+    """:func:`encode` of the held-out windows, to be used again."""
 
 
 @dataclass(frozen=True)
@@ -150,15 +150,15 @@ class Split:
 
 
 def encode(model: TraitModel, observed: Observed) -> NDArray[np.float64]:
-    """Encode every window into the encoder's last hidden state, shape (E, H)."""
-    return model.encode(observed.states, observed.actions, observed.alerts, observed.length)
+    """Encode every window into sums over its steps, shape (E, features + 1)."""
+    return model.encoder.encode(observed.states, observed.actions, observed.alerts, observed.length)
 
 
 def mean_latents(
-    model: TraitModel, states: NDArray[np.float64], pools: NDArray[np.int64]
+    model: TraitModel, sums: NDArray[np.float64], pools: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the mean of z, shape (P, Z), given states (E, H) and pools of indices (P, n)."""
-    return model.latent(states[pools].mean(axis=1)).mean
+    """Return the mean of z, (P, Z), given :func:`encode` of E windows and their pools (P, n)."""
+    return model.encoder.latent(sums[pools].sum(axis=1)).mean
 
 
 def disjoint_pools(driver: NDArray[np.int64], size: int) -> NDArray[np.int64]:
@@ -205,9 +205,9 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
 def embed(model: TraitModel, split: Split) -> Embedding:
     """Embed held-out pools of the model's own size."""
     unseen = split.unseen.observed
-    states, pools = encode(model, unseen), disjoint_pools(unseen.driver, model.card.pool)
-    means = mean_latents(model, states, pools)
-    return Embedding(means, unseen.driver[pools[:, 0]], unseen.names, states)
+    sums, pools = encode(model, unseen), disjoint_pools(unseen.driver, model.card.pool)
+    means = mean_latents(model, sums, pools)
+    return Embedding(means, unseen.driver[pools[:, 0]], unseen.names, sums)
 
 
 def identify_drivers(
@@ -231,15 +231,15 @@ def identify_drivers(
     """
     sides = split.learned, split.unseen
     embedding = embedding or embed(model, split)
-    assert embedding.states is not None
-    states = [encode(model, split.learned.observed), embedding.states]
+    assert embedding.sums is not None
+    sums = [encode(model, split.learned.observed), embedding.sums]
     drivers = [side.observed.driver for side in sides]
     help_learned, help_unseen = (likes_help(side) for side in sides)
 
     rows = []
     for size in windows:
         pools = [disjoint_pools(driver, size) for driver in drivers]
-        z_fitted, z = (mean_latents(model, *side) for side in zip(states, pools, strict=True))
+        z_fitted, z = (mean_latents(model, *side) for side in zip(sums, pools, strict=True))
         fitted, judged = pools
         preferences = None
         if help_learned is not None and help_unseen is not None:

@@ -163,7 +163,8 @@ class LatentTraits(TraitReport):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.learn.supervision, self.learn.seed) != ("none", 0):
+        default = TraitSettings()
+        if (self.learn.supervision, self.learn.seed) != (default.supervision, default.seed):
             raise ValueError(
                 "every supervision is learned, from --seed on: leave out "
                 "--learn.supervision and --learn.seed"
@@ -271,7 +272,8 @@ class LatentTraits(TraitReport):
                 write_demonstrations(folder / name, collect(dataset, bar.update))
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
         split = assessment.Split.of(demonstrations, learn.held_out, self.evaluation.windows)
-        assessment.pool_sizes(split, learn.pool, learn.latent)
+        latent = max(settings.latent_size for settings in self.trainings(folder).values())
+        assessment.pool_sizes(split, learn.pool, latent)
         assessment.population_pools(read_demonstrations(folder / POPULATION), learn.pool)
 
     def agents(self, place: Place) -> list[Agent]:

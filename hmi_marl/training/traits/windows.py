@@ -16,11 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.trait_model import situations, standardise
+from hmi_marl.agents.learned.situations import situations, standardise
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.reading import read_json
-from hmi_marl.training.traits.settings import Supervision
+from hmi_marl.training.traits.settings import LABELLED, Supervision
 from hmi_marl.typed_json import read_value
 
 SMALLEST_SPREAD = 1e-6
@@ -108,12 +108,14 @@ class Windows:
             if len(np.unique(given[~np.isnan(given)])) > 1:
                 raise ValueError(f"windows of {observed.names[number]} have different labels")
         self._observed, self._labels = observed, labels
+        self._pooled = by_driver(observed.driver, self._known)
+        self._labelled = by_driver(observed.driver, self._known & ~np.isnan(labels))
         x = situations(observed.states, observed.actions, observed.alerts)
         self._situations = units.standardise(x)
 
     def draw(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
         """Draw ``count`` pools of ``size`` windows, each of one driver: indices (count, size)."""
-        return draw_pools(rng, self._observed.driver, self._known, count, size)
+        return draw_pools(rng, self._pooled, count, size)
 
     def draw_pairs(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
         """Draw an even ``count`` of pools, where pools 2k and 2k + 1 are of the same driver.
@@ -127,6 +129,26 @@ class Windows:
             raise ValueError(f"count is an even number of pools, but got {count}")
         return self.draw(rng, count // 2, 2 * size).reshape(count, size)
 
+    def draw_drivers(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
+        """Draw ``count`` different drivers, or all if there are no more, and windows of each.
+
+        Returns:
+            Indices of windows, none twice: an even number for each driver, ``2 size`` if every
+            driver has so many. Shape (count, windows).
+
+        Raises:
+            ValueError: there is one driver alone, or one with a single window.
+        """
+        fewest = min(len(own) for own in self._pooled.values())
+        if len(self._pooled) < 2 or fewest < 2:
+            raise ValueError(
+                "finding windows of one driver among others takes two drivers or more with two "
+                "windows or more each; collect many, as with hmi-marl collect --population 2000"
+            )
+        each = 2 * min(size, fewest // 2)
+        chosen = rng.choice(list(self._pooled), min(count, len(self._pooled)), replace=False)
+        return np.stack([rng.choice(self._pooled[who], each, replace=False) for who in chosen])
+
     def draw_labelled(
         self, rng: np.random.Generator, count: int, size: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -135,10 +157,9 @@ class Windows:
         Raises:
             ValueError: no window has a label.
         """
-        labelled = self._known & ~np.isnan(self._labels)
-        if not labelled.any():
+        if not self._labelled:
             raise ValueError("no window of a known driver has a label, so none can be drawn")
-        which = draw_pools(rng, self._observed.driver, labelled, count, size)
+        which = draw_pools(rng, self._labelled, count, size)
         return which, self._labels[which[:, 0]]
 
     def batch(self, which: NDArray[np.int64], device: str = "cpu") -> Batch:
@@ -150,10 +171,19 @@ class Windows:
         )
 
 
+def by_driver(driver: NDArray[np.int64], among: NDArray[np.bool_]) -> dict[int, NDArray[np.int64]]:
+    """Return the indices of the windows of every driver, of those that are ``among``, both (E,)."""
+    windows = np.flatnonzero(among)
+    order = windows[np.argsort(driver[windows], kind="stable")]
+    if not len(order):
+        return {}
+    drivers, first = np.unique(driver[order], return_index=True)
+    return dict(zip(drivers.tolist(), np.split(order, first[1:]), strict=True))
+
+
 def draw_pools(
     rng: np.random.Generator,
-    driver: NDArray[np.int64],
-    among: NDArray[np.bool_],
+    windows: Mapping[int, NDArray[np.int64]],
     count: int,
     size: int,
 ) -> NDArray[np.int64]:
@@ -162,16 +192,12 @@ def draw_pools(
     No window is drawn twice for a pool, unless its driver has fewer than ``size`` of them.
 
     Args:
-        driver: driver of each window, shape (E,).
-        among: windows to draw from, shape (E,).
+        windows: indices of the windows of each driver; see :func:`by_driver`.
 
     Returns:
         Indices of windows, shape (count, size).
     """
-    windows = np.flatnonzero(among)
-    drivers = np.unique(driver[windows])
-    by_driver = {number: windows[driver[windows] == number] for number in drivers}
-    drawn_from = [by_driver[number] for number in rng.choice(drivers, count)]
+    drawn_from = [windows[number] for number in rng.choice(list(windows), count)]
     return np.stack([rng.choice(own, size, replace=len(own) < size) for own in drawn_from])
 
 
@@ -212,7 +238,7 @@ def make_labels(
         labels[marked] = observed.driver[marked]
     elif supervision == "preference":
         labels[marked] = _preferences(demonstrations, marked, preferences)
-    if supervision != "none" and len(np.unique(labels[~np.isnan(labels)])) < 2:
+    if supervision in LABELLED and len(np.unique(labels[~np.isnan(labels)])) < 2:
         raise ValueError("all labels are the same, so nothing can be learned from them")
     return labels
 

@@ -113,8 +113,8 @@ def test_each_encoder_encodes(name: str) -> None:
     settings = CollectSettings(drivers=("lisa", "homer"), steps=200)
     (windows,) = collect(settings)
     seen = windows.observed
-    hidden = model.encode(seen.states, seen.actions, seen.alerts, seen.length)
-    latent = model.latent(hidden)
+    sums = model.encoder.encode(seen.states, seen.actions, seen.alerts, seen.length)
+    latent = model.encoder.latent(sums)
     assert latent.mean.shape == (4, 2)
     assert np.isfinite(latent.mean).all()
 

@@ -11,6 +11,7 @@ import pytest
 from demonstrations import LAYOUT
 from model_cards import card_bytes, with_card, with_weights
 from safetensors.numpy import save as save_tensors
+from trait_models import SMALL
 
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
@@ -26,7 +27,7 @@ READS = tuple((part.name, part.size) for part in LAYOUT.parts)
 CARD = TraitCard(
     READS,
     latent=3,
-    encoder_units=4,
+    encoder=SMALL,
     pool=5,
     gamma=0.9,
     reward=NetworkConfig((4, 3), "tanh"),
@@ -61,9 +62,11 @@ def test_a_trait_model_comes_back_as_it_was(tmp_path: Path, card: TraitCard) -> 
 
 def test_what_comes_back_does_the_same(tmp_path: Path) -> None:
     weights, back = weights_for(CARD), load_traits(saved(tmp_path))
-    pooled = np.random.default_rng(1).normal(size=(6, 4))
+    pooled = np.random.default_rng(1).uniform(1.0, 9.0, size=(6, 6))
     for one, other in zip(
-        TraitModel(CARD, weights).latent(pooled), back.latent(pooled), strict=True
+        TraitModel(CARD, weights).encoder.latent(pooled),
+        back.encoder.latent(pooled),
+        strict=True,
     ):
         np.testing.assert_array_equal(one, other)
 
@@ -161,7 +164,7 @@ def test_other_files_are_no_trait_models(tmp_path: Path, content: bytes, message
         {"latent": None},
         {"latent": "two"},
         {"pool": 0},
-        {"encoder_units": -1},
+        {"encoder": {**vars(SMALL), "span": -1}},
         {"gamma": 1.5},
         {"policy": None},
         {"policy": {"hidden_dims": [64], "depth": 2}},

@@ -7,6 +7,7 @@ from demonstrations import LAYOUT, made_up
 from trait_models import untrained
 
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_encoder import BEHAVIOUR, EncoderConfig
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
@@ -32,16 +33,19 @@ NAMES = ("lisa", "marge", "bart")
 
 
 def speed_reader(pool: int = 2) -> TraitModel:
-    """z is tanh(tanh) of the last step's speed and target speed, in pools averaged."""
+    """z is the mean of speed and target speed over all steps."""
     one = NetworkConfig((1,))
     reads = tuple((part.name, part.size) for part in LAYOUT.parts)
-    card = TraitCard(reads, encoder_units=2, pool=pool, reward=one, potential=one, policy=one)
+    two = EncoderConfig(2, 2, 1, 2, head=NetworkConfig((2,)), average=one)
+    card = TraitCard(reads, encoder=two, pool=pool, reward=one, potential=one, policy=one)
     weights = {name: np.zeros(size, np.float32) for name, size in card.shapes.items()}
     weights["state.scale"] += 1.0
-    weights["encoder.input_bias"][:] = 40, 40, -40, -40, 0, 0, 40, 40  # in, forget, cell, out
     for unit, part in enumerate(("speed", "target_speed")):
-        weights["encoder.input_weight"][4 + unit, LAYOUT[part].start] = 1.0
-    weights["mean.weight"][:] = np.eye(2)
+        weights["encoder.state_layer.weight"][unit, LAYOUT[part].start] = 1.0
+    weights["encoder.step_layer.weight"][:, BEHAVIOUR:] = np.eye(2)
+    weights["encoder.span_layer.weight"][0] = np.eye(2)
+    weights["encoder.head.layer0.weight"][:, :2] = np.eye(2)
+    weights["encoder.head.layer1.weight"][:2] = np.eye(2)
     return TraitModel(card, weights)
 
 
@@ -91,19 +95,19 @@ def test_pools_share_no_window_and_have_one_driver(size: int) -> None:
     assert len(pools) == sum((driver == who).sum() // size for who in range(4))
 
 
-def test_pooled_states_are_averages() -> None:
+def test_a_pool_is_averaged_over_all_steps() -> None:
     data = driven({"lisa": 3, "marge": 2})
     model = speed_reader()
-    states = encode(model, data.observed)
+    sums = encode(model, data.observed)
     speed, target = (
-        data.observed.layout.scalar(data.observed.states, part)[:, -1]
+        data.observed.layout.scalar(data.observed.states, part)
         for part in ("speed", "target_speed")
     )
-    z = np.tanh(np.tanh(np.stack([speed, target], axis=1)))
-    np.testing.assert_allclose(states, z, rtol=1e-6)
+    z = np.stack([speed, target], axis=2).mean(axis=1)
+    np.testing.assert_allclose(sums, np.concatenate([2 * z, np.full((5, 1), 2.0)], axis=1))
     pools = np.array([[0, 2], [3, 4]])
     expected = [(z[0] + z[2]) / 2, (z[3] + z[4]) / 2]
-    np.testing.assert_allclose(mean_latents(model, states, pools), expected, rtol=1e-6)
+    np.testing.assert_allclose(mean_latents(model, sums, pools), expected, rtol=1e-6)
     np.testing.assert_array_equal(data.observed.driver, [0, 0, 0, 1, 1])
 
 
@@ -301,7 +305,7 @@ def test_no_driver_is_on_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (len(given["z"]), len(given["new"])) == (8, 6)  # two pools of each
     # Each z beside its driver's traits: the speed is half of β.
     for z, known in ((given["z"], given["known"]), (given["new"], given["truth"])):
-        np.testing.assert_allclose(z[:, 0], np.tanh(np.tanh(0.5 * known[:, 0])), rtol=1e-5)
+        np.testing.assert_allclose(z[:, 0], 0.5 * known[:, 0], rtol=1e-5)
 
 
 def test_halves_are_equal_whoever_has_too_few_windows() -> None:

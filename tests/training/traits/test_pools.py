@@ -7,8 +7,15 @@ from demonstrations import LAYOUT, changed, made_up
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_marl.agents.learned.trait_model import EXTRA, situations
-from hmi_marl.training.traits.windows import Batch, Units, Windows, draw_pools, transitions
+from hmi_marl.agents.learned.situations import EXTRA, situations
+from hmi_marl.training.traits.windows import (
+    Batch,
+    Units,
+    Windows,
+    by_driver,
+    draw_pools,
+    transitions,
+)
 
 NAN = float("nan")
 LENGTH = [3, 5, 2, 5, 1, 4, 5, 3, 4]
@@ -84,7 +91,7 @@ def test_a_driver_of_few_windows_gives_some_twice():
 
 def test_drivers_are_equally_likely_however_much_they_drove():
     driver = np.array([0] * 99 + [1])
-    which = draw_pools(rng(), driver, np.ones(100, np.bool_), 4000, 1)
+    which = draw_pools(rng(), by_driver(driver, np.ones(100, np.bool_)), 4000, 1)
     # 4000 draws of 1/2: a standard deviation of 0.008.
     assert (which == 99).mean() == pytest.approx(0.5, abs=0.04)
     times = np.bincount(which[which < 99], minlength=99)
@@ -93,7 +100,7 @@ def test_drivers_are_equally_likely_however_much_they_drove():
 
 def test_only_the_windows_among_which_to_draw_are_drawn():
     among = np.array([True, False, True, False, False, True, True, False, False])
-    which = draw_pools(rng(), OBSERVED.driver, among, 40, 2)
+    which = draw_pools(rng(), by_driver(OBSERVED.driver, among), 40, 2)
     assert {tuple(sorted(pool)) for pool in which} == {(0, 2), (5, 6)}
 
 
@@ -115,7 +122,27 @@ def test_pairs_of_pools_are_of_one_driver(seed, pairs, size):
         assert not set(first) & set(second)  # each has four windows, enough for both
 
 
-@pytest.mark.parametrize("draw", ["draw", "draw_pairs", "draw_labelled"])
+@given(seeds, st.integers(1, 3), st.integers(1, 4))
+def test_drivers_are_drawn_once_with_an_even_number_of_windows(seed, count, size):
+    which = WINDOWS.draw_drivers(rng(seed), count, size)
+    # Both known drivers have four windows, so at most two in each half.
+    assert which.shape == (min(count, 2), 2 * min(size, 2))
+    drivers = OBSERVED.driver[which]
+    assert (drivers == drivers[:, :1]).all()
+    assert len(set(drivers[:, 0])) == len(which)
+    for own in which:
+        assert len(set(own)) == len(own)
+
+
+@pytest.mark.parametrize("driver", [[0, 0, 0, 0], [0, 0, 0, 1], [-1, -1, 0, 0]])
+def test_drivers_among_others_take_two_with_two_windows_each(driver):
+    few = made_up([3] * 4, driver=driver, names=("ada", "bob")).observed
+    windows = Windows(few, np.full(4, np.nan), Units.of(few))
+    with pytest.raises(ValueError, match="two drivers or more with two windows or more each"):
+        windows.draw_drivers(rng(), 2, 2)
+
+
+@pytest.mark.parametrize("draw", ["draw", "draw_pairs", "draw_labelled", "draw_drivers"])
 def test_equal_seeds_give_equal_pools(draw):
     def drawn(seed):
         which = getattr(WINDOWS, draw)(rng(seed), 8, 2)
