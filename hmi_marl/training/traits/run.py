@@ -263,8 +263,8 @@ class _Run(ModelRun):
         """See :meth:`Run.restore`."""
         self._discriminator.load(tensors[DISCRIMINATOR])
         self._generator.learner.load(tensors[GENERATOR])
-        self._average.descent.load(tensors[_AVERAGE_DRIVER])
-        self._self.descent.load(tensors[_ENCODER])
+        self._average.descent.load(tensors.get(_AVERAGE_DRIVER, {}))
+        self._self.descent.load(tensors.get(_ENCODER, {}))
 
     def check(self, before: dict[str, Any]) -> None:
         """See :meth:`Run.check`; checksums of demonstrations would say nothing to a reader."""

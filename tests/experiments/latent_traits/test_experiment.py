@@ -123,7 +123,7 @@ def test_every_setting_is_learned_as_often_as_there_are_seeds(tmp_path: Path) ->
         ("traits-id-1", "id", second),
         ("traits-preference-1", "preference", second),
     ]
-    assert {replace(job, supervision="none", seed=0) for job in jobs.values()} == {size.learn}
+    assert {replace(job, supervision="self", seed=0) for job in jobs.values()} == {size.learn}
     assert list(dict.fromkeys(job.supervision for job in jobs.values())) == list(SUPERVISIONS)
 
 

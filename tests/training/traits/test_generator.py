@@ -18,6 +18,7 @@ CONFIG = TeamConfig(duration=1.0, end_at_crash=False, scene=Scene(vehicles=(1, 2
 SETTINGS = TraitSettings(
     num_teams=8,
     pool=4,
+    latent=2,
     policy=NetworkConfig((8,)),
     ppo=PPOSettings(num_mini_batches=2, num_learning_epochs=2),
 )

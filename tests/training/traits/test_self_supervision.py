@@ -72,7 +72,7 @@ def test_drivers_are_found_again_by_their_habits(encoder: ContextEncoder) -> Non
     with torch.no_grad():
         before, _ = learner.loss(batch(windows(seed=5)))  # of drivers that are never learned from
     rows = [learner.learn(batch(WINDOWS, k), k / 100) for k in range(100)]
-    assert rows[-1]["same_driver"] < 0.3 * rows[0]["same_driver"]
+    assert rows[-1]["same_driver"] < 0.6 * rows[0]["same_driver"]
     assert rows[-1]["sigma"] > 0
     with torch.no_grad():
         after, _ = learner.loss(batch(windows(seed=5)))
