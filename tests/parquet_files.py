@@ -6,7 +6,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hmi_marl.demonstrations.step_file import BELONGS, STAMP, Checksum
+from hmi_marl.demonstrations.checksums import BELONGS, STAMP, FileChecksums
 
 
 def write_signed(path: Path, table: pa.Table, **options: Any) -> None:
@@ -15,9 +15,9 @@ def write_signed(path: Path, table: pa.Table, **options: Any) -> None:
     ``options`` are those of ``pyarrow.parquet.write_table``.
     """
     metadata = table.schema.metadata or {}
-    checksum = Checksum()
-    checksum.add(table)
-    signed = checksum.metadata(metadata.get(STAMP, b""), metadata.get(BELONGS, b""))
+    checksums = FileChecksums()
+    checksums.add(table)
+    signed = checksums.metadata(metadata.get(STAMP, b""), metadata.get(BELONGS, b""))
     pq.write_table(table.replace_schema_metadata(metadata | signed), path, **options)
 
 

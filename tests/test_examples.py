@@ -185,6 +185,19 @@ def test_the_benchmark_of_startup_prints_ratios_to_numpy(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_benchmark_of_collecting_prints_ratios_to_both_environments(tmp_path):
+    options = "--population 4 --num-teams 32 --threads 1 --rounds 2 --driver-policy rule"
+    run_benchmark("collecting", options, tmp_path)
+    written = json.loads((tmp_path / "runs" / "benchmarks" / "collecting.json").read_text())
+    for name in ("collect", "acting", "alone"):
+        speeds = written["steps_per_s"][name]
+        assert {clock: len(each) for clock, each in speeds.items()} == {"wall": 2, "cpu": 2}
+    for name in ("acting", "alone"):
+        middle, least, most = written["ratios_median_least_most"][name]["cpu"]
+        assert 0 < least <= middle <= most
+
+
+@pytest.mark.slow
 def test_the_walk_from_a_demonstrations_file_to_its_figure_is_counted_and_short(tmp_path):
     lines = run_benchmark("walk", "--list", tmp_path).stdout.splitlines()
     stops, files, returns = map(int, re.findall(r"\d+", lines[-1]))

@@ -6,6 +6,7 @@ import math
 import pkgutil
 import types
 from dataclasses import MISSING, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -54,6 +55,7 @@ NO_SETTINGS = {
 """Dataclasses with numbers by default that nobody sets, and why."""
 
 EXAMPLES = {
+    "PosteriorEvaluation": {"demonstrations": Path("data")},
     "Driver": {"name": "mona", "beta": 0.1, "alpha": 0.2, "eta": 0.3, "inflation": 4.0},
     "Uniform": {"low": 0.5, "high": 1.0},
     "Choice": {"values": (0.5, 1.0)},

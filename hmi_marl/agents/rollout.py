@@ -7,13 +7,14 @@ All episodes of two policies go through here, and all that records, counts or dr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
-from hmi_marl.envs.seats import Policy, moves_sequentially
+from hmi_marl.envs.seats import Policy, moves_sequentially, parts_read
 from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import World
@@ -64,6 +65,17 @@ def begin(
     return teaming
 
 
+@dataclass(frozen=True)
+class _Acting:
+    """A function that acts, shown only the parts that it reads; all with None."""
+
+    act: Callable[[NDArray[np.float32]], NDArray[np.int64]]
+    reads: tuple[str, ...] | None
+
+    def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
+        return self.act(observations)
+
+
 def turn(
     teaming: Teaming, driver: Policy, hmi: Policy, observers: Sequence[Observer] = ()
 ) -> StepResult:
@@ -71,16 +83,22 @@ def turn(
 
     The HMI moves after the driver and sees a^H_t, or at the same time and sees a^H_{t-1}; see
     :func:`hmi_marl.envs.seats.moves_sequentially`.
+
+    A policy with an attribute ``reads`` is shown 0 in the parts that it does not read, except for
+    an HMI whose observations an observer wants to see.
     """
+    curious = [observer for observer in observers if type(observer).seen is not Observer.seen]
 
     def alert(observations: NDArray[np.float32]) -> NDArray[np.int64]:
-        for observer in observers:
+        for observer in curious:
             observer.seen(teaming, observations)
         return hmi.act(observations)
 
     for observer in observers:
         observer.before(teaming)
-    result = teaming.turn(driver.act, alert, moves_sequentially(hmi))
+    drive = _Acting(driver.act, parts_read(driver))
+    react = _Acting(alert, None if curious else parts_read(hmi))
+    result = teaming.turn(drive, react, moves_sequentially(hmi))
     for observer in observers:
         observer.after(teaming, result)
     return result

@@ -198,6 +198,13 @@ SUBCOMMANDS = (
                 "commands.traits:EvaluateTraits",
                 _PARQUET + _PROBES,
             ),
+            Subcommand(
+                "posterior",
+                "Evaluate the exact posterior over traits over a population, by windows and "
+                "seconds.",
+                "commands.traits:TraitPosteriors",
+                _PARQUET,
+            ),
         ),
         choice="what",
     ),

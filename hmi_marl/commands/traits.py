@@ -9,8 +9,10 @@ from typing import Annotated
 import tyro
 
 from hmi_marl.commands.train import use_quiet_threads
+from hmi_marl.exact.importance import Sampling
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
+from hmi_marl.experiments.latent_traits.posterior import PosteriorEvaluation
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.training.traits.settings import TraitSettings
 
@@ -82,12 +84,59 @@ class EvaluateTraits:
 
 
 @dataclass(frozen=True)
+class TraitPosteriors:
+    """Evaluate the exact posterior over traits over a population, by windows and seconds.
+
+    R² of its mean is the ceiling of every estimate from the same driving; coverage and ranks show
+    that it is calibrated.
+
+    Example: hmi-marl traits posterior --demonstrations runs/unseen --windows 1 8
+    """
+
+    demonstrations: Path = Path("runs/demonstrations")
+    """Demonstrations of drivers drawn from the population: hmi-marl collect --drivers --population
+    300 --driver-policy trained:driver."""
+    cases: tuple[str, ...] = ("hidden-known",)
+    """Cases to judge: hidden-known, seen-known, hidden-unknown, seen-unknown; whether a^H is
+    hidden or seen, and whether the driver policy is known or not."""
+    windows: tuple[int, ...] = (1, 2, 4, 8, 16)
+    """Numbers of windows of each driver."""
+    seconds: tuple[float, ...] = (5.0, 10.0, 20.0)
+    """Lengths of a part of one window [s]."""
+    driver_policy: str | None = None
+    """Run of the driver policy of the demonstrations; by default as recorded in them."""
+    sampling: Sampling = field(default_factory=Sampling)
+    """Numbers of points and rounds."""
+    seed: int = 0
+    """Seed of the points."""
+    out: Path = Path("runs/trait-posterior")
+    """Folder for the page and the numbers."""
+
+    def run(self, command_line: str) -> None:
+        """Judge, write and print."""
+        from hmi_marl.experiments.experiment import Place, conduct
+
+        evaluation = PosteriorEvaluation(
+            self.demonstrations,
+            self.cases,
+            self.windows,
+            self.seconds,
+            self.driver_policy,
+            self.sampling,
+            self.seed,
+        )
+        print(conduct(evaluation, Place(self.out, self.out, command_line=command_line)).text)
+        print_page(self.out / PAGE)
+
+
+@dataclass(frozen=True)
 class TraitsCommand:
     """Learn latent driver traits from driving alone, and judge them."""
 
     what: Annotated[
         Annotated[TrainTraits, tyro.conf.subcommand("train")]
-        | Annotated[EvaluateTraits, tyro.conf.subcommand("evaluate")],
+        | Annotated[EvaluateTraits, tyro.conf.subcommand("evaluate")]
+        | Annotated[TraitPosteriors, tyro.conf.subcommand("posterior")],
         tyro.conf.arg(prefix_name=False),
     ]
 

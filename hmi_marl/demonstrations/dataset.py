@@ -37,8 +37,9 @@ step of row t leads to row t + 1, so an episode of T rows holds T - 1 complete t
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +50,7 @@ from hmi_marl.envs.observations import Layout, vehicle_ai_layout
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.text import listed
 
+T = TypeVar("T")
 STATE_PARTS = ("lidar", "speed", "target_speed", "heading", "lateral", "lane", "position")
 """Parts of the vehicle AI's observation that make up an observed state."""
 MISSING = -1
@@ -92,7 +94,7 @@ class Observed:
     """How the data were made, as JSON has it, without traits."""
 
     def __post_init__(self) -> None:
-        _check_layout(self.layout)
+        check_layout(self.layout)
         shape = np.shape(self.actions)
         if len(shape) != 2 or 0 in shape:
             raise ValueError(f"actions have shape (E, T) with at least one step, not {shape}")
@@ -106,8 +108,8 @@ class Observed:
             _put(self, "seeds", np.uint64, count)
         object.__setattr__(self, "names", tuple(self.names))
         _check_names(self.names)
-        _check_within("length", self.length, 1, shape[1])
-        _check_within("driver", self.driver, MISSING, len(self.names) - 1)
+        check_within("length", self.length, 1, shape[1])
+        check_within("driver", self.driver, MISSING, len(self.names) - 1)
         if (self.crash_step < MISSING).any() or (self.crash_step >= self.length).any():
             raise ValueError("crash_step is a step of its episode, or -1 where there was no crash")
         self._check_count()
@@ -115,8 +117,8 @@ class Observed:
 
     def _check_count(self) -> None:
         real = self.steps_taken
-        _check_within("actions", self.actions[real], 0, len(VEHICLE_ACTIONS) - 1)
-        _check_within("alerts", self.alerts[real], 0, 1)
+        check_within("actions", self.actions[real], 0, len(VEHICLE_ACTIONS) - 1)
+        check_within("alerts", self.alerts[real], 0, 1)
         after = ~real
         if (
             (self.actions[after] != MISSING).any()
@@ -162,11 +164,7 @@ class Observed:
     @property
     def number(self) -> NDArray[np.int64]:
         """Number of each episode among those of its driver, shape (E,), to split a dataset by."""
-        number = np.zeros(len(self), np.int64)
-        for who in np.unique(self.driver):
-            theirs = self.driver == who
-            number[theirs] = np.arange(theirs.sum())
-        return number
+        return numbers(self.driver)
 
     def labels(self) -> list[str | None]:
         """Return the driver's name of each episode, None if not known."""
@@ -174,10 +172,8 @@ class Observed:
 
     def take(self, which: ArrayLike) -> Observed:
         """Select episodes by a mask of shape (E,) or by their indices."""
-        index = np.arange(len(self))[np.asarray(which)]
-        names = ("states", "actions", "alerts", "length", "crash_step", "driver")
-        taken: dict[str, Any] = {name: getattr(self, name)[index] for name in names}
-        return replace(self, seeds=None if self.seeds is None else self.seeds[index], **taken)
+        names = ["states", "actions", "alerts", "length", "crash_step", "driver"]
+        return _taken(self, names + ["seeds"] * (self.seeds is not None), len(self), which)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +205,9 @@ class Truth:
             _put(self, name, np.int64, shape)
         _put(self, "traits", np.float64, (shape[0], len(TRAIT_NAMES)))
         for name in ("distracted", "accepted"):
-            _check_within(name, getattr(self, name), 0, 1)
-        _check_within("counter", self.counter, 0, np.iinfo(np.int32).max)
-        _check_within("intended", self.intended, MISSING, len(VEHICLE_ACTIONS) - 1)
+            check_within(name, getattr(self, name), 0, 1)
+        check_within("counter", self.counter, 0, np.iinfo(np.int32).max)
+        check_within("intended", self.intended, MISSING, len(VEHICLE_ACTIONS) - 1)
         check_traits(Traits.from_array(self.traits), shape[0])
         over = self.intended == MISSING
         if any(getattr(self, name)[over].any() for name in ("distracted", "accepted", "counter")):
@@ -219,9 +215,8 @@ class Truth:
 
     def take(self, which: ArrayLike) -> Truth:
         """Select episodes by a mask of shape (E,) or by their indices."""
-        index = np.arange(len(self.traits))[np.asarray(which)]
         names = ("distracted", "accepted", "counter", "intended", "traits")
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        return _taken(self, names, len(self.traits), which)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,52 +247,13 @@ class Demonstrations:
         return Demonstrations(self.observed.take(which), truth)
 
 
-@dataclass(frozen=True)
-class Recording:
-    """One drive of L steps recorded elsewhere, at the environment's policy frequency."""
-
-    parts: Mapping[str, ArrayLike]
-    """Each of ``STATE_PARTS``, in the layout's units, shape (L, part's size), or (L,) for 1."""
-    actions: ArrayLike
-    """Applied actions, 0 to 4, shape (L,)."""
-    alerts: ArrayLike
-    """Whether the driver was alerted, 0 or 1, shape (L,)."""
-    driver: str | None = None
-    """Name of the driver, if known."""
-    crashed: bool = False
-    """Whether the drive ended in a crash."""
-
-
-def from_recordings(
-    recordings: Iterable[Recording], layout: Layout, about: Mapping[str, Any] | None = None
-) -> Demonstrations:
-    """Make demonstrations without truth from drives, one each episode; lengths may differ.
-
-    ``layout`` is that of :func:`observed_layout` for the scene; ``about`` says, as JSON has it,
-    where the recordings come from.
-
-    Raises:
-        ValueError: a part is missing, of another shape, or out of its range; the message names the
-            recording.
-    """
-    _check_layout(layout)
-    recordings = list(recordings)
-    if not recordings:
-        raise ValueError("there is no recording to make demonstrations of")
-    drives = [_drive(number, recording, layout) for number, recording in enumerate(recordings)]
-    names = tuple(dict.fromkeys(one.driver for one in recordings if one.driver is not None))
-    length = np.array([len(actions) for _, actions, _ in drives])
-    shape = len(drives), int(length.max())
-    states = np.zeros((*shape, layout.size), np.float32)
-    actions, alerts = np.full(shape, MISSING), np.zeros(shape, np.int64)
-    for number, (s, v, a) in enumerate(drives):
-        states[number, : len(s)], actions[number, : len(s)], alerts[number, : len(s)] = s, v, a
-    crashed = np.array([one.crashed for one in recordings], np.bool_)
-    index = {name: place for place, name in enumerate(names)} | {None: MISSING}
-    crash_step = np.where(crashed, length - 1, MISSING)
-    driver = np.array([index[one.driver] for one in recordings])
-    arrays = (states, actions, alerts, length, crash_step, driver)
-    return Demonstrations(Observed(layout, *arrays, names, about=dict(about or {})))
+def numbers(driver: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number each episode among those of its driver, given the drivers (E,)."""
+    order = np.argsort(driver, kind="stable")
+    by_driver = driver[order]
+    number = np.empty(len(driver), np.int64)
+    number[order] = np.arange(len(driver)) - np.searchsorted(by_driver, by_driver)
+    return number
 
 
 def alert_rate(observed: Observed) -> float:
@@ -312,37 +268,8 @@ def held_out(observed: Observed, share: float) -> NDArray[np.bool_]:
     return observed.number >= kept
 
 
-def _drive(
-    number: int, recording: Recording, layout: Layout
-) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the recording's states (L, layout.size), actions and alerts (L,)."""
-    where = f"recording {number}"
-    if set(recording.parts) != set(layout.slices):
-        odd = listed(sorted(set(recording.parts) ^ set(layout.slices)))
-        raise ValueError(f"{where} has not exactly the parts {listed(layout.slices)}: {odd}")
-    steps = len(np.atleast_1d(recording.actions))
-    if steps == 0:
-        raise ValueError(f"{where} has no steps")
-    states = np.zeros((steps, layout.size), np.float32)
-    for part in layout.parts:
-        values = np.asarray(recording.parts[part.name], np.float32)
-        values = values[:, None] if values.ndim == 1 and part.size == 1 else values
-        if values.shape != (steps, part.size):
-            raise ValueError(
-                f"{where}: {part.name} has shape ({steps}, {part.size}), not {values.shape}"
-            )
-        states[:, layout[part.name]] = values
-    try:
-        actions = _whole("actions", recording.actions, np.int64, (steps,))
-        alerts = _whole("alerts", recording.alerts, np.int64, (steps,))
-        _check_within("actions", actions, 0, len(VEHICLE_ACTIONS) - 1)
-        _check_within("alerts", alerts, 0, 1)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
-    return states, actions, alerts
-
-
-def _check_layout(layout: Layout) -> None:
+def check_layout(layout: Layout) -> None:
+    """Check that a layout is that of observed states, or raise ValueError."""
     names = tuple(part.name for part in layout.parts)
     if names != STATE_PARTS:
         raise ValueError(
@@ -367,12 +294,24 @@ def _check_no_traits(about: Any) -> None:
             _check_no_traits(value)
 
 
+def _taken(whole: T, names: Iterable[str], count: int, which: ArrayLike) -> T:
+    """Return a copy with these of its arrays cut down from ``count`` episodes to some of them.
+
+    They need no new check.
+    """
+    taken, index = copy(whole), np.arange(count)[np.asarray(which)]
+    for name in names:
+        object.__setattr__(taken, name, getattr(whole, name)[index])
+    return taken
+
+
 def _put(owner: object, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
     """Convert the owner's field to an array of this type and shape, or raise."""
-    object.__setattr__(owner, name, _whole(name, getattr(owner, name), dtype, shape))
+    object.__setattr__(owner, name, as_array(name, getattr(owner, name), dtype, shape))
 
 
-def _whole(name: str, value: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+def as_array(name: str, value: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Convert a value, by its name, to an array of this type and shape, or raise ValueError."""
     given = np.asarray(value)
     if given.shape != shape:
         raise ValueError(f"{name} has shape {shape}, not {given.shape}")
@@ -383,7 +322,8 @@ def _whole(name: str, value: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> N
     return given.astype(dtype, copy=False)
 
 
-def _check_within(name: str, values: NDArray[Any], low: int, high: int) -> None:
+def check_within(name: str, values: NDArray[Any], low: int, high: int) -> None:
+    """Check that all values lie in [low, high], or raise ValueError."""
     wrong = (values < low) | (values > high)
     if wrong.any():
         raise ValueError(f"{name} lies in {low} to {high}, but got {values[wrong][0]}")

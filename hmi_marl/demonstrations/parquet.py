@@ -4,7 +4,8 @@
 ``hmi-marl`` and as JSON: ``format``, the package's ``version``, and ``about``, how the data were
 made; that of the observed file also ``layout``, the parts of a state with their bounds. That of the
 truth holds the SHA-256 of its observed file, under ``hmi-marl observed``. Each file has checksums
-over its rows and over its metadata; see :class:`hmi_marl.demonstrations.step_file.Checksum`.
+over its rows and over its metadata; see :mod:`hmi_marl.demonstrations.checksums`. Files larger than
+the memory are read in pieces; see :mod:`hmi_marl.demonstrations.stored`.
 
 Needs pyarrow, which comes with the ``data`` extra.
 """
@@ -12,6 +13,7 @@ Needs pyarrow, which comes with the ``data`` extra.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
@@ -21,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth
+from hmi_marl.demonstrations.step_rows import StepRows
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of, write_atomically
@@ -29,18 +32,17 @@ with needing("reading and writing demonstrations"):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    from hmi_marl.demonstrations.checksums import BELONGS, STAMP, FileChecksums
     from hmi_marl.demonstrations.step_file import (
-        BELONGS,
-        STAMP,
         TRUTH_SCHEMA,
-        Checksum,
         StepFile,
         column_names,
         observed_schema,
         stamped,
     )
-
-OBSERVED, TRUTH = "observed.parquet", "truth.parquet"
+    from hmi_marl.demonstrations.stored import OBSERVED as OBSERVED
+    from hmi_marl.demonstrations.stored import TRUTH as TRUTH
+    from hmi_marl.demonstrations.stored import ObservedFile, read_pieces
 
 
 def write_demonstrations(
@@ -73,43 +75,64 @@ def write_demonstrations(
 
 
 def _write(chunks: Iterator[Demonstrations], observed_path: Path, truth_path: Path | None) -> None:
-    start, first = 0, None
-    with ExitStack() as files:
+    """Write every chunk in a thread of its own while the next one is made."""
+    first = next(chunks)
+    with ExitStack() as open_files, ThreadPoolExecutor(1, "hmi-marl-write") as writer:
+        files = _Files(open_files, observed_path, truth_path, first)
+        written = writer.submit(files.write, first)
         for chunk in chunks:
-            observed, truth = chunk.observed, chunk.truth
-            if first is None:
-                first = chunk
-                layout = {"layout": json_value(observed.layout.parts)}
-                schema = stamped(observed_schema(observed.layout), observed.about, layout)
-                observed_file = _Writer(files, observed_path, schema)
-                if truth_path is not None and truth is not None:
-                    schema = stamped(TRUTH_SCHEMA, truth.about, {})
-                    truth_file = _Writer(files, truth_path, schema)
             _check_goes_on(first, chunk)
-            observed_file.write(_observed_rows(observed, start))
-            if truth is not None:
-                truth_file.write(_truth_rows(chunk, truth, start))
-            start += len(chunk)
-        observed_file.close()
-        if truth_path is not None:
-            truth_file.close(belongs=sha256_of(observed_path).encode())
+            written.result()
+            written = writer.submit(files.write, chunk)
+        written.result()
+        files.close()
+
+
+class _Files:
+    """The two files of a dataset, written in chunks; only the observed one without a path."""
+
+    def __init__(
+        self, files: ExitStack, observed: Path, truth: Path | None, first: Demonstrations
+    ) -> None:
+        layout = {"layout": json_value(first.observed.layout.parts)}
+        schema = stamped(observed_schema(first.observed.layout), first.observed.about, layout)
+        self._path, self._observed = observed, _Writer(files, observed, schema)
+        self._truth: _Writer | None = None
+        if truth is not None and first.truth is not None:
+            self._truth = _Writer(files, truth, stamped(TRUTH_SCHEMA, first.truth.about, {}))
+        self._episodes = 0
+
+    def write(self, chunk: Demonstrations) -> None:
+        """Write a chunk, in groups of whole episodes."""
+        for episodes in _groups(chunk.observed.length):
+            part = _Part(chunk.observed, episodes, self._episodes)
+            self._observed.write(_observed_rows(part))
+            if self._truth is not None and chunk.truth is not None:
+                self._truth.write(_truth_rows(part, chunk.truth))
+            self._episodes += episodes.stop - episodes.start
+
+    def close(self) -> None:
+        """Write the rest."""
+        self._observed.close()
+        if self._truth is not None:
+            self._truth.close(belongs=sha256_of(self._path).encode())
 
 
 class _Writer:
-    """A file that is written in chunks, with its checksums."""
+    """A file that is written in groups of rows, with its checksums."""
 
     def __init__(self, files: ExitStack, path: Path, schema: pa.Schema) -> None:
-        self._stamp, self._checksum = schema.metadata[STAMP], Checksum()
+        self._stamp, self._checksums = schema.metadata[STAMP], FileChecksums()
         self._file = _open(files, path, schema)
 
     def write(self, rows: pa.Table) -> None:
-        """Write a chunk."""
-        self._checksum.add(rows)
-        self._file.write_table(rows)
+        """Write a group."""
+        self._checksums.add(rows)
+        self._file.write_table(rows, row_group_size=len(rows))
 
     def close(self, belongs: bytes = b"") -> None:
         """Write the rest; ``belongs`` is the digest of the file that it is the truth of."""
-        metadata = self._checksum.metadata(self._stamp, belongs)
+        metadata = self._checksums.metadata(self._stamp, belongs)
         self._file.add_key_value_metadata(metadata | ({BELONGS: belongs} if belongs else {}))
         self._file.close()
 
@@ -136,40 +159,69 @@ def _check_goes_on(first: Demonstrations, chunk: Demonstrations) -> None:
         raise ValueError("either all chunks of a dataset hold the truth, or none")
 
 
-def _keys(observed: Observed, start: int) -> tuple[dict[str, Any], NDArray[np.int64]]:
-    """Return episode and step of every row, and the episode's index in the chunk."""
-    place, step = np.nonzero(observed.steps_taken)
-    return {"episode": (start + place).astype(np.int32), "step": step.astype(np.int32)}, place
+_MOST_ROWS = 2**16
+"""Rows of a group, unless a single episode is longer; so much is read at a time at least."""
 
 
-def _observed_rows(observed: Observed, start: int) -> pa.Table:
-    rows, place = _keys(observed, start)
-    real = observed.steps_taken
-    who = observed.driver[place].astype(np.int32)
+def _groups(length: NDArray[np.int64]) -> Iterator[slice]:
+    """Yield ranges of episodes of up to so many rows, at least one episode each."""
+    first, ends = 0, np.cumsum(length)
+    while first < len(length):
+        before = ends[first] - length[first]
+        stop = int(np.searchsorted(ends, before + _MOST_ROWS, "right"))
+        stop = max(stop, first + 1)
+        yield slice(first, stop)
+        first = stop
+
+
+class _Part:
+    """Episodes of a chunk, the first of which is number ``start`` of the file."""
+
+    def __init__(self, observed: Observed, episodes: slice, start: int) -> None:
+        self.observed, self.episodes = observed, episodes
+        self.rows = StepRows(observed.length[episodes], observed.actions.shape[1])
+        self.place, self.step = self.rows.places()
+        """Index of every row's episode among these, and its step."""
+        self.keys = {
+            "episode": (start + self.place).astype(np.int32),
+            "step": self.step.astype(np.int32),
+        }
+
+    def of(self, steps: NDArray[Any], kind: type) -> NDArray[Any]:
+        """Rows of an array of the chunk, shape (E, T), as this type."""
+        return self.rows.of(steps[self.episodes]).astype(kind)
+
+
+def _observed_rows(part: _Part) -> pa.Table:
+    observed, episodes, place = part.observed, part.episodes, part.place
+    rows: dict[str, Any] = dict(part.keys)
+    used, code = np.unique(observed.driver[episodes], return_inverse=True)
+    known = used[used != MISSING]  # comes first, so that the others are moved by one
+    code = code - (len(used) - len(known))
     rows["driver"] = pa.DictionaryArray.from_arrays(
-        pa.array(who, mask=who == MISSING), pa.array(observed.names, pa.string())
+        pa.array(code[place].astype(np.int32), mask=code[place] == MISSING),
+        pa.array([observed.names[k] for k in known], pa.string()),
     )
-    count = len(place)
-    rows["seed"] = pa.nulls(count, pa.uint64()) if observed.seeds is None else observed.seeds[place]
-    crash = observed.crash_step[place]
-    rows["crashed"] = (crash != MISSING) & (rows["step"] >= crash)
-    rows["action"] = observed.actions[real].astype(np.int8)
-    rows["alert"] = observed.alerts[real].astype(np.int8)
-    states = np.ascontiguousarray(observed.states[real].T)
+    seeds = observed.seeds
+    rows["seed"] = pa.nulls(len(place), pa.uint64()) if seeds is None else seeds[episodes][place]
+    crash = observed.crash_step[episodes][place]
+    rows["crashed"] = (crash != MISSING) & (part.step >= crash)
+    rows["action"] = part.of(observed.actions, np.int8)
+    rows["alert"] = part.of(observed.alerts, np.int8)
+    states = part.rows.columns_of(observed.states[episodes])
     rows |= dict(zip(column_names(observed.layout), states, strict=True))
     return pa.table(rows, schema=observed_schema(observed.layout))
 
 
-def _truth_rows(chunk: Demonstrations, truth: Truth, start: int) -> pa.Table:
-    rows, place = _keys(chunk.observed, start)
-    real = chunk.observed.steps_taken
-    rows |= {
-        "distracted": truth.distracted[real].astype(np.int8),
-        "accepted": truth.accepted[real].astype(np.int8),
-        "counter": truth.counter[real].astype(np.int32),
-        "intended_action": truth.intended[real].astype(np.int8),
+def _truth_rows(part: _Part, truth: Truth) -> pa.Table:
+    rows = part.keys | {
+        "distracted": part.of(truth.distracted, np.int8),
+        "accepted": part.of(truth.accepted, np.int8),
+        "counter": part.of(truth.counter, np.int32),
+        "intended_action": part.of(truth.intended, np.int8),
     }
-    rows |= dict(zip(TRAIT_NAMES, truth.traits[place].T, strict=True))
+    traits = truth.traits[part.episodes].T
+    rows |= {name: each[part.place] for name, each in zip(TRAIT_NAMES, traits, strict=True)}
     return pa.table(rows, schema=TRUTH_SCHEMA)
 
 
@@ -180,42 +232,7 @@ def read_demonstrations(folder: Path) -> Demonstrations:
         FileNotFoundError: no dataset in ``folder``.
         ValueError: see :func:`read_observed`; also a truth of another dataset.
     """
-    observed = read_observed(folder)
-    path = folder / TRUTH
-    if not path.is_file():
-        return Demonstrations(observed)
-    file = StepFile(path, TRUTH_SCHEMA)
-    if file.belongs_to != sha256_of(folder / OBSERVED):
-        raise ValueError(f"{path} is not the truth of {OBSERVED} in the same folder")
-    rows = file.read()
-    if not np.array_equal(file.length, observed.length):
-        raise ValueError(f"{path} is damaged: its episodes are not those of {OBSERVED}")
-    first = file.step == 0
-    traits = np.stack([rows[trait] for trait in TRAIT_NAMES], axis=1)
-    if not np.array_equal(traits, traits[first][file.episode]):
-        raise ValueError(f"{path} is damaged: traits change within an episode")
-    try:
-        truth = Truth(
-            file.spread(rows["distracted"], 0),
-            file.spread(rows["accepted"], 0),
-            file.spread(rows["counter"], 0),
-            file.spread(rows["intended_action"], MISSING),
-            traits[first],
-            file.stamp["about"],
-        )
-        return Demonstrations(observed, truth)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-
-
-def read_about(path: Path) -> dict[str, Any]:
-    """Read from one of the two files how it was made, without reading its rows.
-
-    Raises:
-        FileNotFoundError, ValueError: see :func:`read_observed`.
-    """
-    stamp: dict[str, Any] = StepFile(path, TRUTH_SCHEMA if path.name == TRUTH else None).stamp
-    return dict(stamp["about"])
+    return next(read_pieces(folder))
 
 
 def read_observed(folder: Path) -> Observed:
@@ -226,33 +243,14 @@ def read_observed(folder: Path) -> Observed:
         ValueError: another kind of file, another version of the format, a damaged file, or numbers
             out of range; the message says which.
     """
-    path = folder / OBSERVED
-    file = StepFile(path)
-    rows = file.read()
-    first = file.step == 0
-    for name in ("seed", "driver"):
-        values = rows[name]
-        if not np.array_equal(values, values[first][file.episode]):
-            raise ValueError(f"{path} is damaged: {name} changes within an episode")
-    crashed = file.spread(rows["crashed"].astype(np.int64), 1)
-    if (np.diff(crashed, axis=1) < 0).any():
-        raise ValueError(f"{path} is damaged: a crashed car is whole again")
-    at = (crashed == 0).sum(axis=1)
-    known = ~rows["no seed"]
-    if known.any() and not known.all():
-        raise ValueError(f"{path} is damaged: some episodes have a seed and some have none")
-    try:
-        return Observed(
-            file.layout,
-            file.states,
-            file.spread(rows["action"], MISSING),
-            file.spread(rows["alert"], 0),
-            file.length,
-            np.where(at < file.length, at, MISSING),
-            rows["driver"][first],
-            tuple(file.names),
-            rows["seed"][first] if known.all() else None,
-            file.stamp["about"],
-        )
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    return ObservedFile(folder).read()
+
+
+def read_about(path: Path) -> dict[str, Any]:
+    """Read from one of the two files how it was made, without reading its rows.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`read_observed`.
+    """
+    stamp: dict[str, Any] = StepFile(path, TRUTH_SCHEMA if path.name == TRUTH else None).stamp
+    return dict(stamp["about"])

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.checks import Checked, Count, CountOrZero, Share, Steps
 from hmi_marl.demonstrations.dataset import (
     MISSING,
+    STATE_PARTS,
     Demonstrations,
     Observed,
     Truth,
@@ -105,13 +107,16 @@ class CollectSettings(Checked, TeamSettings):
 
     def cast(self) -> list[tuple[Driver, int]]:
         """Return the drivers, each with its number of windows."""
+        return list(self._cast)
+
+    @cached_property
+    def _cast(self) -> tuple[tuple[Driver, int], ...]:
         horizon = self.team(PAPER_DRIVERS).horizon
         named = [(get_driver(name), -(-self.steps // horizon)) for name in self.drivers]
         names = [f"{POPULATION}-{k}" for k in range(self.population)]
         traits = TraitDistributions().draw(self._series(names)).as_array().tolist()
-        return named + [
-            (Driver(name, *drawn), self.windows) for name, drawn in zip(names, traits, strict=True)
-        ]
+        drawn = (Driver(name, *row) for name, row in zip(names, traits, strict=True))
+        return (*named, *((driver, self.windows) for driver in drawn))
 
     @property
     def total_steps(self) -> int:
@@ -230,7 +235,7 @@ class _Recorder(Observer):
         self, config: TeamConfig, teaming: Teaming, progress: Callable[[int], Any]
     ) -> None:
         self.layout = observed_layout(config)
-        self._columns = teaming.layouts[VEHICLE_AI].columns_of(self.layout)
+        self._columns = _in_one_piece(teaming.layouts[VEHICLE_AI].columns_of(self.layout))
         shape = teaming.num_teams, config.horizon
         self.states = np.zeros((*shape, self.layout.size), np.float32)
         self.alerts, self.distracted, self.accepted, self.counter = np.zeros((4, *shape), np.int64)
@@ -241,25 +246,34 @@ class _Recorder(Observer):
 
     def before(self, teaming: Teaming) -> None:
         """Record the state in which the driver acts."""
-        self._on = ~teaming.over
-        seen = teaming.observe(VEHICLE_AI)[:, self._columns]
-        self.states[self._on, self._step] = seen[self._on]
+        self._over = teaming.over
+        seen = teaming.observe(VEHICLE_AI, STATE_PARTS)
+        self.states[:, self._step] = seen[:, self._columns]
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
         """Record the actions and the hidden attention."""
-        on, t, attention = self._on, self._step, teaming.attention
-        for rows, values in (
-            (self.applied, teaming.applied),
-            (self.alerts, teaming.alerted),
-            (self.intended, teaming.intended),
-            (self.distracted, attention.distracted),
-            (self.accepted, attention.accepted),
-            (self.counter, attention.counter),
-        ):
-            rows[on, t] = values[on]
-        self.crash_step[on & teaming.ego.crashed & (self.crash_step == MISSING)] = t
-        self._progress(int(on.sum()))
+        t, attention = self._step, teaming.attention
+        self.applied[:, t], self.alerts[:, t] = teaming.applied, teaming.alerted
+        self.intended[:, t], self.distracted[:, t] = teaming.intended, attention.distracted
+        self.accepted[:, t], self.counter[:, t] = attention.accepted, attention.counter
+        self.crash_step[~self._over & teaming.crashed & (self.crash_step == MISSING)] = t
+        if self._over.any():
+            self._blank(self._over)
+        self._progress(len(self._over) - int(self._over.sum()))
         self._step += 1
+
+    def _blank(self, over: NDArray[np.bool_]) -> None:
+        """Leave the present step empty where the episode had ended before it."""
+        for rows in (self.states, self.alerts, self.distracted, self.accepted, self.counter):
+            rows[over, self._step] = 0
+        for rows in (self.applied, self.intended):
+            rows[over, self._step] = MISSING
+
+
+def _in_one_piece(columns: NDArray[np.int64]) -> slice:
+    """Return columns that lie next to each other as a slice, which is selected without a copy."""
+    assert (np.diff(columns) == 1).all()
+    return slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 @dataclass
@@ -300,15 +314,17 @@ class Summary:
         for chunk in chunks:
             observed, truth = chunk.observed, chunk.truth
             assert truth is not None
-            for k in np.unique(observed.driver):
+            alerts, distracted = observed.alerts.sum(axis=1), truth.distracted.sum(axis=1)
+            rows = np.minimum(observed.driver, self._named)  # the population shares one
+            for k in np.unique(rows):
                 name = observed.names[k] if k < self._named else POPULATION
                 tally = self._tallies.setdefault(name, Tally(name, self._step))
-                theirs = observed.driver == k
+                theirs = rows == k
                 tally.episodes += int(theirs.sum())
                 tally.steps += int(observed.length[theirs].sum())
                 tally.crashes += int(observed.crashed[theirs].sum())
-                tally.alerts += int(observed.alerts[theirs].sum())
-                tally.distracted += int(truth.distracted[theirs].sum())
+                tally.alerts += int(alerts[theirs].sum())
+                tally.distracted += int(distracted[theirs].sum())
             yield chunk
 
     def as_json(self) -> list[dict[str, Any]]:

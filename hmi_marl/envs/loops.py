@@ -24,7 +24,7 @@ from hmi_marl.envs.team_step import AT_START, TOTALS
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 from hmi_marl.envs.worlds.batched import BatchedWorld
-from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare
+from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare_once
 from hmi_marl.envs.worlds.batched.kernels import (
     TAKEN,
     TRACED,
@@ -253,7 +253,7 @@ class InLoops(Execution):
         self._run(write_teams, len(which), *arguments)
 
     def _run(self, loop: Any, count: int, *arguments: Any) -> None:
-        _prepare(loop, *arguments)
+        prepare_once(loop, *arguments)
         share(loop, count, 1, *arguments)
 
 
@@ -309,7 +309,7 @@ class InOneLoop(InLoops):
             merges, *lidars_shown(groups), which, self._showing(merges, teams), self.rules,
             _filled_up(groups),
         )  # fmt: skip
-        _prepare(look_and_write_teams, *arguments)
+        prepare_once(look_and_write_teams, *arguments)
         share(look_and_write_teams, len(which), self.world.sharing(len(which)), *arguments)
 
     def step(
@@ -334,7 +334,7 @@ class InOneLoop(InLoops):
             (*lidars_shown(finals), _filled_up(finals)),
             (*lidars_shown(groups), _filled_up(groups)),
         )  # fmt: skip
-        _prepare(step_teams, *arguments)
+        prepare_once(step_teams, *arguments)
         self.world.take_step(step_teams, *arguments)
         return after
 
@@ -354,11 +354,3 @@ def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[NDArray[Any], NDArray[n
 _NO_TOTALS = np.zeros(TOTALS)
 _NO_PROGRESS = np.zeros(2, np.int64)
 """For loops that one thread alone runs."""
-_prepared: set[str] = set()
-
-
-def _prepare(loop: Any, *arguments: Any) -> None:
-    """Compile a loop before its first call."""
-    if loop.__name__ not in _prepared:
-        prepare([(loop, (np.zeros(2, np.int64), *arguments))])
-        _prepared.add(loop.__name__)

@@ -44,6 +44,8 @@ class Stream(IntEnum):
     """Parts of an experiment that are to be independent, such as repeated runs."""
     MIXTURE = 11
     """Policy that plays in an episode, out of a mixture; the counter is the seat's number."""
+    CANDIDATES = 12
+    """Candidates of a posterior over traits; the counter is the round."""
 
 
 def mix_bits(seed: Any, stream: Any, counter: Any) -> Any:

@@ -24,6 +24,7 @@ too, which is not counted here.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from hmi_marl.checks import COUNT
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, Traits, get_driver
+from hmi_marl.envs.elementwise import choose
 from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.envs.teaming import check_mask
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
@@ -114,8 +116,8 @@ class BayesFilter:
                 f"intent_probabilities have shape (K, N, 5) = {shape}, not "
                 f"{np.shape(intent_probabilities)}"
             )
-        applied = _whole("applied actions", applied, len(VEHICLE_ACTIONS), acts)
-        alerts = _whole("alerts", alerts, 2, acts)
+        applied = check_whole("applied actions", applied, len(VEHICLE_ACTIONS), acts)
+        alerts = check_whole("alerts", alerts, 2, acts)
         chosen = intent_probabilities[:, np.arange(len(acts)), applied].T  # π_k(v_t), (N, K)
         if not ((chosen[acts] >= 0) & (chosen[acts] <= 1 + _ROUNDING)).all():
             raise ValueError("the probability of an intent lies in [0, 1]")
@@ -125,8 +127,7 @@ class BayesFilter:
         )
         is_first = (self._applied == NO_ACTION)[:, None]
         is_kept = (self._applied == applied)[:, None].astype(np.float64)
-        with_distracted = predicted * np.where(is_first, chosen, is_kept)
-        with_attentive = attentive * chosen
+        with_distracted, with_attentive = weigh(predicted, attentive, is_first, is_kept, chosen)
         evidence = with_distracted + with_attentive
         possible = evidence > 0
         gain = np.log(evidence, out=np.full(evidence.shape, -np.inf), where=possible)
@@ -160,10 +161,31 @@ def predict(
         helped: share of η that helps: i_t with the paper's alerts, else see :meth:`Alerts.help`.
         traits: of the drivers; with :class:`Traits` of shape (K,), on the last axis.
     """
-    numbers = traits.beta, traits.alpha, traits.eta
-    becomes, stays = (distraction_probability(d, helped, *numbers) for d in (0, 1))
+    return follow_chain(distracted, attentive, helped, traits.beta, traits.alpha, traits.eta)
+
+
+def follow_chain(
+    distracted: Any, attentive: Any, helped: Any, beta: Any, alpha: Any, eta: Any
+) -> tuple[Any, Any]:
+    """Compute the same from single traits; also compiled, for one number after the other."""
+    becomes = distraction_probability(0, helped, beta, alpha, eta)
+    stays = distraction_probability(1, helped, beta, alpha, eta)
     now_distracted = distracted * stays + attentive * becomes
     return now_distracted, distracted * (1.0 - stays) + attentive * (1.0 - becomes)
+
+
+def weigh(
+    predicted: Any, attentive: Any, is_first: Any, is_kept: Any, chosen: Any
+) -> tuple[Any, Any]:
+    """p(v_t, d_t = 1) and p(v_t, d_t = 0); also compiled, for one number after the other.
+
+    Args:
+        predicted, attentive: p(d_t = 1) and p(d_t = 0) before v_t is seen.
+        is_first: whether t = 0, where v_0 = a^H_0 whatever d_0.
+        is_kept: 1 if v_t = v_{t-1}, else 0.
+        chosen: π(v_t).
+    """
+    return predicted * choose(is_first, chosen, is_kept), attentive * chosen
 
 
 def posterior(
@@ -210,8 +232,10 @@ def check_candidates(drivers: Sequence[str | Driver]) -> tuple[Driver, ...]:
     return tuple(get_driver(driver) for driver in drivers)
 
 
-def _whole(name: str, values: ArrayLike, count: int, read: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Values from 0 to count - 1 where they are read, and 0 elsewhere; or raise."""
+def check_whole(
+    name: str, values: ArrayLike, count: int, read: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Return integers from 0 to count - 1 where they are read, and 0 elsewhere; or raise."""
     given = np.asarray(values)
     if given.shape != read.shape or not np.issubdtype(given.dtype, np.integer):
         raise ValueError(

@@ -143,7 +143,7 @@ def identify(
     check_stochastic(policy)
     need_plain(config.alerts, "identify()")
     candidates = check_candidates(drivers)
-    seeds, actions, alerts, length = _checked(config, seeds, actions, alerts, length)
+    seeds, actions, alerts, length = check_windows(config, seeds, actions, alerts, length)
     at_once = max(1, _ROWS // len(candidates))
     evidence = [np.zeros((0, len(candidates)))]
     for start in range(0, len(seeds), at_once):
@@ -177,11 +177,21 @@ def replay_intents(
     shape = len(drivers), len(seeds), -1
     policy.reset(np.tile(seeds, len(drivers)))
     for seen in perceived(config, drivers, seeds, actions, alerts, length):
-        chances = policy.probabilities(seen.reshape(-1, seen.shape[-1]))
-        if getattr(policy, "greedy", False):
-            likeliest = chances.argmax(axis=1)[:, None]
-            chances = (np.arange(chances.shape[1]) == likeliest).astype(np.float64)
-        yield chances.reshape(shape)
+        yield intents(policy, seen.reshape(-1, seen.shape[-1])).reshape(shape)
+
+
+def intents(policy: StochasticPolicy, seen: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Probability of each intent, (N, 5), of a policy that draws, or takes the likeliest if greedy.
+
+    Args:
+        policy: reset for N teams.
+        seen: the driver's observations, shape (N, columns).
+    """
+    chances = policy.probabilities(seen)
+    if getattr(policy, "greedy", False):
+        likeliest = chances.argmax(axis=1)[:, None]
+        chances = (np.arange(chances.shape[1]) == likeliest).astype(np.float64)
+    return chances
 
 
 def perceived(
@@ -194,9 +204,6 @@ def perceived(
 ) -> Iterator[NDArray[np.float32]]:
     """Observations of each candidate, by playing recorded windows again.
 
-    Candidates of the same inflation share worlds. Drivers in these are never distracted, so that
-    the recorded actions are applied again.
-
     Args:
         config, drivers, seeds, actions, alerts, length: as of :func:`identify`.
 
@@ -207,26 +214,56 @@ def perceived(
         ValueError: a window goes on after its end.
     """
     inflations, which = np.unique([driver.inflation for driver in drivers], return_inverse=True)
-    replays = []
-    for inflation in inflations.tolist():
-        attentive = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=inflation)
-        replays.append(Teaming(replace(config, driver=attentive), len(seeds), "batched"))
-        replays[-1].reset(seeds)
     layout, traits = driver_layout(config), traits_part(Traits.of(drivers))
+    each = np.repeat(inflations[:, None], len(seeds), axis=1)
+    for by_inflation in replay(config, each, seeds, actions, alerts, length):
+        seen = by_inflation[which]
+        if "traits" in layout:
+            seen[..., layout["traits"]] = traits[:, None]
+        yield seen
+
+
+def replay(
+    config: TeamConfig,
+    inflations: NDArray[np.float64],
+    seeds: NDArray[np.uint64],
+    actions: NDArray[np.int64],
+    alerts: NDArray[np.int64],
+    length: NDArray[np.int64],
+) -> Iterator[NDArray[np.float32]]:
+    """Observations with each of M inflations, by playing each recorded window again once.
+
+    The driver in a replay is never distracted, so that the recorded actions are applied again.
+
+    Args:
+        config, seeds, actions, alerts, length: as of :func:`identify`.
+        inflations: of each window, shape (M, E).
+
+    Yields:
+        The driver's observations for t = 0, 1, ..., shape (M, E, columns). Traits in them, if any,
+        are not those of a candidate.
+
+    Raises:
+        ValueError: a window goes on after its end.
+    """
+    attentive = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
+    teams = Teaming(replace(config, driver=attentive), len(seeds), "batched")
+    teams.reset(seeds)
     within = np.arange(actions.shape[1]) < length[:, None]
     driven, alerted = np.where(within, actions, 0), np.where(within, alerts, 0)
+    everywhere = np.ones(len(seeds), np.bool_)
     for t in range(int(length.max(initial=0))):
-        if (within[:, t] & replays[0].over).any():
+        if (within[:, t] & teams.over).any():
             raise ValueError(
                 f"a window goes on after step {t - 1}, in which it ends when played again: config "
                 "is not that of the recording (see end_at_crash)"
             )
-        seen = np.stack([teams.observe(DRIVER) for teams in replays])[which]
-        if "traits" in layout:
-            seen[..., layout["traits"]] = traits[:, None]
+        seen = np.empty((*inflations.shape, teams.layouts[DRIVER].size), np.float32)
+        for inflation, rows in zip(inflations, seen, strict=True):
+            teams.world.perceive(inflation, everywhere)
+            teams.views({DRIVER: rows})
         yield seen
-        for teams in replays:
-            teams.turn(driven[:, t], alerted[:, t])
+        teams.turn(driven[:, t], alerted[:, t])
 
 
 def check_stochastic(policy: object) -> StochasticPolicy:
@@ -242,7 +279,7 @@ def check_stochastic(policy: object) -> StochasticPolicy:
 _Data = tuple[NDArray[np.uint64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 
-def _checked(
+def check_windows(
     config: TeamConfig, seeds: ArrayLike, actions: ArrayLike, alerts: ArrayLike, length: ArrayLike
 ) -> _Data:
     """Return the windows as arrays that fit together; actions are checked when they are played."""

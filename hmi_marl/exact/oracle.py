@@ -33,6 +33,7 @@ from hmi_marl.envs.attention import check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
 from hmi_marl.exact.identify import identify as identify  # part of the oracle's interface
+from hmi_marl.exact.trait_posterior import trait_posterior as trait_posterior  # this as well
 
 DEFAULT_WINDOW = 7
 DEFAULT_HORIZON = 100

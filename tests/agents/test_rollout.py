@@ -68,6 +68,42 @@ def test_observers_are_called_before_each_turn_as_the_hmi_sees_and_after():
     assert log.calls == [("before", 0, False), ("seen", (4, size), True), ("after", 1, (4,))]
 
 
+class Watching(Memoryless):
+    """A policy that keeps what it was shown."""
+
+    def __init__(self, reads=None):
+        self.shown = None
+        if reads is not None:
+            self.reads = reads
+
+    def act(self, observations):
+        self.shown = observations.copy()
+        return np.ones(len(observations), np.int64)
+
+
+@pytest.mark.parametrize("watched", [False, True])
+def test_policies_are_shown_what_they_read_and_observers_everything(watched):
+    driver, hmi = Watching(("speed",)), Watching(("intended_action",))
+    teaming = begin(CONFIG, driver, hmi, SEEDS, "batched")
+    before = teaming.observe("driver")
+    next(turns(teaming, driver, hmi, [Log()] if watched else [Observer()]))
+    layouts = teaming.layouts
+    speed = layouts["driver"].scalar(driver.shown, "speed")
+    np.testing.assert_array_equal(speed, layouts["driver"].scalar(before, "speed"))
+    assert np.count_nonzero(driver.shown) == np.count_nonzero(speed) == 4
+    assert (layouts["vehicle_ai"].chosen(hmi.shown, "intended_action") == 1).all()
+    assert (np.count_nonzero(hmi.shown) == 4) == (not watched)  # else the lidar too, for one
+
+
+def test_a_policy_without_a_list_of_parts_is_shown_all():
+    driver, hmi = Watching(), Watching()
+    teaming = begin(CONFIG, driver, hmi, SEEDS, "batched")
+    before = teaming.observe("driver")
+    next(turns(teaming, driver, hmi))
+    np.testing.assert_array_equal(driver.shown, before)
+    assert hmi.shown.any(axis=0).sum() > 10
+
+
 def test_play_ends_when_the_last_episode_has_ended():
     driver, hmi, log = Counting(), RandomAlert(0.5), Log()
     teaming = begin(CONFIG, driver, hmi, SEEDS, "batched")

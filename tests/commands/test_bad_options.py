@@ -374,6 +374,20 @@ BAD: dict[str, dict[str, list[str]]] = {
         "population": ["/no/such"],
         "driver-policy": ["/no/such", "nope"],
     },
+    "traits posterior": {
+        **OUT,
+        "demonstrations": ["/no/such"],
+        "cases": ["nope"],
+        "windows": ["0", "99"],
+        "seconds": ["0", "nan"],
+        "driver-policy": ["/no/such", "nope"],
+        "sampling.groups": ["1"],
+        "sampling.shared": ["0"],
+        "sampling.rounds": ["0"],
+        "sampling.most-rounds": ["0"],
+        "sampling.effective": ["0"],
+        "seed": ["-1"],
+    },
     "watch": {
         **TEAM,
         "perceived": FLAG,
@@ -392,6 +406,7 @@ PRESET = {
     "reproduce ship": {"out": "out", "run": "/no/such"},
     "traits train": {"demonstrations": "DATA"},
     "traits evaluate": {"demonstrations": "DATA", "runs": "MODEL"},
+    "traits posterior": {"demonstrations": "DATA"},
     "watch": {"out": "clip.gif"},
 }
 """Options that a command needs anyway, so that nothing else is wrong with it."""

@@ -57,7 +57,7 @@ def test_settings_reach_the_training() -> None:
     assert settings.policy.hidden_dims == (8, 8)
 
 
-@pytest.mark.parametrize("command", ["train", "evaluate"])
+@pytest.mark.parametrize("command", ["train", "evaluate", "posterior"])
 def test_help_teaches_by_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["traits", command, "--help"])

@@ -4,6 +4,8 @@ import json
 import shutil
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from hypothesis import strategies as st
 from parquet_files import metadata_of, write_signed
 
 import hmi_marl
+from hmi_marl.demonstrations import parquet
 from hmi_marl.demonstrations.dataset import Demonstrations
 from hmi_marl.demonstrations.parquet import (
     OBSERVED,
@@ -59,6 +62,73 @@ def test_what_is_read_is_what_was_written(
     assert_same_truth(read.truth, data.truth)
     assert_same_observed(read_observed(folder), data.observed)
     shutil.rmtree(folder)
+
+
+@settings(max_examples=20)
+@given(data=demonstrations(), rows=st.integers(1, 9))
+def test_groups_of_rows_are_of_whole_episodes(
+    tmp_path_factory: pytest.TempPathFactory, data: Demonstrations, rows: int
+) -> None:
+    folder = tmp_path_factory.mktemp("data")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parquet, "_MOST_ROWS", rows)
+        write_demonstrations(folder, data)
+    for name in (OBSERVED, TRUTH) if data.truth is not None else (OBSERVED,):
+        file = pq.ParquetFile(folder / name)
+        starts = [
+            file.read_row_group(group)["step"][0].as_py() for group in range(file.num_row_groups)
+        ]
+        assert set(starts) == {0}
+        sizes = [file.metadata.row_group(group).num_rows for group in range(len(starts))]
+        assert max(sizes) <= max(rows, int(data.observed.length.max()))
+        assert json.loads(file.metadata.metadata[b"hmi-marl groups"])[0][0] == sizes[0]
+    assert_same_observed(read_observed(folder), data.observed)
+    shutil.rmtree(folder)
+
+
+def test_a_group_names_its_own_drivers_alone(tmp_path: Path) -> None:
+    names = tuple(f"population-{k}" for k in range(50))
+    data = made_up([3] * 4, driver=[49, 7, -1, 7], names=names)
+    write_demonstrations(tmp_path, chunked(data, 2))
+    file = pq.ParquetFile(tmp_path / OBSERVED)
+    found = [file.read_row_group(group)["driver"].chunk(0).dictionary for group in (0, 1)]
+    assert [each.to_pylist() for each in found] == [["population-7", "population-49"], [names[7]]]
+    assert read_observed(tmp_path).labels() == [names[49], names[7], None, names[7]]
+
+
+def test_what_fails_while_a_chunk_is_written_is_reported(
+    tmp_path: Path, data: Demonstrations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*args: Any, **kwargs: Any) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
+    made = []
+
+    def chunks() -> Iterator[Demonstrations]:
+        for _ in range(100):
+            made.append(1)
+            yield data
+
+    with pytest.raises(OSError, match="no space left"):
+        write_demonstrations(tmp_path, chunks())
+    assert len(made) == 2  # no more are made in vain
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_chunk_is_written_while_the_next_is_made(tmp_path: Path, data: Demonstrations) -> None:
+    threads, names = set(), set()
+
+    def chunks() -> Iterator[Demonstrations]:
+        for _ in range(3):
+            names.update(each.name for each in threading.enumerate())
+            threads.add(threading.current_thread())
+            yield data
+
+    write_demonstrations(tmp_path, chunks())
+    assert threads == {threading.current_thread()}
+    assert any(name.startswith("hmi-marl-write") for name in names)
+    assert not any(each.name.startswith("hmi-marl-write") for each in threading.enumerate())
 
 
 @pytest.fixture

@@ -130,6 +130,12 @@ COMMANDS = (
         f"runs/traits-id {_ASSESS}",
         prepared=(_COLLECT, _TRAITS),
     ),
+    _command(
+        "traits posterior",
+        DATA,
+        "--cases seen-unknown --windows 1 --seconds 5 --sampling.groups 16",
+        before=("collect --drivers --population 4 --windows 1 --num-teams 4",),
+    ),
     _command("watch", CORE, f"--out clip.gif {_SCENE}"),
 )
 """Every subcommand that can be run, once."""

@@ -28,6 +28,7 @@ from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.observations import Layout, driver_layout, vehicle_ai_layout
 from hmi_marl.envs.streams import Stream
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
+from hmi_marl.exact.intent_network import FeedForward
 
 INTENT = "intended_action"
 CONTEXT_OF = "context_of"
@@ -255,6 +256,25 @@ class LearnedPolicy:
             logits = (logits * intent[:, :, None]).sum(axis=1)
         odds = np.exp(below_zero(logits))
         return odds / odds.sum(axis=1, keepdims=True)
+
+    def feedforward(self) -> FeedForward | None:
+        """Describe the network, for loops that compute the probabilities of many candidates.
+
+        Returns:
+            None if the probabilities do not follow from a feed-forward network and the present
+            observation alone.
+        """
+        own = type(self).probabilities is LearnedPolicy.probabilities
+        if not own or self.card.context or self.card.by_intent or self.card.network.rnn_hidden_dim:
+            return None
+        layers = tuple(
+            (
+                self.weights[f"layer{k}.weight"].astype(np.float64),
+                self.weights[f"layer{k}.bias"].astype(np.float64),
+            )
+            for k in range(len(self.card.network.hidden_dims) + 1)
+        )
+        return FeedForward(self._columns, layers, self.card.network.activation)
 
 
 def save_policy(folder: Path, card: PolicyCard, weights: Weights) -> Path:

@@ -87,6 +87,15 @@ def driver_policy_of(observed: Observed, given: str | None, config: TeamConfig) 
     return load_policy(place, DRIVER, config, greedy=bool(recorded.get("greedy", False)))
 
 
+def check_at_random(observed: Observed) -> None:
+    """Raise NoCeilingError unless alerts came at random, so that their timing is no evidence."""
+    hmi = observed.about.get("hmi")
+    if not str(hmi).startswith(_AT_RANDOM):
+        raise NoCeilingError(
+            f"{_NO_CEILING}: it takes alerts at random, but they came from {hmi!r}"
+        )
+
+
 def evidence(
     observed: Observed, policy_source: str | None, drivers: Sequence[str | Driver]
 ) -> Identification:
@@ -102,11 +111,7 @@ def evidence(
     """
     if observed.seeds is None:
         raise NoCeilingError(f"{_NO_CEILING}: recorded drives without seeds cannot be replayed")
-    hmi = observed.about.get("hmi")
-    if not str(hmi).startswith(_AT_RANDOM):
-        raise NoCeilingError(
-            f"{_NO_CEILING}: it takes alerts at random, but they came from {hmi!r}"
-        )
+    check_at_random(observed)
     config = team_of(observed)
     policy = driver_policy_of(observed, policy_source, config)
     windows = observed.seeds, observed.actions, observed.alerts, observed.length

@@ -51,7 +51,7 @@ class ComparisonSettings(Checked):
     tasks on which none is tried take the first."""
     rounds: Count = 4
     """Rounds of alternating."""
-    anchor_kls: tuple[Weight, ...] = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+    anchor_kls: tuple[Weight, ...] = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
     """Weights λ of the divergence from the two-stage driver, in human-regularised learning, with
     attention hidden."""
     partners: bool = True

@@ -4,7 +4,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_marl.agents.learned.network import Network, NetworkConfig
+from hmi_marl.agents.learned.network import Network, NetworkConfig, _product
 from hmi_marl.agents.learned.policy import PolicyCard
 from hmi_marl.training.ppo.models import make_actor, weights_of
 
@@ -112,6 +112,28 @@ def test_an_answer_does_not_depend_on_who_else_is_asked(memory):
         apart = np.concatenate([part(x[rows]) for part, rows in zip(parts, cuts, strict=True)])
         np.testing.assert_allclose(together, apart, rtol=0, atol=1e-11)
         assert (together.argmax(1) == apart.argmax(1)).all()
+
+
+@pytest.mark.parametrize("rows", [1, 51, 52, 53, 500])
+def test_a_product_in_parts_is_the_product(rows):
+    rng = np.random.default_rng(3)
+    x, weight = rng.standard_normal((rows, 80)), rng.standard_normal((64, 80))
+    np.testing.assert_allclose(_product(x, weight), x @ weight.T, rtol=0, atol=1e-12)
+
+
+def test_no_product_of_small_layers_is_shared_among_threads(monkeypatch):
+    sizes = []
+    matmul = np.matmul
+
+    def measured(one, other, out):
+        sizes.append(one.shape[0] * one.shape[1] * other.shape[1])
+        return matmul(one, other, out=out)
+
+    monkeypatch.setattr(np, "matmul", measured)
+    config = NetworkConfig((64, 128), "relu")
+    Network(config, drawn_weights(config, 52, 5))(np.ones((1000, 52), np.float32))
+    assert len(sizes) > 3
+    assert max(sizes) <= 2**18  # OpenBLAS's own threshold
 
 
 def test_a_memory_is_that_of_marked_teams_alone_after_forgetting():

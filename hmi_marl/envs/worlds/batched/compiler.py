@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numba
+import numpy as np
 from numba import njit
 from numba.core import caching
 from numba.core.compiler import CompileResult
@@ -100,11 +101,16 @@ def _wait_for(lock: IO[str]) -> None:
 
 
 class KeptCode(caching._Cache):  # what numba asks for when it has to compile
-    """The compiled code of one kernel in files, as numba's dispatcher asks for it."""
+    """The compiled code of one kernel in files, as numba's dispatcher asks for it.
 
-    def __init__(self, function: Callable[..., None]) -> None:
+    Args:
+        function: the kernel.
+        sources: files that it is compiled from, besides those of the environment.
+    """
+
+    def __init__(self, function: Callable[..., None], sources: Sequence[str] = ()) -> None:
         self._name = function.__name__
-        self._stamp = source_stamp()[:16]  # of the sources as they are while they are imported
+        self._stamp = source_stamp(*sources)[:16]  # of the sources while they are imported
 
     @property
     def cache_path(self) -> str | None:
@@ -212,12 +218,12 @@ def _folders_to_read() -> list[Path]:
 
 
 @cache
-def source_stamp() -> str:
-    """Return a fingerprint of everything that the kernels are compiled from."""
+def source_stamp(*more: str) -> str:
+    """Return a fingerprint of what the environment's kernels are compiled from, and of ``more``."""
     here = Path(__file__).parent
     sources = [*sorted(here.glob("*.py")), *(here.parents[1] / name for name in _RULES)]
     digest = hashlib.sha256()
-    for source in sources:
+    for source in (*sources, *map(Path, more)):
         digest.update(source.read_bytes())
     return digest.hexdigest()
 
@@ -241,12 +247,31 @@ inlined: Any = njit(forceinline=True, **_OPTIONS)
 """The same, always merged into its caller."""
 
 
-def kernel(loop: Callable[..., None]) -> Any:
-    """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it."""
+def kernel(loop: Callable[..., None], sources: Sequence[str] = ()) -> Any:
+    """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it.
+
+    Args:
+        loop: the kernel.
+        sources: files that it is compiled from, besides those of the environment.
+    """
     function: Any = njit(nogil=True, **_OPTIONS)(loop)
     if not WITHOUT_COMPILER:
-        function._cache = KeptCode(loop)
+        function._cache = KeptCode(loop, sources)
     return function
+
+
+_prepared: set[str] = set()
+"""Names of the kernels that :func:`prepare_once` has prepared."""
+
+
+def prepare_once(loop: Any, *arguments: Any) -> None:
+    """Compile a kernel before its first call, whose arguments always have the same types.
+
+    ``arguments`` are those after its progress.
+    """
+    if loop.__name__ not in _prepared:
+        prepare([(loop, (np.zeros(2, np.int64), *arguments))])
+        _prepared.add(loop.__name__)
 
 
 def prepare(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from queue import SimpleQueue
@@ -191,6 +192,12 @@ class Pace:
         """Return how many threads to use for the next step: ``most`` or 1."""
         on_trial = self.TRIAL <= self._step < 2 * self.TRIAL
         return most if self._together != on_trial else 1
+
+    def run(self, loop: Callable[..., None], count: int, most: int, *arguments: Any) -> None:
+        """Run a loop as :func:`share` does, on ``most`` threads or one, and note its time."""
+        threads, start = self.threads(most), time.perf_counter()
+        share(loop, count, threads, *arguments)
+        self.note(threads, time.perf_counter() - start)
 
     def note(self, threads: int, seconds: float) -> None:
         """Record the time of a step with so many threads."""

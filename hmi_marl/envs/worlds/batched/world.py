@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any, Literal
 
 import numpy as np
@@ -121,9 +120,7 @@ class BatchedWorld:
 
     def take_step(self, loop: Any, *arguments: Any) -> None:
         """Run a loop that steps the worlds, on one thread or several, whichever is faster."""
-        threads, start = self._pace.threads(self.threads), time.perf_counter()
-        share(loop, self.num_worlds, threads, *arguments)
-        self._pace.note(threads, time.perf_counter() - start)
+        self._pace.run(loop, self.num_worlds, self.threads, *arguments)
 
     def halt(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`World.halt`."""
