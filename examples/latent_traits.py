@@ -49,7 +49,7 @@ learn_traits(settings, data, choices.out / "traits")
 # Every driver's held-out windows, pooled: the posterior of z.
 model = load_traits(choices.out / "traits")
 observed = read_observed(data)
-unseen = observed.take(held_out(observed, settings.held_out))
+unseen = observed.take(held_out(observed.driver, settings.held_out_share))
 sums = model.encoder.encode(unseen.states, unseen.actions, unseen.alerts, unseen.length)
 print("the drivers in latent space, mean and standard deviation of z from unseen windows:")
 for who, name in enumerate(unseen.names):

@@ -23,7 +23,12 @@ from hmi_marl.reporting.verdicts import Outcome, Verdict
 
 Results = Mapping[str, Mapping[str, Any]]
 """Numbers of each experiment, by its name."""
-SETTINGS = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
+SETTINGS = {
+    "none": "unsupervised",
+    "id": "by driver",
+    "preference": "by preference",
+    "self": "self-supervised",
+}
 VARIANTS = {"printed": "η as printed", "eta-1": "η = 1"}
 DISTRACTION, SPEED = "distraction_return", "speed_return"
 

@@ -113,7 +113,13 @@ ADAPT = {
     "caution": ["nan", "-1"],
     "seed": ["-1"],
 }
-ASSESS = {"windows": ["0"], "episodes": ["0"], "ranked": ["0"], "seed": ["-1"]}
+ASSESS = {
+    "windows": ["0"],
+    "episodes": ["0"],
+    "ranked": ["0"],
+    "posteriors": ["-1", "2"],
+    "seed": ["-1"],
+}
 ANCHOR = {
     "anchor": ["nope", "rule", "/no/such", "trained:nobody", "trained:homer"],
     "anchor-kl": ["-1", "nan", "1"],  # the last lacks an anchor
@@ -250,6 +256,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "driver-run": ["/no/such"],
         "driver-steps": ["0"],
         "demonstrated": ["0"],
+        "strangers": ["1"],
         "population": ["2"],
         "seed": ["-1"],
         "seeds": ["0"],

@@ -96,7 +96,7 @@ COMMANDS = (
     _command(
         "reproduce traits",
         TRAIN | DATA,
-        "--driver-run trained:driver --demonstrated 6400 --population 4 --workers 1 "
+        "--driver-run trained:driver --demonstrated 6400 --strangers 4 --population 4 --workers 1 "
         f"{_prefixed('learn', _LEARN)} {_prefixed('evaluation', _ASSESS)}",
     ),
     _command(

@@ -116,6 +116,8 @@ class Encoder:
         own = part_of(weights, "encoder")
         self.config, self._latent = config, latent
         self._weights = {name: values.astype(np.float64) for name, values in own.items()}
+        by_step = self._weights["span_layer.weight"].swapaxes(1, 2)  # (span, step_features, F)
+        self._span = by_step.reshape(-1, config.features)
         self._head = Network(config.head, part_of(own, "head"))
         self._average = Network(config.average, part_of(own, "average"))
         self._centre, self._scale = weights["state.centre"], weights["state.scale"]
@@ -133,7 +135,7 @@ class Encoder:
         w = self._weights
         now = self._step_features(x, actions)
         covered = np.concatenate([now[:, None], state.recent], axis=1)
-        features = np.einsum("nks,kfs->nf", covered, w["span_layer.weight"])
+        features = covered.reshape(len(covered), -1) @ self._span
         features = np.maximum(features + w["span_layer.bias"], 0.0)
         taken = np.ones((len(features), 1))
         sums = state.sums + np.concatenate([features, taken], axis=1)

@@ -16,7 +16,8 @@ from hmi_marl.agents.learned.trait_model import PARTS, TraitCard
 from hmi_marl.training.ppo.heads import OneAction
 from hmi_marl.training.ppo.models import GROUPS, layers_of, make_critic
 from hmi_marl.training.traits.encoder import ContextEncoder
-from hmi_marl.training.traits.windows import Batch, Units
+from hmi_marl.training.traits.episodes import Units
+from hmi_marl.training.traits.windows import Batch
 
 
 class Reward(torch.nn.Module):

@@ -20,11 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_model import NAME, save_traits
-from hmi_marl.demonstrations.dataset import Demonstrations, alert_rate, held_out
+from hmi_marl.demonstrations.dataset import held_out
 from hmi_marl.demonstrations.env import team_of
-from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_observed
+from hmi_marl.demonstrations.stored import OBSERVED, TRUTH, ObservedFile, TruthFile
+from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of
@@ -37,10 +39,11 @@ with needing("training"):
     from hmi_marl.training.runs.progress import Progress
     from hmi_marl.training.runs.run import ModelRun, Tensors, own_torch_state
     from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
+    from hmi_marl.training.traits.episodes import PIECE, Episodes
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
     from hmi_marl.training.traits.self_supervision import AverageLearner, SelfSupervision
-    from hmi_marl.training.traits.windows import Batch, Units, Windows, make_labels
+    from hmi_marl.training.traits.windows import Batch, Windows, make_labels
 
 PREPARING_POOLS = 64
 """Pools from which the encoder takes its units."""
@@ -101,10 +104,7 @@ class _Run(ModelRun):
         preferences: Mapping[str, float] | None,
         **shown: Any,
     ) -> None:
-        asks_truth = settings.supervision == "preference" and preferences is None
-        data = (
-            read_demonstrations(dataset) if asks_truth else Demonstrations(read_observed(dataset))
-        )
+        stored = ObservedFile(dataset)
         about = {
             "protocol": "traits",
             "preferences": json_value(preferences),
@@ -112,25 +112,29 @@ class _Run(ModelRun):
         }
         super().__init__(settings, folder, about, **shown)
         self._settings = settings
-        if data.observed.about.get("team", {}).get("end_at_crash"):
+        if stored.about.get("team", {}).get("end_at_crash"):
             raise ValueError(
                 "these windows end at a crash, which would distinguish them from the policy's, "
                 "in which a crashed car stands; collect with --no-end-at-crash"
             )
-        learned = ~held_out(data.observed, settings.held_out)
+        learned = ~held_out(stored.driver, settings.held_out_share)
         if not learned.any():
             raise ValueError("held_out leaves no window to learn from; record more demonstrations")
-        data = data.take(learned)
-        observed = data.observed
+        eta = None
+        if settings.supervision == "preference" and preferences is None:
+            known = _etas(dataset, stored)
+            eta = None if known is None else known[learned]
+        episodes = Episodes.read(stored, learned, folder)
         rng = np.random.default_rng(self.draw(Stream.LEARNING, 0))
-        labels = make_labels(data, settings.supervision, settings.labelled, rng, preferences)
-        self._units = Units.of(observed)
-        self._windows = Windows(observed, labels, self._units)
-        self._card = settings.card(observed.layout)
+        labelled = settings.supervision, settings.labelled
+        labels = make_labels(episodes, *labelled, rng, preferences, eta)
+        self._units = episodes.units
+        self._windows = Windows(episodes, labels)
+        self._card = settings.card(episodes.layout)
         self._device = ALONE.device(settings.device)
         torch.manual_seed(self.draw(Stream.LEARNING, 1))
-        team, rate = team_of(observed), alert_rate(observed)
-        self._generator = Generator(self._card, settings, team, rate, self._units, self._device)
+        made_by = team_of(episodes), episodes.alert_rate
+        self._generator = Generator(self._card, settings, *made_by, self._units, self._device)
         self._discriminator = DiscriminatorLearner(
             self._card, settings, self._generator.policy, self._device
         )
@@ -139,7 +143,7 @@ class _Run(ModelRun):
         self._self = SelfSupervision(encoder, settings.encoder_rate, settings.weight_decay)
         if settings.supervision == "self":
             self._windows.draw_drivers(rng, settings.drivers_per_update, settings.pool)  # or raise
-        self._about_data = {"drivers": list(observed.names), "about": json_value(observed.about)}
+        self._about_data = {"drivers": list(episodes.names), "about": json_value(episodes.about)}
         self._rounds = settings.rounds(self._generator.horizon)
 
     def learn(self) -> None:
@@ -274,3 +278,13 @@ class _Run(ModelRun):
                 "--out, or remove the folder"
             )
         super().check(before)
+
+
+def _etas(dataset: Path, stored: ObservedFile) -> NDArray[np.float64] | None:
+    """Read η of each episode's driver, shape (E,); None if the truth is not known."""
+    if not (dataset / TRUTH).is_file():
+        return None
+    truth = TruthFile(dataset, stored)
+    pieces = [truth.read(k, min(k + PIECE, len(stored))) for k in range(0, len(stored), PIECE)]
+    column = TRAIT_NAMES.index("eta")
+    return np.concatenate([piece.traits[:, column] for piece in pieces])

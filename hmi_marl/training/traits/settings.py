@@ -33,6 +33,8 @@ from hmi_marl.training.protocols.settings import PPOSettings
 Supervision = Literal["self", "none", "id", "preference"]
 LABELLED: tuple[Supervision, ...] = ("id", "preference")
 """Settings in which some windows have labels."""
+PAPER_HELD_OUT = 0.2
+"""Share of windows that the paper's settings hold out by default."""
 PAPER_LATENT, SELF_LATENT = 2, 8
 """Sizes of z by default: in the paper's settings, and in the self-supervised one."""
 
@@ -94,8 +96,9 @@ class TraitSettings(Checked):
     if labels are only equal or different."""
     margin: Factor = 2.0
     """Margin ε of L3: least distance between latent vectors of different labels."""
-    held_out: Annotated[float, Real(0.0, 1.0, below=True)] = 0.2
-    """Share of each driver's windows, the last ones, that is kept out of the learning."""
+    held_out: Annotated[float, Real(0.0, 1.0, below=True)] | None = None
+    """Share of each driver's windows, the last ones, that is kept out of the learning; by default
+    0.2, or 0 if self-supervised, which is judged by drivers who are kept out altogether."""
     latent: Units | None = None
     """Size of z; by default 8 if self-supervised, else 2 as in the paper."""
     pool: Count = 8
@@ -105,7 +108,7 @@ class TraitSettings(Checked):
     average_updates: CountOrZero = 300
     """Updates at the start, in which the average driver's policy is learned by imitation. The
     encoder reads how likely actions are under it."""
-    encoder_updates: CountOrZero = 1000
+    encoder_updates: CountOrZero = 600
     """Updates after that in which the encoder learns if self-supervised."""
     drivers_per_update: Annotated[int, Whole(2, 100_000)] = 64
     """Drivers in each of these updates, with two pools each."""
@@ -180,6 +183,13 @@ class TraitSettings(Checked):
     def fixed_encoder(self) -> bool:
         """Whether the encoder stays as it is in adversarial IRL."""
         return self.supervision == "self"
+
+    @property
+    def held_out_share(self) -> float:
+        """Share of each driver's windows that is kept out of the learning."""
+        if self.held_out is not None:
+            return self.held_out
+        return 0.0 if self.supervision == "self" else PAPER_HELD_OUT
 
     @property
     def latent_size(self) -> int:

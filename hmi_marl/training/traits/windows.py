@@ -16,14 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.situations import situations, standardise
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed
-from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.demonstrations.dataset import MISSING
 from hmi_marl.reading import read_json
+from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.settings import LABELLED, Supervision
 from hmi_marl.typed_json import read_value
-
-SMALLEST_SPREAD = 1e-6
 
 
 class Batch(NamedTuple):
@@ -60,58 +57,35 @@ def transitions(batch: Batch) -> Transitions:
     return Transitions(x[:, :, :-1][later], actions[:, :, :-1][later], x[:, :, 1:][later], pool)
 
 
-class Units(NamedTuple):
-    """Units of the observed states in the model: both of shape (D,)."""
-
-    centre: NDArray[np.float32]
-    scale: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, observed: Observed) -> Units:
-        """Take mean and standard deviation over all steps; constant columns keep their scale."""
-        states = observed.states[observed.steps_taken].astype(np.float64)
-        spread = states.std(axis=0)
-        scale = np.where(spread > SMALLEST_SPREAD, spread, 1.0)
-        return cls(states.mean(axis=0).astype(np.float32), scale.astype(np.float32))
-
-    def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return situations in these units."""
-        return standardise(x, self.centre, self.scale)
-
-
 class Windows:
     """Demonstrations from which pools are drawn. Every episode is a window.
 
     Args:
-        observed: the demonstrations. Windows of an unknown driver are never drawn, since they
+        episodes: the demonstrations. Windows of an unknown driver are never drawn, since they
             cannot be pooled.
         labels: labels of the windows, shape (E,), NaN where there is none.
-        units: units of the states.
 
     Raises:
         ValueError: no driver is known, or the labels' shape is wrong, or a driver has several
             labels.
     """
 
-    def __init__(self, observed: Observed, labels: NDArray[np.float64], units: Units) -> None:
-        if labels.shape != (len(observed),):
-            raise ValueError(f"labels have shape ({len(observed)},), not {labels.shape}")
-        self._known = observed.driver != MISSING
+    def __init__(self, episodes: Episodes, labels: NDArray[np.float64]) -> None:
+        if labels.shape != (len(episodes),):
+            raise ValueError(f"labels have shape ({len(episodes)},), not {labels.shape}")
+        self._known = episodes.driver != MISSING
         if not self._known.any():
             raise ValueError("no window's driver is known, so none can be pooled with another")
-        if observed.length.max() < 2:
+        if episodes.length.max() < 2:
             raise ValueError(
                 "all windows have a single step, so there are no transitions; record longer ones"
             )
-        for number in np.unique(observed.driver[self._known]):
-            given = labels[observed.driver == number]
-            if len(np.unique(given[~np.isnan(given)])) > 1:
-                raise ValueError(f"windows of {observed.names[number]} have different labels")
-        self._observed, self._labels = observed, labels
-        self._pooled = by_driver(observed.driver, self._known)
-        self._labelled = by_driver(observed.driver, self._known & ~np.isnan(labels))
-        x = situations(observed.states, observed.actions, observed.alerts)
-        self._situations = units.standardise(x)
+        self._episodes, self._labels = episodes, labels
+        self._pooled = by_driver(episodes.driver, self._known)
+        self._labelled = by_driver(episodes.driver, self._known & ~np.isnan(labels))
+        for number, own in self._labelled.items():
+            if len(np.unique(labels[own])) > 1:
+                raise ValueError(f"windows of {episodes.names[number]} have different labels")
 
     def draw(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
         """Draw ``count`` pools of ``size`` windows, each of one driver: indices (count, size)."""
@@ -164,10 +138,11 @@ class Windows:
 
     def batch(self, which: NDArray[np.int64], device: str = "cpu") -> Batch:
         """Return the windows of these indices, (P, n)."""
+        own = self._episodes
         return Batch(
-            torch.from_numpy(self._situations[which]).to(device),
-            torch.from_numpy(self._observed.actions[which]).to(device),
-            torch.from_numpy(self._observed.length[which]).to(device),
+            torch.from_numpy(own.units.standardise(own.situations[which])).to(device),
+            torch.from_numpy(own.actions[which].astype(np.int64)).to(device),
+            torch.from_numpy(own.length[which]).to(device),
         )
 
 
@@ -216,45 +191,48 @@ def choose_labelled(
 
 
 def make_labels(
-    demonstrations: Demonstrations,
+    episodes: Episodes,
     supervision: Supervision,
     share: float,
     rng: np.random.Generator,
     preferences: Mapping[str, float] | None = None,
+    eta: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Return labels of all windows, shape (E,), NaN where there is none.
 
     Args:
         share: share of each driver's windows that is labelled; ``rng`` chooses them.
         preferences: people's answers by name, in [0, 1]; not needed for simulated drivers.
+        eta: η of each window's driver, shape (E,), which answers for simulated drivers.
 
     Raises:
         ValueError: a preference is missing or outside [0, 1], or all labels are the same.
     """
-    observed = demonstrations.observed
-    marked = choose_labelled(observed.driver, share, rng)
-    labels = np.full(len(observed), np.nan)
+    marked = choose_labelled(episodes.driver, share, rng)
+    labels = np.full(len(episodes), np.nan)
     if supervision == "id":
-        labels[marked] = observed.driver[marked]
+        labels[marked] = episodes.driver[marked]
     elif supervision == "preference":
-        labels[marked] = _preferences(demonstrations, marked, preferences)
+        labels[marked] = _preferences(episodes, marked, preferences, eta)
     if supervision in LABELLED and len(np.unique(labels[~np.isnan(labels)])) < 2:
         raise ValueError("all labels are the same, so nothing can be learned from them")
     return labels
 
 
 def _preferences(
-    demonstrations: Demonstrations, marked: NDArray[np.bool_], answers: Mapping[str, float] | None
+    episodes: Episodes,
+    marked: NDArray[np.bool_],
+    answers: Mapping[str, float] | None,
+    eta: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
     if answers is None:
-        if demonstrations.truth is None:
+        if eta is None:
             raise ValueError(
                 "the preferences of these drivers are unknown, since the demonstrations have no "
                 "truth; give the drivers' answers with --preferences FILE"
             )
-        return demonstrations.truth.traits[marked, TRAIT_NAMES.index("eta")]
-    observed = demonstrations.observed
-    asked = [observed.names[number] for number in observed.driver[marked]]
+        return eta[marked]
+    asked = [episodes.names[number] for number in episodes.driver[marked]]
     if missing := sorted(set(asked) - set(answers)):
         raise ValueError(f"the preferences lack {', '.join(missing)}; add them to the file")
     values = np.array([float(answers[name]) for name in asked])

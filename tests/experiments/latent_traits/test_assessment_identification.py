@@ -12,18 +12,16 @@ from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
-from hmi_marl.experiments.latent_traits import assessment as traits
+from hmi_marl.experiments.latent_traits import strangers
 from hmi_marl.experiments.latent_traits.assessment import (
+    WINDOWS,
     Split,
-    disjoint_pools,
-    encode,
     identify_drivers,
-    mean_latents,
     pool_sizes,
-    population_pools,
-    regress_traits,
 )
 from hmi_marl.experiments.latent_traits.ceiling import likes_help
+from hmi_marl.experiments.latent_traits.latents import disjoint_pools, encode, mean_latents
+from hmi_marl.experiments.latent_traits.strangers import read_traits, strangers_pools
 from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
@@ -157,7 +155,7 @@ def test_sizes_of_pools_by_hand() -> None:
     assert pool_sizes(split, 1, 1) == (1, 2, 4)
     assert pool_sizes(split, 15, -1) == (1, 2, 4, 8, 15)
     whole = Split.of(driven({"lisa": 200, "marge": 128}), 0.5, 1000)
-    assert pool_sizes(whole, 8, 2) == traits.WINDOWS
+    assert pool_sizes(whole, 8, 2) == WINDOWS
 
 
 def test_too_few_windows_are_told_beforehand() -> None:
@@ -280,7 +278,7 @@ def random_drivers(count: int = 12, windows: int = 2, seed: int = 0) -> Demonstr
 
 
 def test_what_can_be_read_from_z_is_told_of_every_trait() -> None:
-    found = regress_traits(speed_reader(), random_drivers(60), 2)
+    found = read_traits(speed_reader(), random_drivers(60), 2).r2
     assert tuple(found) == TRAIT_NAMES
     for name in ("beta", "inflation"):
         assert found[name].linear.mean > 0.95
@@ -291,13 +289,16 @@ def test_what_can_be_read_from_z_is_told_of_every_trait() -> None:
 def test_no_driver_is_on_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
     given: dict[str, Any] = {}
 
-    def record(z: Any, known: Any, new: Any, truth: Any, names: Any, seed: int) -> dict[str, Any]:
+    def record(
+        z: Any, known: Any, new: Any, truth: Any, names: Any, seed: int, predicted: Any
+    ) -> dict[str, Any]:
+        assert predicted.shape == truth.shape
         given.update(z=z, known=known, new=new, truth=truth, names=names, seed=seed)
         return {}
 
-    monkeypatch.setattr(traits, "trait_r2", record)
+    monkeypatch.setattr(strangers, "trait_r2", record)
     population = random_drivers(7, windows=5)
-    regress_traits(speed_reader(), population, 2, seed=3)
+    read_traits(speed_reader(), population, 2, seed=3)
     assert (given["names"], given["seed"]) == (TRAIT_NAMES, 3)
     sides = [np.unique(given[side], axis=0) for side in ("known", "truth")]
     assert [len(side) for side in sides] == [4, 3]
@@ -312,19 +313,20 @@ def test_halves_are_equal_whoever_has_too_few_windows() -> None:
     # Every other driver has a single window, and so no pool of two.
     data = random_drivers(8)
     kept = (data.observed.driver % 2 == 0) | (data.observed.number == 0)
-    found = regress_traits(speed_reader(), data.take(kept), 2)
-    whole = regress_traits(speed_reader(), data.take(data.observed.driver % 2 == 0), 2)
+    found = read_traits(speed_reader(), data.take(kept), 2).r2
+    whole = read_traits(speed_reader(), data.take(data.observed.driver % 2 == 0), 2).r2
     assert found == whole
     assert np.isfinite(found["beta"].linear.mean)
 
 
 def test_a_population_that_tells_too_little_is_refused() -> None:
     with pytest.raises(ValueError, match="only where the truth is known"):
-        population_pools(Demonstrations(random_drivers().observed), 2)
+        strangers_pools(Demonstrations(random_drivers().observed), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 2 windows each, but .* has 3"):
-        regress_traits(speed_reader(), random_drivers(3), 2)
+        read_traits(speed_reader(), random_drivers(3), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 3 windows each, but .* has 0"):
-        population_pools(random_drivers(), 3)
-    truth, pools = population_pools(random_drivers(), 2)
+        strangers_pools(random_drivers(), 3)
+    truth, pools, fits = strangers_pools(random_drivers(), 2)
     assert pools.shape == (12, 2)
+    assert fits.sum() == 6
     assert truth.traits.shape == (24, 4)

@@ -9,9 +9,10 @@ from trait_models import SMALL
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
+from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.model import log_policy, make_policy
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
-from hmi_marl.training.traits.windows import Units, Windows, transitions
+from hmi_marl.training.traits.windows import Windows, transitions
 
 SETTINGS = TraitSettings(
     supervision="id",
@@ -27,7 +28,7 @@ SETTINGS = TraitSettings(
 )
 CARD = SETTINGS.card(LAYOUT)
 OBSERVED = made_up([6] * 12, driver=[0, 1] * 6, names=("ada", "bob")).observed
-WINDOWS = Windows(OBSERVED, OBSERVED.driver.astype(float), Units.of(OBSERVED))
+WINDOWS = Windows(Episodes.of(OBSERVED), OBSERVED.driver.astype(float))
 
 
 def pools(count, seed=0):

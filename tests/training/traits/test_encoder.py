@@ -15,13 +15,14 @@ from hmi_marl.training.traits.encoder import (
     ContextEncoder,
     Posterior,
 )
-from hmi_marl.training.traits.windows import Batch, Units, Windows
+from hmi_marl.training.traits.episodes import Episodes
+from hmi_marl.training.traits.windows import Batch, Windows
 
 CARD = TraitCard(tuple((part.name, part.size) for part in LAYOUT.parts), latent=3, encoder=SMALL)
 LENGTH = [3, 7, 2, 7, 5, 4]
 OBSERVED = made_up(LENGTH, driver=[0, 1, 0, 1, 0, 1], names=("lisa", "bart")).observed
-UNITS = Units.of(OBSERVED)
-WINDOWS = Windows(OBSERVED, np.full(6, np.nan), UNITS)
+UNITS = Episodes.of(OBSERVED).units
+WINDOWS = Windows(Episodes.of(OBSERVED), np.full(6, np.nan))
 POOLS = np.array([[0, 2, 4], [1, 3, 5]])
 BATCH = WINDOWS.batch(POOLS)
 CLOSE = {"rtol": 1e-4, "atol": 1e-4}

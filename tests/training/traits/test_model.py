@@ -9,6 +9,7 @@ from trait_models import SMALL
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, situations
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
+from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.model import (
     Discriminator,
     Reward,
@@ -18,7 +19,7 @@ from hmi_marl.training.traits.model import (
     make_value,
     weights_of_model,
 )
-from hmi_marl.training.traits.windows import Units, Windows, transitions
+from hmi_marl.training.traits.windows import Windows, transitions
 
 CARD = TraitCard(
     tuple((part.name, part.size) for part in LAYOUT.parts),
@@ -31,8 +32,8 @@ CARD = TraitCard(
 )
 LENGTH = [3, 7, 2, 7, 5, 4]
 OBSERVED = made_up(LENGTH, driver=[0, 1, 0, 1, 0, 1], names=("lisa", "bart")).observed
-UNITS = Units.of(OBSERVED)
-WINDOWS = Windows(OBSERVED, np.full(6, np.nan), UNITS)
+UNITS = Episodes.of(OBSERVED).units
+WINDOWS = Windows(Episodes.of(OBSERVED), np.full(6, np.nan))
 POOLS = np.array([[0, 2, 4], [1, 3, 5]])
 BATCH = WINDOWS.batch(POOLS)
 X = situations(OBSERVED.states, OBSERVED.actions, OBSERVED.alerts)

@@ -9,8 +9,9 @@ from trait_models import SMALL
 
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.training.traits.encoder import ContextEncoder
+from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.self_supervision import AverageLearner, SelfSupervision
-from hmi_marl.training.traits.windows import Batch, Units, Windows
+from hmi_marl.training.traits.windows import Batch, Windows
 
 CARD = TraitCard(tuple((part.name, part.size) for part in LAYOUT.parts), latent=2, encoder=SMALL)
 DRIVERS, EACH = 40, 4
@@ -24,7 +25,7 @@ def windows(seed: int = 0) -> Windows:
     rng = np.random.default_rng(seed)
     habits = rng.dirichlet(np.full(5, 0.3), DRIVERS)
     actions = np.stack([rng.choice(5, 12, p=habits[who]) for who in driver])
-    return Windows(replace(data, actions=actions), np.full(len(data), np.nan), Units.of(data))
+    return Windows(Episodes.of(replace(data, actions=actions)), np.full(len(data), np.nan))
 
 
 WINDOWS = windows()
