@@ -276,6 +276,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     "reproduce ship": {
         "run": ["/no/such", "nope"],
         "compare": ["/no/such", "nope"],
+        "only": ["nope"],
         "out": ["file", "file/below"],
         "report": ["file", "file/below"],
     },

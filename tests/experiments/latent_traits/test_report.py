@@ -346,7 +346,7 @@ def test_r2_and_naming_are_averaged_over_seeds() -> None:
 
 def test_the_self_supervised_setting_is_judged_by_strangers() -> None:
     good = reading(beta=0.99, alpha=0.75, eta=0.65, inflation=1.01)
-    low = reading(beta=0.99, alpha=0.75, eta=0.55, inflation=1.01)
+    low = reading(beta=0.99, alpha=0.75, eta=0.40, inflation=1.01)
     for read, outcomes in ((good, [True] * 4), (low, [False, False, True, True])):
         verdicts = REPORT.judge(results(self=[one("self", reading=read)]))
         assert [verdict.holds for verdict in verdicts] == outcomes
