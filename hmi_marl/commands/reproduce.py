@@ -143,7 +143,7 @@ class ReproduceShip:
             if self.report is not None:
                 raise ValueError("--report is copied with all agents: leave it out, or --only")
             check_free(run_folder)
-            experiment = EXPERIMENTS[name].value.load(name)()
+            experiment = EXPERIMENTS.find(name).value.load(name)()
             agents = experiment.agents(Place(run_folder, run_folder))
             if not agents:
                 raise ValueError(f"{name} has no agents to ship")

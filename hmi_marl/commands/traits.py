@@ -11,7 +11,7 @@ import tyro
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.exact.importance import Sampling
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
-from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
+from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
 from hmi_marl.experiments.latent_traits.posterior import PosteriorEvaluation
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.training.traits.settings import TraitSettings

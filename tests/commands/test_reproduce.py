@@ -107,7 +107,7 @@ def test_agents_of_one_experiment_are_shipped_beside_the_others(
         (["--only", "traits", "--compare", str(tmp_path)], "--compare or --only, not both"),
         (["--only", "traits", "--report", str(tmp_path / "report")], "leave it out, or --only"),
         (["--only", "sweep"], "sweep has no agents to ship"),
-        (["--only", "nope"], "no experiment 'nope'"),
+        (["--only", "nope"], "unknown experiment 'nope'"),
     ):
         assert main([*command, *wrong]) == 2
         assert told in capsys.readouterr().err

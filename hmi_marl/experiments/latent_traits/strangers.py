@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_encoder import Latent
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Truth
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.latent_traits.latents import disjoint_pools, encode, latents
 from hmi_marl.experiments.latent_traits.probes import TraitR2, predict_traits, trait_r2
@@ -58,24 +58,24 @@ class Naming:
 
 
 def strangers_pools(
-    population: Demonstrations, size: int
-) -> tuple[Truth, NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the truth of strangers, pools of their windows, and which of these fit the probes.
+    driver: NDArray[np.int64], size: int
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return pools of strangers' windows, (P, size), and which of these fit the probes, (P,).
+
+    ``driver`` is that of each window, shape (E,); -1 if not known.
 
     Raises:
-        ValueError: the truth is not known, or fewer than four drivers have a pool.
+        ValueError: fewer than four drivers have a pool.
     """
-    if population.truth is None:
-        raise ValueError("traits can be regressed only where the truth is known")
-    pools = disjoint_pools(population.observed.driver, size)
-    who = np.unique(population.observed.driver[pools[:, 0]], return_inverse=True)[1]
+    pools = disjoint_pools(driver, size)
+    who = np.unique(driver[pools[:, 0]], return_inverse=True)[1]
     drivers = int(who.max()) + 1 if len(who) else 0
     if drivers < MIN_STRANGERS:
         raise ValueError(
             f"traits are regressed over {MIN_STRANGERS} drivers or more with {size} windows "
             f"each, but the population has {drivers}"
         )
-    return population.truth, pools, who % 2 == 0
+    return pools, who % 2 == 0
 
 
 def read_traits(
@@ -86,9 +86,12 @@ def read_traits(
     One half of the drivers, with pools of ``size`` windows, fits; the other half is judged.
 
     Raises:
-        ValueError: see :func:`strangers_pools`.
+        ValueError: the truth is not known; or see :func:`strangers_pools`.
     """
-    truth, pools, fits = strangers_pools(population, size)
+    truth = population.truth
+    if truth is None:
+        raise ValueError("traits can be regressed only where the truth is known")
+    pools, fits = strangers_pools(population.observed.driver, size)
     z = latents(model, encode(model, population.observed), pools).mean
     traits = truth.traits[pools[:, 0]]
     sides = z[fits], traits[fits], z[~fits]

@@ -77,7 +77,7 @@ def test_the_papers_agents_are_there() -> None:
     drivers = ["lisa", "marge", "bart", "homer", "average"]
     assert {"driver", "attentive-driver"} <= set(shipped_names("driver"))
     assert {*drivers, *(f"hidden-{name}" for name in drivers)} <= set(shipped_names("vehicle_ai"))
-    assert set(ENCODERS) == {"traits-none", "traits-id", "traits-preference"}
+    assert set(ENCODERS) == {"traits-none", "traits-id", "traits-preference", "traits-self"}
 
 
 @pytest.mark.parametrize("name", AGENTS)
@@ -115,7 +115,7 @@ def test_each_encoder_encodes(name: str) -> None:
     seen = windows.observed
     sums = model.encoder.encode(seen.states, seen.actions, seen.alerts, seen.length)
     latent = model.encoder.latent(sums)
-    assert latent.mean.shape == (4, 2)
+    assert latent.mean.shape == (4, 8 if name == "traits-self" else 2)
     assert np.isfinite(latent.mean).all()
 
 

@@ -321,12 +321,11 @@ def test_halves_are_equal_whoever_has_too_few_windows() -> None:
 
 def test_a_population_that_tells_too_little_is_refused() -> None:
     with pytest.raises(ValueError, match="only where the truth is known"):
-        strangers_pools(Demonstrations(random_drivers().observed), 2)
+        read_traits(speed_reader(), Demonstrations(random_drivers().observed), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 2 windows each, but .* has 3"):
         read_traits(speed_reader(), random_drivers(3), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 3 windows each, but .* has 0"):
-        strangers_pools(random_drivers(), 3)
-    truth, pools, fits = strangers_pools(random_drivers(), 2)
+        strangers_pools(random_drivers().observed.driver, 3)
+    pools, fits = strangers_pools(random_drivers().observed.driver, 2)
     assert pools.shape == (12, 2)
     assert fits.sum() == 6
-    assert truth.traits.shape == (24, 4)

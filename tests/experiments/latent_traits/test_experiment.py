@@ -21,14 +21,13 @@ from hmi_marl.envs.streams import part_seed
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.latent_traits import assessment, ceiling
 from hmi_marl.experiments.latent_traits.assessment import Assessment
+from hmi_marl.experiments.latent_traits.evaluation import SUPERVISIONS, TraitEvaluation
 from hmi_marl.experiments.latent_traits.experiment import (
     DEMONSTRATIONS,
     POPULATION,
     STRANGERS,
-    SUPERVISIONS,
     AssessSettings,
     LatentTraits,
-    TraitEvaluation,
 )
 from hmi_marl.files import sha256_of
 from hmi_marl.reporting.report import Report, Stopwatch
@@ -38,7 +37,11 @@ pytestmark = pytest.mark.usefixtures("few_folds")
 
 SMALL = AssessSettings(windows=10, episodes=2, ranked=2)
 TINY = LatentTraits(
-    demonstrated=2000, strangers=3, population=4, learn=TraitSettings(pool=1), evaluation=SMALL
+    demonstrated=2000,
+    strangers=3,
+    population=4,
+    learn=TraitSettings(pool=1, latent=2),
+    evaluation=SMALL,
 )
 
 
@@ -180,11 +183,11 @@ def test_what_is_recorded_is_not_recorded_again(
     with pytest.raises(ValueError, match=r"demonstrations holds another .*steps = 2000, now 1900"):
         replace(TINY, demonstrated=1900).collect(steering, tmp_path)
     # Too little is told before anything is learned from it.
-    larger = replace(TINY, learn=TraitSettings(pool=2))
+    larger = replace(TINY, learn=TraitSettings(pool=2, latent=2))
     with pytest.raises(ValueError, match="too few windows to judge by"):
         larger.collect(steering, tmp_path)
     monkeypatch.setattr(assessment, "pool_sizes", lambda *given: (1,))
-    many = replace(TINY, learn=TraitSettings(pool=32))
+    many = replace(TINY, learn=TraitSettings(pool=32, latent=2))
     with pytest.raises(ValueError, match=r"population holds another .*windows = 16, now 64"):
         many.collect(steering, tmp_path)
     with pytest.raises(ValueError, match="recorded with another driver policy than that of"):

@@ -15,7 +15,7 @@ from hmi_marl.experiments.latent_traits import figures
 from hmi_marl.experiments.latent_traits import report as trait_report
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
-from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
+from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, TraitScore
 from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, average_kl
@@ -352,8 +352,16 @@ def test_the_self_supervised_setting_is_judged_by_strangers() -> None:
         assert [verdict.holds for verdict in verdicts] == outcomes
         assert "at least beta 0.85, alpha 0.60, eta 0.50, inflation 0.88" in verdicts[0].claim
         assert verdicts[3].reason == "99.0 %"
-    (*_, windows, pools) = REPORT.judge(
-        results(self=[one("self", naming=[Naming(1, share(87, 100), 0.25)] * 2)])
+    (windows, pools) = REPORT.judge(
+        results(
+            self=[
+                one(
+                    "self",
+                    reading=None,
+                    naming=[Naming(n, share(87, 100), 0.25) for n in (1, POOL)],
+                )
+            ]
+        )
     )
     assert not windows.holds
     assert not pools.holds
