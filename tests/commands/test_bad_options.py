@@ -54,7 +54,7 @@ LEARNER = {
     "threads": ["0", "1000"],
     "checkpoint-every": ["nan", "-1", "inf"],
 }
-WEIGHTS = ("reconstruct", "information", "contrast", "regularise", "imitate")
+WEIGHTS = ("reconstruct", "information", "contrast", "regularise", "cohesion", "imitate")
 MACHINE = {"workers": ["0", "many"]}
 RAY = {"ray": ["nope", "ray://nope", "127.0.0.1:9"]}
 OUT = {"out": ["file", "file/below"]}
@@ -86,7 +86,11 @@ TRAITS = {
     "held-out": ["1", "nan"],
     "latent": ["0"],
     "pool": ["0", "7"],
-    "encoder-units": ["0"],
+    "average-updates": ["-1"],
+    "encoder-updates": ["-1"],
+    "drivers-per-update": ["1"],
+    "encoder-rate": ["0", "nan"],
+    "weight-decay": ["-1", "nan"],
     "steps": ["0"],
     "num-teams": ["0"],
     "expert-pools": ["3", "0"],
@@ -101,6 +105,14 @@ TRAITS = {
     **within("policy", NETWORK),
     **within("reward", NETWORK),
     **within("potential", NETWORK),
+    **within(
+        "encoder",
+        {
+            **{name: ["0"] for name in ("state-features", "step-features", "span", "features")},
+            **within("head", NETWORK),
+            **within("average", NETWORK),
+        },
+    ),
     **within("ppo", PPO),
 }
 ADAPT = {

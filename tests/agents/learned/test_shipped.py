@@ -84,7 +84,8 @@ def test_the_papers_agents_are_there() -> None:
 def test_cards_say_how_they_were_made_and_name_no_places(name: str) -> None:
     card = card_of(name)
     training = card["training"]
-    assert training["command"].startswith(("hmi-marl reproduce", "hmi-marl compare"))
+    commands = "hmi-marl reproduce", "hmi-marl compare", "hmi-marl traits train"
+    assert training["command"].startswith(commands)
     assert training["settings"]["seed"] == 0
     assert training["version"]
     assert not re.search(r'["\s=][/~]\w|[A-Za-z]:\\\\', json.dumps(card))
