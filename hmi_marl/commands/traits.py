@@ -21,9 +21,8 @@ from hmi_marl.training.traits.settings import TraitSettings
 class TrainTraits(TraitSettings):
     """Learn latent driver traits from demonstrations, by adversarial IRL.
 
-    By default self-supervised, from a population of strangers: hmi-marl collect --drivers
-    --population 2000 --driver-policy trained:driver. Resumes a run that was cut off in the same
-    folder.
+    By default self-supervised, from a population of strangers that hmi-marl collect has recorded.
+    Resumes a run that was cut off in the same folder.
 
     Example: hmi-marl traits train --demonstrations runs/demonstrations --supervision id
     """
