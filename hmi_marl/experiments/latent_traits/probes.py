@@ -305,7 +305,8 @@ def predict_traits(train_means: Array, train_traits: Array, means: Array, seed: 
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # stopped early on purpose
-        model.fit(train_means, train_traits)
+        # One trait has to come as one axis.
+        model.fit(train_means, train_traits if train_traits.shape[1] > 1 else train_traits[:, 0])
     return np.asarray(model.predict(means), np.float64).reshape(len(means), -1)
 
 
