@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 # The variables constrain what pip installs for the build itself, older and newer pips; -c does not.
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test coverage test-slow test-long wheel trainers parity soak torture docs lint format clean
+.PHONY: help run test coverage test-slow test-long wheel trainers parity soak torture docs release-check lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
@@ -18,6 +18,7 @@ help:
 	@echo "make soak       ten million random team steps over any settings, 200 episodes in both worlds"
 	@echo "make torture    kill, interrupt and starve commands at random moments, and compare what they leave"
 	@echo "make docs       the documentation site, in site/"
+	@echo "make release-check  whether this commit can be released, or what is left to do"
 	@echo "make lint       ruff, mypy and the contracts for imports"
 	@echo "make format     format the code with ruff"
 	@echo "make clean      remove $(VENV) and what was made"
@@ -55,8 +56,11 @@ torture: $(VENV)/.for-test
 	OMP_NUM_THREADS=1 $(BIN)/python tests/torture $(TORTURE)
 
 docs: $(VENV)/.for-docs
-	$(BIN)/mkdocs build --strict
-	@echo "open site/index.html; to search as well: $(BIN)/mkdocs serve"
+	$(BIN)/python docs/making
+	@echo "open site/index.html"
+
+release-check: $(VENV)/.for-test
+	$(BIN)/python tests/release.py
 
 lint: $(VENV)/.for-test
 	$(BIN)/ruff check .
@@ -83,7 +87,7 @@ $(VENV)/.for-run: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.for-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) torch
-	$(PIP_INSTALL) -e '.[video,train,interop,data,ray,docs,dev]'
+	$(PIP_INSTALL) -e '.[video,train,interop,data,ray,people,docs,dev]'
 	touch $@
 
 $(VENV)/.for-docs: pyproject.toml constraints.txt | $(BIN)/python

@@ -14,6 +14,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "interop": ("stable_baselines3", "supersuit"),
         "data": ("pyarrow", "sklearn", "minari", "h5py"),
         "ray": ("ray",),
+        "people": ("itsdangerous", "starlette", "statsmodels", "uvicorn", "websockets"),
     }
 )
 """Modules that each extra of ``pyproject.toml`` installs, by their import names."""

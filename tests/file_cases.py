@@ -23,6 +23,7 @@ from evidence_models import untrained_evidence
 from model_cards import with_weights
 from mutations import contents, hostile, hostile_json
 from parquet_files import write_signed
+from people.trips import a_trip
 from trait_models import save_driver, untrained
 
 from hmi_marl.agents.adaptive.evidence_model import load_evidence, save_evidence
@@ -36,7 +37,13 @@ from hmi_marl.demonstrations.parquet import (
     read_demonstrations,
     write_demonstrations,
 )
-from hmi_marl.files import with_checksum, without_checksum
+from hmi_marl.experiments.driver_map.cases import Case as MapCase
+from hmi_marl.experiments.driver_map.cases import CaseResult, Grid, Integral, Loss
+from hmi_marl.experiments.driver_map.experiment import read_result
+from hmi_marl.files import json_value, with_checksum, without_checksum
+from hmi_marl.people.record import TripRecord
+from hmi_marl.people.store import Store
+from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Table, Text, Verdicts, block_from
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 from hmi_marl.reproduction import suite
@@ -313,6 +320,26 @@ def signed_record(folder: Path) -> Case:
     return signed_json(path, lambda: suite._read(path))
 
 
+def map_file(folder: Path) -> Path:
+    path = folder / "case.json"
+    loss = Loss(*[Integral(0.5, 0.1)] * 3, 2.0, (0.1, 0.2, 0.3), {"lisa": 1.0}, (((0.5,),),))
+    result = CaseResult(MapCase(7, "paper", 10, 0.35), Grid(1, 2, (0.1,)), {"average": loss})
+    content = {"about": {"version": "1"}, "result": json_value(result)}
+    path.write_text(json.dumps(with_checksum(content)))
+    return path
+
+
+def map_case(folder: Path) -> Case:
+    """Mutate a case of the map of when the driver matters."""
+    path = map_file(folder)
+    return json_of(path, lambda: read_result(path), checked=True)
+
+
+def signed_map_case(folder: Path) -> Case:
+    path = map_file(folder)
+    return signed_json(path, lambda: read_result(path))
+
+
 def dataset(folder: Path) -> Path:
     made = made_up([4, 2, 3], crash_step=[-1, 1, 0], driver=[0, -1, 0])
     about = {"team": {"scene": {"lidar_cells": 4}}, "hmi": "random:0.2"}
@@ -377,6 +404,33 @@ def signed_rows(folder: Path) -> Case:
     return Case(path, lambda: use(folder), mutate)
 
 
+def trip(folder: Path) -> Case:
+    path = folder / "trip.json"
+    path.write_text(json.dumps(a_trip("graded", steps=5).record().to_json()))
+    return json_of(path, lambda: TripRecord.from_json(read_json(path)))
+
+
+def people_database(folder: Path) -> Case:
+    path = folder / "people.db"
+    with Store(path) as store:
+        session = store.new_session(store.new_visitor().number, "play", {"page": 1})
+        store.begin_trip(session, a_trip(steps=5).record())
+        store.answer(session, "safe", 5)
+        store.forget()
+    content = path.read_bytes()
+
+    def mutate(seed: int) -> None:
+        for log in folder.glob("people.db-*"):
+            log.unlink()
+        path.write_bytes(hostile(content, seed))
+
+    def read() -> object:
+        with Store(path, make=False) as store:
+            return [*store.trips(), *store.sessions(), *store.answers()]
+
+    return Case(path, read, mutate)
+
+
 CASES = {
     case.__name__: case
     for case in (
@@ -398,9 +452,13 @@ CASES = {
         block,
         record,
         signed_record,
+        map_case,
+        signed_map_case,
         observed_file,
         truth_file,
         signed_stamp,
         signed_rows,
+        trip,
+        people_database,
     )
 }

@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PARTS = ["run", "test", "coverage", "test-slow", "lint", "wheel"]
+PARTS = ["run", "test", "test-slow", "lint", "wheel"]
 MAKE = """#!/bin/sh
 # make -C FOLDER VENV=.venv PART
-{ echo "$4 $3"; cd "$2"; pwd -P; ls -A; cat file; env | grep -c '^PYTHONPATH='; } >> "$LOG"
+{ echo "$4 $3"; cd "$2"; pwd -P; ls -A; cat file; env | grep -c '^PYTHONPATH='
+  echo "$4 with $PYTEST_ADDOPTS"; } >> "$LOG"
 mkdir -p runs/table
 echo page > runs/table/index.html
 [ "$4" != "$FAILING" ] || exit 3
@@ -54,7 +55,7 @@ class Tried:
         before = _files(repository)
         self.run = subprocess.run(
             [repository / ".ci" / "run"],
-            env=os.environ | ours | {"PATH": path} | variables,
+            env=os.environ | ours | {"PATH": path, "PYTEST_ADDOPTS": ""} | variables,
             capture_output=True,
             text=True,
             check=False,
@@ -82,6 +83,13 @@ def test_every_part_is_tried_in_a_fresh_folder_with_what_is_committed(repository
     last = tried.run.stdout.splitlines()[-1]
     times = ", ".join(rf"{part} \d s" for part in PARTS)
     assert re.fullmatch(f"ci: all is well: {times}", last)
+
+
+def test_lines_are_counted_while_the_tests_run(repository: Path) -> None:
+    tried = Tried(repository, CI_PARTS="lint test test-slow")
+    assert re.search("^test with --cov .*--cov-fail-under=95$", tried.log, re.MULTILINE)
+    assert "lint with \n" in tried.log
+    assert "test-slow with \n" in tried.log
 
 
 def test_the_first_part_that_fails_is_named_and_ends_it(repository: Path) -> None:

@@ -56,6 +56,7 @@ NO_SETTINGS = {
 
 EXAMPLES = {
     "PosteriorEvaluation": {"demonstrations": Path("data")},
+    "Case": {"window": 7, "weights": "paper", "horizon": 100, "revealing": 0.35},
     "Driver": {"name": "mona", "beta": 0.1, "alpha": 0.2, "eta": 0.3, "inflation": 4.0},
     "Uniform": {"low": 0.5, "high": 1.0},
     "Choice": {"values": (0.5, 1.0)},

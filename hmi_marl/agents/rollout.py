@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
@@ -77,7 +77,11 @@ class _Acting:
 
 
 def turn(
-    teaming: Teaming, driver: Policy, hmi: Policy, observers: Sequence[Observer] = ()
+    teaming: Teaming,
+    driver: Policy,
+    hmi: Policy,
+    observers: Sequence[Observer] = (),
+    looking_away: ArrayLike | None = None,
 ) -> StepResult:
     """Take one step of every team.
 
@@ -85,7 +89,8 @@ def turn(
     :func:`hmi_marl.envs.seats.moves_sequentially`.
 
     A policy with an attribute ``reads`` is shown 0 in the parts that it does not read, except for
-    an HMI whose observations an observer wants to see.
+    an HMI whose observations an observer wants to see. For ``looking_away`` see
+    :meth:`Teaming.step`.
     """
     curious = [observer for observer in observers if type(observer).seen is not Observer.seen]
 
@@ -98,7 +103,7 @@ def turn(
         observer.before(teaming)
     drive = _Acting(driver.act, parts_read(driver))
     react = _Acting(alert, None if curious else parts_read(hmi))
-    result = teaming.turn(drive, react, moves_sequentially(hmi))
+    result = teaming.turn(drive, react, moves_sequentially(hmi), looking_away=looking_away)
     for observer in observers:
         observer.after(teaming, result)
     return result

@@ -156,6 +156,32 @@ SUBCOMMANDS = (
         "commands.oracle:Oracle",
     ),
     Subcommand(
+        "people",
+        "Export, delete and measure what people left at the wheel.",
+        "commands.people:PeopleCommand",
+        choices=(
+            Subcommand(
+                "export",
+                "Write trips and answers of people into files.",
+                "commands.people:ExportPeople",
+                options=(
+                    Option(
+                        "--formats parquet", _PARQUET, lambda command: "parquet" in command.formats
+                    ),
+                    Option(
+                        "--formats minari", _MINARI, lambda command: "minari" in command.formats
+                    ),
+                ),
+            ),
+            Subcommand(
+                "delete",
+                "Delete all data of one person from a database, by the code that they were given.",
+                "commands.people:DeletePeople",
+            ),
+        ),
+        choice="what",
+    ),
+    Subcommand(
         "reproduce",
         "Reproduce the paper's results, each number with its exact value and a verdict.",
         "commands.reproduce:reproduce_command",

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.catalogue import make_hmi
 from hmi_marl.demonstrations.dataset import Observed, observed_layout
+from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import (
     DRIVERS,
@@ -34,13 +35,14 @@ from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.single import MergeDriver
+from hmi_marl.typed_json import read_as
 
 
 def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     """Make a configuration from JSON, as :func:`hmi_marl.files.json_value` writes it.
 
     Args:
-        team: fields of :class:`TeamConfig` but ``driver``; ``scene`` and ``weights`` are mappings.
+        team: fields of :class:`TeamConfig`; ``driver`` may be left out.
         defaults: values of fields that ``team`` lacks.
 
     Raises:
@@ -53,6 +55,13 @@ def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     scene: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in given.items()
     }
+    if isinstance(driver := fields.get("driver"), Mapping):
+        listed = "drivers" in driver
+        fields["driver"] = (
+            read_as(DriverList, driver) if listed else read_as(TraitDistributions, driver)
+        )
+    if isinstance(fatigue := fields.get("fatigue"), Mapping):
+        fields["fatigue"] = read_as(Fatigue, fatigue)
     return TeamConfig(scene=Scene(**scene), weights=RewardWeights(**weights), **fields)
 
 

@@ -35,6 +35,7 @@ from hmi_marl.demonstrations.dataset import (
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver, TraitDistributions, Traits, get_driver
+from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import Seed, Stream, episode_seed, mix
@@ -219,7 +220,7 @@ def _play(
     config = settings.team(_Placed(traits))
     driver, hmi = settings.make_driver(config), settings.make_hmi(config)
     teaming = begin(config, driver, hmi, seeds, "batched")
-    recorder = _Recorder(config, teaming, progress)
+    recorder = StepRecorder(config, len(seeds), progress)
     play(teaming, driver, hmi, [recorder])
     names, r = tuple(driver.name for driver in cast), recorder
     steps = r.states, r.applied, r.alerts, teaming.steps.copy(), r.crash_step
@@ -228,19 +229,25 @@ def _play(
     return Demonstrations(observed, Truth(*hidden, traits.as_array(), about[1]))
 
 
-class _Recorder(Observer):
-    """Record the observable data of each step and, separately, the truth."""
+class StepRecorder(Observer):
+    """Record the observable data of each step of N teams and, separately, the truth.
+
+    Args:
+        config: of the teams.
+        num_teams: N.
+        progress: called with the number of steps that were recorded since the last call.
+    """
 
     def __init__(
-        self, config: TeamConfig, teaming: Teaming, progress: Callable[[int], Any]
+        self, config: TeamConfig, num_teams: int = 1, progress: Callable[[int], Any] = id
     ) -> None:
         self.layout = observed_layout(config)
-        self._columns = _in_one_piece(teaming.layouts[VEHICLE_AI].columns_of(self.layout))
-        shape = teaming.num_teams, config.horizon
+        self._columns = _in_one_piece(vehicle_ai_layout(config).columns_of(self.layout))
+        shape = num_teams, config.horizon
         self.states = np.zeros((*shape, self.layout.size), np.float32)
         self.alerts, self.distracted, self.accepted, self.counter = np.zeros((4, *shape), np.int64)
         self.applied, self.intended = np.full((2, *shape), MISSING)
-        self.crash_step = np.full(teaming.num_teams, MISSING)
+        self.crash_step = np.full(num_teams, MISSING)
         self._progress = progress
         self._step = 0
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.step_result import StepResult, Then
@@ -189,16 +189,18 @@ class PartnerTurns:
         actions: NDArray[np.int64] | list[int],
         views: Views = (),
         then: Then | None = None,
+        looking_away: ArrayLike | None = None,
     ) -> StepResult:
         """Take one step of every team from this seat's actions, shape (N,).
 
-        Where the partner fails, no team has moved, and the step can be taken again. For ``views``
-        and ``then`` see :meth:`Teaming.step`.
+        Where the partner fails, no team has moved, and the step can be taken again. For ``views``,
+        ``then`` and ``looking_away`` see :meth:`Teaming.step`.
         """
+        more = views, then, looking_away
         if self._seat == DRIVER:
             sequential = moves_sequentially(self._partner)
-            return self._teaming.turn(actions, self._asked, sequential, views, then)
+            return self._teaming.turn(actions, self._asked, sequential, *more)
         if not self._drives_first:
-            return self._teaming.turn(self._asked, actions, False, views, then)
+            return self._teaming.turn(self._asked, actions, False, *more)
         self.prepare()  # again, if the partner failed when it was asked first
-        return self._teaming.step(actions, views, then)
+        return self._teaming.step(actions, *more)

@@ -23,9 +23,11 @@ from hmi_marl.envs.copies import writeable
 from hmi_marl.envs.drivers import Traits, check_traits
 from hmi_marl.envs.executions import execution_for
 from hmi_marl.envs.observation_values import first_columns
+from hmi_marl.envs.seen_attention import seen_from_outside
 from hmi_marl.envs.shown_teams import ShownTeams
 from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
 from hmi_marl.envs.team_arrays import Group, Rules, Teams
+from hmi_marl.envs.team_checks import check_mask, check_seeds, check_team_numbers
 from hmi_marl.envs.team_step import (
     AT_START,
     DISTRACTED,
@@ -108,7 +110,7 @@ class Teaming(ShownTeams):
         """
         fresh = check_mask(which, self.num_teams)
         teams = np.flatnonzero(fresh)
-        self.begin(teams, self._checked_seeds(seeds, fresh)[teams])
+        self.begin(teams, check_seeds(seeds, fresh)[teams])
 
     def begin(self, teams: NDArray[np.int64], seeds: NDArray[np.uint64]) -> None:
         """Begin new episodes in M teams.
@@ -120,7 +122,7 @@ class Teaming(ShownTeams):
         Raises:
             ValueError, TypeError: a population that draws impossible traits. Nothing has changed.
         """
-        teams = self._checked_teams(teams)
+        teams = check_team_numbers(teams, self.num_teams)
         seeds = np.require(seeds, np.uint64, ("C", "W"))
         if seeds.shape != teams.shape:
             raise ValueError(f"seeds of {len(teams)} teams have shape {teams.shape}")
@@ -155,6 +157,7 @@ class Teaming(ShownTeams):
         sequential: bool = True,
         views: Views = (),
         then: Then | None = None,
+        looking_away: ArrayLike | None = None,
     ) -> StepResult:
         """Take one step of every team, each seat in its turn.
 
@@ -163,7 +166,7 @@ class Teaming(ShownTeams):
             hmi: a^A_t, or a function from the vehicle AI's observations to them.
             sequential: whether the vehicle AI is asked after the driver and so sees a^H_t. If
                 not, it is asked first and sees a^H_{t-1}.
-            views, then: see :meth:`step`.
+            views, then, looking_away: see :meth:`step`.
 
         Raises:
             ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
@@ -173,7 +176,7 @@ class Teaming(ShownTeams):
         self.intend(self.ask(DRIVER, driver))
         try:
             alerts = self.ask(VEHICLE_AI, hmi) if sequential else alerts
-            return self.step(alerts, views, then)
+            return self.step(alerts, views, then, looking_away)
         except Exception:
             self.withdraw()  # does nothing if the step has been taken
             raise
@@ -203,7 +206,13 @@ class Teaming(ShownTeams):
         state[given, INTENDED] = state[given, PREVIOUS]
         given[:] = False
 
-    def step(self, alerts: ArrayLike, views: Views = (), then: Then | None = None) -> StepResult:
+    def step(
+        self,
+        alerts: ArrayLike,
+        views: Views = (),
+        then: Then | None = None,
+        looking_away: ArrayLike | None = None,
+    ) -> StepResult:
         """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
 
         Ended teams stay as they are and get zeros.
@@ -213,19 +222,30 @@ class Teaming(ShownTeams):
                 strengths.
             views: observations after the step to compute along with it; see :meth:`views`.
             then: what teams do whose episode ends; by default nothing.
+            looking_away: d_t where it is seen from outside, shape (N,): 1 while the driver looks
+                away, 0 while at the road, -1 where the chain draws it, as it does by default. c_t,
+                i_t and v_t follow as always. Those of ended teams are not read.
 
         Raises:
-            ValueError: an action out of range, or no :meth:`intend` before.
+            ValueError: an action out of range, no :meth:`intend` before, or ``then`` with
+                ``looking_away``.
         """
         groups = self._groups(views, self.num_teams)
+        moved, along = self._teams, groups
+        if looking_away is not None:
+            if then is not None:
+                raise ValueError("with looking_away= episodes begin by reset(); leave out then=")
+            given = self._checked(looking_away, "looking_away")
+            moved = moved._replace(traits=seen_from_outside(moved.traits, given, moved.over))
+            along = {}  # written afterwards, with the drivers' own traits
         finals = [self._final(name) for name in then.views] if then else []
         if then is not None:
             then.series.look_ahead()  # before anything moves, since a population may fail
         rewards, ends, totals = self._execution.step(
-            self._teams,
+            moved,
             self._checked(alerts, VEHICLE_AI),
             self._spare,
-            tuple(groups.values()),
+            tuple(along.values()),
             tuple(finals),
             then.series if then else None,
         )
@@ -237,6 +257,8 @@ class Teaming(ShownTeams):
             then.series.moved = True
             seen = {name: group.rows[teams] for name, group in zip(then.views, finals, strict=True)}
             ended = EndedTeams(teams, seen, totals[teams])
+        if groups and not along:
+            self._execution.write(self._teams, self._every, tuple(groups.values()))
         shown = {name: group.rows for name, group in groups.items()}
         return StepResult(rewards, ends, shown, ended)
 
@@ -278,7 +300,7 @@ class Teaming(ShownTeams):
         Returns:
             Arrays of shape (M, size of the layout).
         """
-        which = self._every if teams is None else self._checked_teams(teams)
+        which = self._every if teams is None else check_team_numbers(teams, self.num_teams)
         groups = self._groups(names, len(which))
         if groups and len(which):
             self._execution.write(self._teams, which, tuple(groups.values()))
@@ -307,28 +329,9 @@ class Teaming(ShownTeams):
             self._columns[name, parts] = Group.of(no_rows, first_columns(layout, name, parts))
         return self._columns[name, parts]
 
-    def _checked_teams(self, teams: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return numbers of teams as int64, or raise if one is none or stands there twice."""
-        which = np.require(teams, np.int64, ("C", "W"))
-        if which.ndim != 1 or len(np.unique(which)) != len(which):
-            raise ValueError(f"teams= are different numbers in one row, not {teams!r}")
-        if len(which) and not 0 <= which.min() <= which.max() < self.num_teams:
-            raise ValueError(f"teams= are numbers from 0 to {self.num_teams - 1}, not {teams!r}")
-        return which
-
     def whole_actions(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """Return actions of shape (N, C) as int64 of shape (C, N); see :meth:`Execution.whole`."""
         return self._execution.whole(actions, sizes)
-
-    def _checked_seeds(self, seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:
-        given = np.asarray(seeds)
-        if given.shape != (self.num_teams,):
-            raise ValueError(f"seeds have shape ({self.num_teams},), not {given.shape}")
-        if not np.issubdtype(given.dtype, np.integer):
-            raise TypeError(f"seeds are integers, best an array of uint64, but got {given.dtype}")
-        if (given[fresh] < 0).any():
-            raise ValueError(f"a seed lies in [0, 2^64), but got {given[fresh].min()}")
-        return given.astype(np.uint64)
 
     def _checked(self, actions: ArrayLike, agent: str) -> NDArray[np.int64]:
         """Return actions as int64, or raise if they have another shape or type."""
@@ -343,17 +346,6 @@ class Teaming(ShownTeams):
         if given.dtype.kind not in "iu":
             raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
         return np.require(given, np.int64, ("C", "W"))
-
-
-def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:
-    """Return the marks of teams, bool, shape (count,): all by default; or raise ValueError."""
-    mask = np.ones(count, np.bool_) if which is None else np.asarray(which)
-    if mask.shape != (count,) or mask.dtype != np.bool_:
-        raise ValueError(
-            f"which= marks teams by bools of shape ({count},), but got {mask.dtype} of shape "
-            f"{mask.shape}"
-        )
-    return np.require(mask, np.bool_, ("C", "W"))
 
 
 def _nothing(count: int, layout: obs.Layout) -> NDArray[np.float32]:

@@ -33,8 +33,8 @@ from hmi_marl.checks import COUNT
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, Traits, get_driver
 from hmi_marl.envs.elementwise import choose
+from hmi_marl.envs.team_checks import check_mask
 from hmi_marl.envs.team_step import NO_ACTION
-from hmi_marl.envs.teaming import check_mask
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 
 _ROUNDING = 1e-6

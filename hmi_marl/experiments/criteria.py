@@ -46,6 +46,14 @@ LEAST_HEADWAY_RATIO = 1.2
 BAYES_MARGIN = 0.01
 """Largest shortfall of an HMI as good as the Bayes filter, as a share of the filter's return."""
 
+# When the driver matters.
+
+SAME_RULE = 1e-6
+"""Largest loss of return per episode with which a rule counts as optimal: rounding."""
+LEAST_WORTH = 1.0
+"""Least return per episode that counts as worth knowing the driver for: a tenth of what one
+distracted step costs."""
+
 # Graded alerts.
 
 GRADED_OPTIMUM_SHARE = 0.97

@@ -59,7 +59,7 @@ class References:
     """Without alerts."""
     filter: float | None
     """Of the Bayes filter that knows the traits and the share of revealing steps, attention hidden;
-    None with graded alerts or fatigue."""
+    None where the vehicle AI sees attention, and with graded alerts or fatigue."""
     optimum: float
     """Of the optimum with attention seen."""
 
@@ -94,7 +94,7 @@ class ReferenceReturns:
         problem = exact_settings(team)
         optimum = oracle.solve_alerts(**problem).return_after(lengths)
         none = oracle.evaluate(0.0, **problem).return_after(lengths)
-        if not team.alerts.plain:
+        if team.ai_sees_attention or not team.alerts.plain:
             return cls(none, None, optimum)
         driver, game = problem["driver"], (team.alert_window, team.horizon, team.weights)
         rule = solve_belief(driver, *game, revealing, sequential)
@@ -182,9 +182,9 @@ class PairScore:
     regret: Estimate
     """Optimum with attention seen less the return: hiding and shortfall together."""
     hiding: float | None
-    """Cost of hiding attention: optimum with attention seen less the Bayes filter."""
+    """Cost of hiding attention: optimum with attention seen less the Bayes filter, if any."""
     shortfall: Estimate | None
-    """The HMI's own part of the regret: Bayes filter less the return."""
+    """The HMI's own part of the regret: Bayes filter, if there is one, less the return."""
     given_up: GivenUp | None
     """The driver's part; None without a natural driver."""
 

@@ -76,6 +76,11 @@ EXPERIMENTS.register(
     Where("hmi_marl.experiments.graded_alerts:GradedAlerts"),
 )
 EXPERIMENTS.register(
+    "map",
+    "Map exactly when the best alert rule depends on the driver, and what knowing them is worth.",
+    Where("hmi_marl.experiments.driver_map.experiment:DriverMap", (), in_suite=False),
+)
+EXPERIMENTS.register(
     "protocols",
     "Train by every protocol with equal environment steps and several seeds, and compare them.",
     Where("hmi_marl.experiments.protocols.experiment:ProtocolComparison", in_suite=False),

@@ -29,7 +29,8 @@ _STYLE = """
          overflow-wrap: normal; }
  th, td { padding: .35rem .6rem; border-bottom: 1px solid var(--line); text-align: left;
           vertical-align: top; }
- tr > :first-child { position: sticky; left: 0; background: var(--paper); }
+ tr > :first-child { position: sticky; left: 0; background: var(--paper);
+                    min-width: min(9rem, 25vw); overflow-wrap: anywhere; }
  .whole { white-space: nowrap; } .word { display: inline-block; max-width: 100%; }
  img { max-width: 100%; height: auto; background: #fff; border-radius: 4px; }
  .clip { width: 100%; max-width: 880px; }
@@ -38,8 +39,11 @@ _STYLE = """
  a { color: inherit; } code, .small { font-size: .85rem; color: var(--quiet); }
  .good { color: var(--good); } .bad { color: var(--bad); } .half { color: var(--half); }
  .good, .bad, .half { font-weight: 600; }
+ @media (prefers-color-scheme: dark) { /* white figures turn dark, their hues stay */
+   img:not(.clip) { filter: invert(.91) hue-rotate(180deg); } }
  @media (max-width: 40rem) { body { margin: 1rem auto; } th, td { padding: .3rem .35rem;
-   font-size: .8rem; } .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; } }
+   font-size: .8rem; } tr > :first-child { max-width: 45vw; }
+   .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; } }
 """
 
 

@@ -12,6 +12,7 @@ from hmi_marl.agents.learned.trait_model import save_traits
 from hmi_marl.cli import main
 from hmi_marl.commands.registry import SUBCOMMANDS
 from hmi_marl.files import sha256_of
+from hmi_marl.people.store import Store
 from hmi_marl.training.runs import start
 
 LONGEST = 20.0
@@ -210,6 +211,16 @@ BAD: dict[str, dict[str, list[str]]] = {
         "alert-strengths": ["2", "nan"],
         "fatigue": ["0 0 2"],
     },
+    "people delete": {
+        "database": ["/no/such.db", "file"],
+        "code": ["nope"],
+    },
+    "people export": {
+        **OUT,
+        "database": ["/no/such.db", "file"],
+        "formats": ["nope", ""],
+        "visitor": ["0", "99"],
+    },
     "traits train": {
         **TRAITS,
         **OUT,
@@ -283,6 +294,21 @@ BAD: dict[str, dict[str, list[str]]] = {
         **SIZES,
         "hmi-steps": ["0"],
         "quick": [*QUICK, "--hmi-steps 7"],
+    },
+    "reproduce map": {
+        **MACHINE,
+        **RAY,
+        **OUT,
+        "windows": ["0", "7 7"],
+        "window": ["0"],
+        "shares": ["2", "nan", "0.5 0.5"],
+        "revealing": ["nan"],
+        "etas": ["-1", "0.1 0.1"],
+        "horizon": ["0", "1000000"],
+        "seen-cells": ["0"],
+        "hidden-cells": ["0"],
+        "points": ["1"],
+        "quick": ["nope", "--points 7"],
     },
     "reproduce protocols": COMPARE,
     "reproduce ship": {
@@ -423,6 +449,8 @@ BAD: dict[str, dict[str, list[str]]] = {
 PRESET = {
     "sweep": {"PROTOCOLS": "joint two-stage"},
     "export": {"policy": "trained:homer"},
+    "people delete": {"database": "PEOPLE", "code": "K7QF2M9PXW4ZH8TD"},
+    "people export": {"database": "PEOPLE"},
     "reproduce ship": {"out": "out", "run": "/no/such"},
     "traits train": {"demonstrations": "DATA"},
     "traits evaluate": {"demonstrations": "DATA", "runs": "MODEL"},
@@ -430,7 +458,7 @@ PRESET = {
     "watch": {"out": "clip.gif"},
 }
 """Options that a command needs anyway, so that nothing else is wrong with it."""
-POSITIONAL = ("runs", "PROTOCOLS")
+POSITIONAL = ("runs", "PROTOCOLS", "database", "code")
 
 
 @dataclass(frozen=True)
@@ -498,7 +526,9 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "demonstrations": sha256_of(folder / "data" / OBSERVED),
     }
     save_traits(folder / "model", replace(model.card, training=training), model.weights)
-    return {"DATA": str(folder / "data"), "MODEL": str(folder / "model")}
+    Store(folder / "people.db").close()
+    named = {"DATA": "data", "MODEL": "model", "PEOPLE": "people.db"}
+    return {word: str(folder / name) for word, name in named.items()}
 
 
 @pytest.fixture

@@ -52,6 +52,8 @@ print(json.dumps([one(*each) for each in {cases!r}]))
 loaded what is slow is told after each."""
 ARGUMENTS = {
     "export": ["--policy", "trained:homer"],
+    "people delete": ["people.db", "CODE"],
+    "people export": ["people.db"],
     "reproduce ship": ["--out", "agents"],
     "sweep": ["joint"],
     "traits evaluate": ["runs/traits-id"],
@@ -61,6 +63,10 @@ CHEAP = {
     "adapt": None,  # minutes even with --quick: see test_nothing_of_an_extra_is_imported_to_adapt
     "bench": "--teams 2 --threads 1 --rounds 1 --seconds 0.01 --scaling 1",
     "oracle": "--horizon 3",
+    "people delete": None,  # needs a database: see test_people.py
+    "people export": None,  # the same
+    "reproduce map": "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 "
+    "--hidden-cells 1 --points 2 --workers 1",
     "reproduce ship": None,  # needs a finished reproduction
     "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
     "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2 --no-clip",
@@ -74,6 +80,8 @@ OPTIONS = {
         if any(option.shown == "--ray" for option in leaf.options)
     },
     ("collect", "--minari"): ["--minari"],
+    ("people export", "--formats parquet"): ["people.db", "--formats", "parquet"],
+    ("people export", "--formats minari"): ["people.db", "--formats", "minari"],
     ("watch", "--out clip.mp4"): ["--out", "folder/clip.mp4"],
 }
 

@@ -15,8 +15,9 @@ from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.demonstrations.env import DemonstratedDriver, env_spec, team_config, team_of
 from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
+from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import PAPER_DRIVERS
+from hmi_marl.envs.drivers import PAPER_DRIVERS, Choice, Driver, TraitDistributions, Uniform
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.files import json_value
 
@@ -120,3 +121,15 @@ def test_windows_longer_than_an_episode_are_refused():
     team = {"scene": {"lidar_cells": 4}, "duration": 1.0}
     with pytest.raises(ValueError, match="a window has 10 steps, but an episode of this team 5"):
         team_of(replace(observed, about={"team": team}))
+
+
+@pytest.mark.parametrize("driver", ["homer", ["lisa", Driver("own", 0.1, 0.2, 0.3, 4.0)], None])
+def test_a_configuration_is_what_json_says_it_was(driver: Any) -> None:
+    drawn = TraitDistributions(beta=Choice((0.1, 0.2)), eta=Uniform(0.5, 1.0))
+    config = TeamConfig(
+        driver=drawn if driver is None else driver,
+        alert_strengths=(0.5, 1.0),
+        fatigue=Fatigue(levels=4),
+        scene=Scene(vehicles=(2, 3), target_speeds=(10.0, 20.0)),
+    )
+    assert team_config(json.loads(json.dumps(json_value(config)))) == config

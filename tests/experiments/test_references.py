@@ -33,7 +33,7 @@ from hmi_marl.files import json_value
 from hmi_marl.reporting.blocks import as_text
 
 TEAM = TeamConfig(driver="bart", ai_sees_attention=False)
-COIN = TeamConfig(driver=Driver("coin", 0.5, 0.0, 1.0, 1.0), duration=0.4)
+COIN = TeamConfig(driver=Driver("coin", 0.5, 0.0, 1.0, 1.0), duration=0.4, ai_sees_attention=False)
 """Two steps; distracted by the toss of a coin, for good; an alert always helps."""
 
 
@@ -56,6 +56,16 @@ def made(seeds, lengths, returns=None, driving=0.0, crashed=False) -> Episodes:
         median_time_headway=headways,
         returns=terms,
     )
+
+
+def test_with_attention_seen_the_whole_regret_is_the_hmis():
+    team = dataclasses.replace(COIN, ai_sees_attention=True)
+    (score,) = score_pair(team, made([0, 1], [2, 2], returns=[20.0, 25.0]), {"coin": 0.3})
+    assert score.references.filter is None
+    assert score.hiding is None
+    assert score.shortfall is None
+    assert score.regret.mean == pytest.approx(0.0)  # the optimum is 22.5
+    as_text(score_tables([score]))
 
 
 def test_references_worked_by_hand():

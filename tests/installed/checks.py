@@ -111,8 +111,7 @@ def run_program(text: str, environment: Environment, folder: Path) -> str:
 
 
 def run_site(row: Row, environment: Environment, folder: Path) -> str:
-    where = ["--config-file", ROOT / "mkdocs.yml", "--site-dir", folder / "site"]
-    run = environment.python(["-m", *row.name.split(), *where], folder)
+    run = environment.python([ROOT / row.name, "--site-dir", folder / "site"], folder)
     succeeded(run)
     assert (folder / "site" / "index.html").is_file()
     return run.stderr

@@ -10,14 +10,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pages import PAGES, README, blocks, hook
+from made_parts import fill
+from pages import PAGES, README, blocks
 from test_examples import TINY
 
 Kind = Literal["command", "option", "example", "readme", "page", "site"]
 
 CORE: frozenset[str] = frozenset()
-VIDEO, TRAIN, INTEROP, DATA, RAY, DOCS = (
-    frozenset({extra}) for extra in ("video", "train", "interop", "data", "ray", "docs")
+VIDEO, TRAIN, INTEROP, DATA, RAY, PEOPLE, DOCS = (
+    frozenset({extra}) for extra in ("video", "train", "interop", "data", "ray", "people", "docs")
 )
 
 
@@ -78,6 +79,13 @@ COMMANDS = (
     _command("compare", TRAIN, _COMPARED),
     _command("export", TRAIN, "--policy trained:homer --out hmi.onnx"),
     _command("oracle", CORE, "--horizon 5"),
+    _command("people delete", CORE, "people.db CODE", not_run="needs a person's code"),
+    _command(
+        "people export",
+        CORE,
+        "people.db",
+        not_run="needs a database of people; tests/commands/test_people.py runs it without extras",
+    ),
     _command("reproduce all", TRAIN | DATA, not_run="takes a quarter of an hour with --quick"),
     _command(
         "reproduce table",
@@ -106,6 +114,12 @@ COMMANDS = (
         "reproduce graded",
         TRAIN,
         "--hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
+    ),
+    _command(
+        "reproduce map",
+        CORE,
+        "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 --hidden-cells 1 "
+        "--points 2",
     ),
     _command("reproduce protocols", TRAIN, _COMPARED),
     _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}"),
@@ -146,6 +160,20 @@ COMMANDS = (
 OPTIONS = (
     Row("option", "collect --minari", DATA, "--drivers homer --steps 100 --num-teams 1 --minari"),
     Row("option", "compare --ray", TRAIN | RAY, f"{_COMPARED} --ray local"),
+    Row(
+        "option",
+        "people export --formats parquet",
+        DATA,
+        "people.db --formats parquet",
+        not_run="see people export",
+    ),
+    Row(
+        "option",
+        "people export --formats minari",
+        DATA,
+        "people.db --formats minari",
+        not_run="see people export",
+    ),
     Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local"),
     *(
         Row(
@@ -200,9 +228,11 @@ SITE_PAGES = tuple(
         "extending.md": (CORE,),
         "graded-alerts.md": (CORE,),
         "index.md": (CORE,),
+        "people.md": (CORE,),
         "settings.md": (CORE,),
         "training.md": (TRAIN,),
         "traits.md": (DATA, _COLLECT, _TRAITS),
+        "when-the-driver-matters.md": (CORE,),
     }.items()
 )
 """Every page with blocks of Python, which are one program from top to bottom, and the commands that
@@ -214,7 +244,7 @@ ROWS = (
     *EXAMPLES,
     *README_BLOCKS,
     *SITE_PAGES,
-    Row("site", "mkdocs build --strict", DOCS),
+    Row("site", "docs/making", DOCS),
 )
 
 
@@ -232,7 +262,6 @@ def readme_block(row: Row) -> str:
 
 def page_programs() -> Iterator[tuple[str, str]]:
     """Name and program of every page that has blocks of Python."""
-    fill = hook().fill
     for page in PAGES:
         found = blocks(fill(page.read_text("utf-8")), "python")
         if found:

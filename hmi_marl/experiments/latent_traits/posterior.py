@@ -246,11 +246,11 @@ class PosteriorEvaluation(Experiment[list[PosteriorRow]]):
         stored = ObservedFile(self.demonstrations)
         if not (self.demonstrations / TRUTH).is_file():
             raise ValueError(_NO_TRUTH)
+        _first_windows(stored.driver, max(self.windows, default=1))
         some = stored.read(0, 1)
         check_at_random(some)
         if any(CASES[case].policy for case in self.cases):
             driver_policy_of(some, self.driver_policy, team_of(some))
-        _first_windows(stored.driver, max(self.windows, default=1))
 
     def run(self, place: Place) -> list[PosteriorRow]:
         """Compute the posteriors from more and more driving."""

@@ -132,14 +132,15 @@ def test_what_cannot_be_judged_leaves_no_folder(population: Demonstrations, tmp_
         conduct(PosteriorEvaluation(data), Place(out, out))
     observed = population.observed
     by_rule = {**observed.about, "driver_policy": {"name": "rule"}}
-    for lacking, message in (
-        (Demonstrations(observed), "true traits, which these data do not hold"),
-        (population, "only 0 drivers have 16 windows"),
-        (replace(population, observed=replace(observed, about=by_rule)), "a learned driver policy"),
+    ruled = replace(population, observed=replace(observed, about=by_rule))
+    for lacking, windows, message in (
+        (Demonstrations(observed), 1, "true traits, which these data do not hold"),
+        (population, 16, "only 0 drivers have 16 windows"),
+        (ruled, 1, "a learned driver policy"),
     ):
         write_demonstrations(data, lacking)
         with pytest.raises(ValueError, match=message):
-            conduct(PosteriorEvaluation(data), Place(out, out))
+            conduct(PosteriorEvaluation(data, windows=(windows,)), Place(out, out))
         assert not out.exists()
 
 

@@ -253,7 +253,7 @@ def test_every_task_plays_known_policies_and_scores_them(task: str, tmp_path: Pa
         assert sum(part.episodes for part in found.shared.values()) == 16
         for name in TINY.driver_names:
             known = found.scores[name].references
-            assert (known.filter is None) == (task in ("graded", "fatigue"))
+            assert (known.filter is None) == (task in ("seen", "graded", "fatigue"))
             assert np.isfinite(shortfall(found, name).mean)
             assert hiding(found, name) >= 0.0
 

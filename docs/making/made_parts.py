@@ -16,10 +16,8 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import get_type_hints
 from unittest import mock
-
-from pygments.formatters import HtmlFormatter
 
 from hmi_marl import merge_v0
 from hmi_marl.checks import Checked, allowed
@@ -34,7 +32,7 @@ from hmi_marl.envs.observations import (
 )
 from hmi_marl.extras import EXTRAS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 _PART = re.compile(
     r"^<!-- made: ([\w .-]+) -->\n(?:.*?\n)??<!-- end -->$", re.MULTILINE | re.DOTALL
 )
@@ -111,7 +109,7 @@ def _import_all_that_is_installed() -> None:
     them without any extra, so they are in modules that need none.
     """
     extras = {module for modules in EXTRAS.values() for module in modules}
-    for package in "agents", "demonstrations", "envs", "experiments", "training":
+    for package in "agents", "demonstrations", "envs", "experiments", "people", "training":
         folder = [str(ROOT / "hmi_marl" / package)]
         for module in pkgutil.walk_packages(folder, f"hmi_marl.{package}."):
             try:
@@ -180,17 +178,3 @@ def _help(command: tuple[str, ...]) -> str:
 
 def _without_title(text: str) -> str:
     return re.sub(r"\A# .*\n", "", text)
-
-
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Fill a page; called by mkdocs for each."""
-    return fill(markdown)
-
-
-def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Add the colours for code as a file; called by mkdocs once the files are known."""
-    from mkdocs.structure.files import File
-
-    colours = HtmlFormatter(style="default").get_style_defs(".highlight")
-    files.append(File.generated(config, "css/code.css", content=colours))
-    return files
