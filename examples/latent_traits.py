@@ -49,10 +49,10 @@ learn_traits(settings, data, choices.out / "traits")
 # Every driver's held-out windows, pooled: the posterior of z.
 model = load_traits(choices.out / "traits")
 observed = read_observed(data)
-unseen = observed.take(held_out(observed, settings.held_out))
-hidden = model.encode(unseen.states, unseen.actions, unseen.alerts, unseen.length)
+unseen = observed.take(held_out(observed.driver, settings.held_out_share))
+sums = model.encoder.encode(unseen.states, unseen.actions, unseen.alerts, unseen.length)
 print("the drivers in latent space, mean and standard deviation of z from unseen windows:")
 for who, name in enumerate(unseen.names):
-    latent = model.latent(hidden[unseen.driver == who].mean(axis=0, keepdims=True))
+    latent = model.encoder.latent(sums[unseen.driver == who].sum(axis=0, keepdims=True))
     mean, spread = latent.mean[0], np.sqrt(latent.variance[0])
     print(f"{name:<6} z = {np.round(mean, 2).tolist()} ± {np.round(spread, 2).tolist()}")

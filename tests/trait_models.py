@@ -10,9 +10,15 @@ import numpy as np
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import make_card, save_policy
+from hmi_marl.agents.learned.trait_encoder import EncoderConfig
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import Layout
+
+SMALL = EncoderConfig(
+    3, 4, 3, 5, head=NetworkConfig((4,), "tanh"), average=NetworkConfig((4,), "tanh")
+)
+"""Sizes of a small encoder: 3 features of the state, 4 of a step, 3 steps, 5 features averaged."""
 
 
 def untrained(
@@ -24,7 +30,7 @@ def untrained(
     """A small model; ``settings`` are of its card."""
     small = NetworkConfig((4,), "tanh")
     reads = tuple((part.name, part.size) for part in layout.parts)
-    sizes: dict[str, Any] = {"encoder_units": 5, "reward": small, "potential": small}
+    sizes: dict[str, Any] = {"encoder": SMALL, "reward": small, "potential": small}
     card = TraitCard(reads, **{**sizes, "policy": small, **settings})
     rng = np.random.default_rng(seed)
     drawn = {name: rng.standard_normal(size) for name, size in card.shapes.items()}

@@ -110,7 +110,8 @@ class ReproduceWithDriver(ReproduceOne):
 class ReproduceShip:
     """Copy the agents of a finished reproduction to where the package ships them from.
 
-    With --compare the trained pairs of a finished hmi-marl compare instead, beside what is there.
+    With --compare the trained pairs of a finished hmi-marl compare instead, with --only those of a
+    finished hmi-marl reproduce NAME, beside what is there.
 
     Example: hmi-marl reproduce ship --out hmi_marl/trained --report docs/report
     """
@@ -123,6 +124,8 @@ class ReproduceShip:
     """Folder to which the report and its numbers are copied as well."""
     compare: Path | None = None
     """Folder of a comparison, of which the pairs of the first seed are added."""
+    only: str | None = None
+    """Experiment whose agents alone are added, from its folder (--run)."""
 
     def run(self, command_line: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
@@ -131,10 +134,19 @@ class ReproduceShip:
         from hmi_marl.reproduction.suite import full_suite, shared_driver
 
         check_free(self.out)
+        name, run_folder = self.only, self.run_folder
         if self.compare is not None:
-            check_free(self.compare)
-            pairs = EXPERIMENTS["protocols"].value.load("protocols")()
-            agents = pairs.agents(Place(self.compare, self.compare))
+            if name is not None:
+                raise ValueError("give --compare or --only, not both")
+            name, run_folder = "protocols", self.compare
+        if name is not None:
+            if self.report is not None:
+                raise ValueError("--report is copied with all agents: leave it out, or --only")
+            check_free(run_folder)
+            experiment = EXPERIMENTS.find(name).value.load(name)()
+            agents = experiment.agents(Place(run_folder, run_folder))
+            if not agents:
+                raise ValueError(f"{name} has no agents to ship")
             ship_more(agents, self.out)
             for agent in agents:
                 print(f"{agent.name:<28} {agent.what}")

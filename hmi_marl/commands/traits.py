@@ -11,7 +11,7 @@ import tyro
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.exact.importance import Sampling
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
-from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
+from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
 from hmi_marl.experiments.latent_traits.posterior import PosteriorEvaluation
 from hmi_marl.reporting.report import PAGE, print_page
 from hmi_marl.training.traits.settings import TraitSettings
@@ -21,6 +21,7 @@ from hmi_marl.training.traits.settings import TraitSettings
 class TrainTraits(TraitSettings):
     """Learn latent driver traits from demonstrations, by adversarial IRL.
 
+    By default self-supervised, from a population of strangers that hmi-marl collect has recorded.
     Resumes a run that was cut off in the same folder.
 
     Example: hmi-marl traits train --demonstrations runs/demonstrations --supervision id
@@ -45,7 +46,12 @@ class TrainTraits(TraitSettings):
         settings = TraitSettings(**{f.name: getattr(self, f.name) for f in fields(TraitSettings)})
         learn_traits(settings, self.demonstrations, out, answers, command_line=command_line)
         print(f"learned: {out}; curves: tensorboard --logdir {out}")
-        print(f"evaluate it: hmi-marl traits evaluate {out} --demonstrations {self.demonstrations}")
+        judged = f"--demonstrations {self.demonstrations}"
+        if (
+            settings.held_out_share == 0.0
+        ):  # its own demonstrations hold nothing that it has not read
+            judged = "--demonstrations NAMED --population UNSEEN, of drivers that it has not seen"
+        print(f"evaluate it: hmi-marl traits evaluate {out} {judged}")
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,8 @@ class EvaluateTraits:
     runs: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of trained runs, one for each supervision, or several that differ in their seed."""
     demonstrations: Path = Path("runs/demonstrations")
-    """Demonstrations that they learned from; the windows that they held out are judged."""
+    """Demonstrations of drivers known by name that they learned from; the windows that they held
+    out are judged. A self-supervised run may have learned from others."""
     population: Path | None = None
     """Demonstrations of drivers they have not learned from, to regress traits over."""
     driver_policy: str | None = None

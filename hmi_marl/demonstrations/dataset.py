@@ -261,11 +261,14 @@ def alert_rate(observed: Observed) -> float:
     return float(observed.alerts[observed.steps_taken].mean())
 
 
-def held_out(observed: Observed, share: float) -> NDArray[np.bool_]:
-    """Mark the last share of every driver's episodes, which are never learned from; shape (E,)."""
-    count = np.bincount(observed.driver - MISSING)  # the unknown driver's first
-    kept = np.round((1.0 - share) * count[observed.driver - MISSING])
-    return observed.number >= kept
+def held_out(driver: NDArray[np.int64], share: float) -> NDArray[np.bool_]:
+    """Mark the last share of every driver's episodes, which are never learned from; shape (E,).
+
+    ``driver`` is that of each episode, shape (E,); -1 if not known.
+    """
+    count = np.bincount(driver - MISSING)  # the unknown driver's first
+    kept = np.round((1.0 - share) * count[driver - MISSING])
+    return numbers(driver) >= kept
 
 
 def check_layout(layout: Layout) -> None:

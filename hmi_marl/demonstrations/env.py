@@ -13,7 +13,7 @@ because the car applies v_t when a^H_t = v_t. A crash ends the episode.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -65,7 +65,23 @@ def team_config(team: Mapping[str, Any], **defaults: Any) -> TeamConfig:
     return TeamConfig(scene=Scene(**scene), weights=RewardWeights(**weights), **fields)
 
 
-def team_of(observed: Observed) -> TeamConfig:
+class Described(Protocol):
+    """Episodes of one dataset that say how they were made."""
+
+    @property
+    def layout(self) -> Layout:
+        """Layout of the observed states."""
+
+    @property
+    def actions(self) -> NDArray[Any]:
+        """v_t, shape (E, T)."""
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """How the data were made."""
+
+
+def team_of(observed: Described) -> TeamConfig:
     """Return the configuration of the teams that these demonstrations come from, without a driver.
 
     Recordings that hold none are taken to be of the default scene, at its policy frequency.

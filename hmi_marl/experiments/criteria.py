@@ -67,6 +67,16 @@ ABOVE_CHANCE = 0.20
 """Least difference of the unsupervised accuracy from chance."""
 KL_FACTOR = 6.0
 """Least ratio of a supervised setting's average KL to the unsupervised one's, as in the paper."""
+LINEAR_R2: Mapping[str, float] = MappingProxyType(
+    {"beta": 0.85, "alpha": 0.60, "eta": 0.50, "inflation": 0.88}
+)
+"""Least R² of strangers' traits by a linear probe of the self-supervised z, from pools of eight."""
+NETWORK_R2: Mapping[str, float] = MappingProxyType(
+    {"beta": 0.90, "alpha": 0.70, "eta": 0.57, "inflation": 0.93}
+)
+"""The same by a small network."""
+NAMED_POOLS, NAMED_WINDOWS = 0.98, 0.88
+"""Least share of types named right from one labelled pool each: of pools, and of single windows."""
 KL_INFLUENCE = 2.0
 """Ratio of these from which supervision counts as a heavy influence."""
 SMALLEST_KL = 1e-9

@@ -67,7 +67,7 @@ EXPERIMENTS.register(
 )
 EXPERIMENTS.register(
     "traits",
-    "Learn latent traits in the paper's three settings and judge what was learned.",
+    "Learn latent traits in the paper's three settings and self-supervised, and judge them.",
     Where("hmi_marl.experiments.latent_traits.experiment:LatentTraits", _TRAITS),
 )
 EXPERIMENTS.register(

@@ -171,6 +171,21 @@ def mean_share(shares: Sequence[Estimate]) -> Estimate:
     return Estimate(over.mean, max(ends[0], 0.0), min(ends[1], 1.0), error, over.count)
 
 
+def mean_of_same(estimates: Sequence[Estimate]) -> Estimate:
+    """Average estimates from the same units over several training seeds, with Student's t interval.
+
+    As in :func:`mean_share` the luck of the units does not average out over seeds: the mean
+    standard error within a seed, from its 95 % interval, is added. One seed has no interval.
+    """
+    over = mean([each.mean for each in estimates])
+    if over.count < 2:
+        return over
+    half = float(np.mean([(each.high - each.low) / 2 for each in estimates]))
+    error = math.hypot(over.error, half / _z_quantile((1.0 + CONFIDENCE) / 2.0))
+    low, high = t_interval(over.mean, error, over.count)
+    return Estimate(over.mean, low, high, error, over.count)
+
+
 def geometric_ratio(ones: ArrayLike, others: ArrayLike) -> Estimate:
     """Geometric mean of paired ratios of positive values, shapes (E,).
 

@@ -55,7 +55,7 @@ LEARNER = {
     "threads": ["0", "1000"],
     "checkpoint-every": ["nan", "-1", "inf"],
 }
-WEIGHTS = ("reconstruct", "information", "contrast", "regularise", "imitate")
+WEIGHTS = ("reconstruct", "information", "contrast", "regularise", "cohesion", "imitate")
 MACHINE = {"workers": ["0", "many"]}
 RAY = {"ray": ["nope", "ray://nope", "127.0.0.1:9"]}
 OUT = {"out": ["file", "file/below"]}
@@ -87,7 +87,11 @@ TRAITS = {
     "held-out": ["1", "nan"],
     "latent": ["0"],
     "pool": ["0", "7"],
-    "encoder-units": ["0"],
+    "average-updates": ["-1"],
+    "encoder-updates": ["-1"],
+    "drivers-per-update": ["1"],
+    "encoder-rate": ["0", "nan"],
+    "weight-decay": ["-1", "nan"],
     "steps": ["0"],
     "num-teams": ["0"],
     "expert-pools": ["3", "0"],
@@ -102,6 +106,14 @@ TRAITS = {
     **within("policy", NETWORK),
     **within("reward", NETWORK),
     **within("potential", NETWORK),
+    **within(
+        "encoder",
+        {
+            **{name: ["0"] for name in ("state-features", "step-features", "span", "features")},
+            **within("head", NETWORK),
+            **within("average", NETWORK),
+        },
+    ),
     **within("ppo", PPO),
 }
 ADAPT = {
@@ -114,7 +126,13 @@ ADAPT = {
     "caution": ["nan", "-1"],
     "seed": ["-1"],
 }
-ASSESS = {"windows": ["0"], "episodes": ["0"], "ranked": ["0"], "seed": ["-1"]}
+ASSESS = {
+    "windows": ["0"],
+    "episodes": ["0"],
+    "ranked": ["0"],
+    "posteriors": ["-1", "2"],
+    "seed": ["-1"],
+}
 ANCHOR = {
     "anchor": ["nope", "rule", "/no/such", "trained:nobody", "trained:homer"],
     "anchor-kl": ["-1", "nan", "1"],  # the last lacks an anchor
@@ -270,6 +288,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "driver-run": ["/no/such"],
         "driver-steps": ["0"],
         "demonstrated": ["0"],
+        "strangers": ["1"],
         "population": ["2"],
         "seed": ["-1"],
         "seeds": ["0"],
@@ -304,6 +323,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     "reproduce ship": {
         "run": ["/no/such", "nope"],
         "compare": ["/no/such", "nope"],
+        "only": ["nope"],
         "out": ["file", "file/below"],
         "report": ["file", "file/below"],
     },

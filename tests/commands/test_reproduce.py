@@ -86,6 +86,34 @@ def test_the_report_is_shipped_beside_the_agents(tmp_path: Path, monkeypatch, ca
     }
 
 
+def test_agents_of_one_experiment_are_shipped_beside_the_others(
+    tmp_path: Path, monkeypatch, capsys
+) -> None:
+    added = []
+    monkeypatch.setattr(
+        "hmi_marl.reproduction.shipping.ship_more", lambda agents, out: added.extend(agents)
+    )
+    command = ["reproduce", "ship", "--run", str(tmp_path), "--out", str(tmp_path / "trained")]
+    assert main([*command, "--only", "traits"]) == 0
+    assert [agent.name for agent in added] == [
+        "traits-none",
+        "traits-id",
+        "traits-preference",
+        "traits-self",
+    ]
+    assert added[3].card == tmp_path / "traits-self" / "traits.json"
+    capsys.readouterr()
+    for wrong, told in (
+        (["--only", "traits", "--compare", str(tmp_path)], "--compare or --only, not both"),
+        (["--only", "traits", "--report", str(tmp_path / "report")], "leave it out, or --only"),
+        (["--only", "sweep"], "sweep has no agents to ship"),
+        (["--only", "nope"], "unknown experiment 'nope'"),
+    ):
+        assert main([*command, *wrong]) == 2
+        assert told in capsys.readouterr().err
+    assert len(added) == 4
+
+
 def test_pairs_of_a_comparison_are_shipped_beside_the_agents(
     tmp_path: Path, monkeypatch, capsys
 ) -> None:

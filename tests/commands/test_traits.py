@@ -11,8 +11,8 @@ from hmi_marl.training.traits.settings import TraitSettings
 
 COLLECT = ["--steps", "100", "--duration", "1", "--vehicles", "1", "4", "--num-teams", "64"]
 TINY = ["--steps", "1", "--imitation-updates", "1", "--pool", "2", "--num-teams", "2"]
-TINY += ["--ppo.num-mini-batches", "1", "--encoder-units", "4", "--held-out", "0.4"]
-TINY += ["--device", "cpu"]
+TINY += ["--ppo.num-mini-batches", "1", "--encoder.features", "4", "--held-out", "0.4"]
+TINY += ["--average-updates", "1", "--encoder-updates", "1", "--device", "cpu"]
 JUDGE = ["--windows", "10", "--episodes", "2", "--ranked", "2"]
 
 
@@ -126,7 +126,7 @@ def test_what_is_not_there_is_told_in_one_line(capsys: pytest.CaptureFixture[str
         (["train", "--num-teams", "3", "--pool", "2"], "num_teams is a multiple of pool = 2"),
         (
             ["train", "--supervision", "age"],
-            "unknown value of --supervision 'age'; known: none, id, pref",
+            "unknown value of --supervision 'age'; known: self, none, id, pref",
         ),
         (["evaluate", "run", "--ranked", "1"], "ranking takes two windows"),
     ],

@@ -156,7 +156,7 @@ def test_alerts_count_by_steps_that_there_were():
 def test_the_last_windows_of_every_driver_are_held_out():
     driver = [0, 0, 1, 0, 1, 0, 0, -1]
     observed = made_up([3] * 8, driver=driver, names=("ada", "bob")).observed
-    marked = held_out(observed, 0.4)
+    marked = held_out(observed.driver, 0.4)
     # Of ada's windows 0, 1, 3, 5, 6 the last two, of bob's 2 and 4 the last one.
     assert np.flatnonzero(marked).tolist() == [4, 5, 6]
-    assert not held_out(observed, 0.0).any()
+    assert not held_out(observed.driver, 0.0).any()

@@ -52,7 +52,10 @@ _SCENE = "--duration 2 --vehicles 1 3"
 _RUN = "--num-teams 16 --duration 2"
 _JUDGED = "--drivers 2 --population 2 --repeats 1 --candidates 1 --changes 2"
 _COLLECT = "collect --drivers lisa homer --steps 6400 --num-teams 64"
-_LEARN = "--pool 2 --num-teams 8 --held-out 0.5 --steps 800 --imitation-updates 1"
+_LEARN = (
+    "--pool 2 --num-teams 8 --held-out 0.5 --steps 800 --imitation-updates 1 --average-updates 1 "
+    "--encoder-updates 1"
+)
 _ASSESS = "--windows 64 --episodes 2 --ranked 2"
 _TRAITS = f"traits train --supervision id {_LEARN}"
 _COMPARED = (
@@ -110,7 +113,7 @@ COMMANDS = (
     _command(
         "reproduce traits",
         TRAIN | DATA,
-        "--driver-run trained:driver --demonstrated 6400 --population 4 --workers 1 "
+        "--driver-run trained:driver --demonstrated 6400 --strangers 4 --population 4 --workers 1 "
         f"{_prefixed('learn', _LEARN)} {_prefixed('evaluation', _ASSESS)}",
     ),
     _command(

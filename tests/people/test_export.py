@@ -163,11 +163,12 @@ def test_export_of_one_person_and_after_deletion(place, tmp_path, records):
 
 def test_a_trait_models_windows_take_trips_of_people(records):
     pytest.importorskip("torch")
-    from hmi_marl.training.traits.windows import Units, Windows, transitions
+    from hmi_marl.training.traits.episodes import Episodes
+    from hmi_marl.training.traits.windows import Windows, transitions
 
     named = [replace(record, visitor=f"visitor-{k % 2}") for k, record in enumerate(records)]
     observed = demonstrations_of(named).observed
-    windows = Windows(observed, np.full(len(observed), np.nan), Units.of(observed))
+    windows = Windows(Episodes.of(observed), np.full(len(observed), np.nan))
     pools = windows.draw(np.random.default_rng(0), 4, 3)
     batch = windows.batch(pools)
     assert batch.situations.shape[:3] == (4, 3, observed.actions.shape[1])

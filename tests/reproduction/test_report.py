@@ -14,6 +14,8 @@ from hmi_marl.reproduction.claims import claims_json, judge
 from hmi_marl.reproduction.report import NUMBERS, PAGE, exact_values, full_report, paper_items
 from hmi_marl.reproduction.suite import Record, full_suite, shared_driver
 
+RENEWED = {"traits"}
+"""Experiments that have been run again since, with other settings; docs/results.md says so."""
 SHIPPED = Path(__file__).parents[2] / "docs" / "report"
 
 
@@ -49,7 +51,9 @@ def test_the_shipped_report_is_of_a_full_run(shipped: dict) -> None:
     assert shipped["command"] == "hmi-marl reproduce"
     suite = full_suite()
     settings = {one.name: one.settings() for one in suite}
-    assert shipped["settings"] == json.loads(json.dumps(settings))
+    now = json.loads(json.dumps(settings))
+    changed = {name for name in now if shipped["settings"].get(name) != now[name]}
+    assert changed == RENEWED
     assert list(shipped["stages"]) == [one.name for one in suite]
     for name in (NUMBERS, PAGE):
         assert not re.search(r"/(home|root|tmp|work)/", (SHIPPED / name).read_text("utf-8"))

@@ -43,8 +43,8 @@ TARGETS = {
     "--processes 2",
     "traits train": (
         "traits train --demonstrations ../data --steps 80 --num-teams 4 --pool 2 --expert-pools 2 "
-        "--encoder-units 6 --imitation-updates 10 --ppo.num-mini-batches 2 --checkpoint-every 0 "
-        "--device cpu"
+        "--encoder.features 6 --average-updates 5 --encoder-updates 10 --imitation-updates 10 "
+        "--ppo.num-mini-batches 2 --checkpoint-every 0 --device cpu"
     ),
     "collect": "collect --steps 3000 --duration 1 --vehicles 1 2 --num-teams 16",
     "compare": (

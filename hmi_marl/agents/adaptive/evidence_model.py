@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
-from hmi_marl.agents.learned.trait_model import LONG_AGO
+from hmi_marl.agents.learned.situations import LONG_AGO
 from hmi_marl.checks import Checked, Count, Units
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits

@@ -169,6 +169,16 @@ def below_zero(logits: NDArray[np.float64]) -> NDArray[np.float64]:
     return logits - highest
 
 
+def log_softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the logarithms of the probabilities that logits, shape (N, K), stand for.
+
+    Raises:
+        FloatingPointError: see :func:`below_zero`.
+    """
+    below = below_zero(logits)
+    return below - np.log(np.exp(below).sum(axis=1, keepdims=True))
+
+
 def sigmoid(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return 1 / (1 + e^-x) without overflow."""
     return 0.5 + 0.5 * np.tanh(0.5 * x)

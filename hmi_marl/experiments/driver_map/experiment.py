@@ -36,7 +36,7 @@ from hmi_marl.experiments.experiment import MODELS, Experiment, Place
 from hmi_marl.files import json_value, with_checksum, without_checksum, write_json
 from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
-from hmi_marl.reporting.verdicts import Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 from hmi_marl.typed_json import read_as
 
 CASES = "cases"
@@ -142,27 +142,29 @@ class DriverMap(Experiment[list[CaseResult]]):
         most = max(seen, key=lambda r: r.losses[WHEN_DISTRACTED].other_rule.value)
         loss = most.losses[WHEN_DISTRACTED]
         rule = 'attention seen: "alert exactly when distracted" is optimal'
+        lost = "largest loss per trip"
         verdicts = [
-            Verdict.of_parts(
+            Verdict(
                 f"{rule} for the paper's drivers and the average one, whatever the window",
-                [max(named) <= SAME_RULE],
-                f"largest loss {max(named):.1g}",
+                (Part.exact(lost, max(named), below=SAME_RULE),),
             ),
-            Verdict.of_parts(
+            Verdict(
                 f"{rule} for every driver",
-                [all(r.losses[WHEN_DISTRACTED].most <= SAME_RULE for r in seen)],
+                (Part.exact(lost, loss.most, below=SAME_RULE),),
                 f"N = {most.case.window}: not for {_percent(loss.other_rule)} of a uniform "
-                f"population; loses up to {loss.most:.0f} a trip",
+                f"population",
             ),
         ]
         for result in self._at(results, self.window, self.revealing):
             worth = result.losses[AVERAGE].named
             verdicts.append(
-                Verdict.of_parts(
+                Verdict(
                     f"attention hidden, {100 * self.revealing:g} % revealing: knowing the driver "
                     f"is worth at least {LEAST_WORTH:g} a trip for each driver of the paper",
-                    [worth[d] >= LEAST_WORTH for d in PAPER_DRIVERS],
-                    ", ".join(f"{d} {worth[d]:.1f}" for d in PAPER_DRIVERS),
+                    tuple(
+                        Part.exact(d, worth[d], above=LEAST_WORTH, form=".1f")
+                        for d in PAPER_DRIVERS
+                    ),
                 )
             )
         return verdicts

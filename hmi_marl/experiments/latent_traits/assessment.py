@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.checks import Checked, Count
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed, Truth, held_out
+from hmi_marl.checks import Checked, Count, CountOrZero
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, held_out
 from hmi_marl.demonstrations.env import team_of
-from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.streams import Seed
 from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings, ceilings, likes_help
@@ -31,16 +30,21 @@ from hmi_marl.experiments.latent_traits.imitation import (
     imitate,
     replay,
 )
-from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, separability, trait_r2
+from hmi_marl.experiments.latent_traits.latents import disjoint_pools, encode, mean_latents
+from hmi_marl.experiments.latent_traits.probes import Separability, separability
 from hmi_marl.experiments.latent_traits.reward import RewardRanking, reward_ranking
+from hmi_marl.experiments.latent_traits.strangers import (
+    Naming,
+    TraitReading,
+    name_types,
+    read_traits,
+)
 from hmi_marl.files import json_value
 
 PARTS = 5
 """Calls of ``progress`` in :func:`assess`."""
 WINDOWS = (1, 2, 4, 8, 16)
 """Numbers of windows of a driver from which the driver is identified."""
-MIN_UNSEEN_DRIVERS = 4
-"""Least drivers to regress traits over: two fit the regression, and two judge it."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ class AssessSettings(Checked):
     """Episodes that the policy drives with each driver's z."""
     ranked: Count = 100
     """Held-out windows of each driver by which the recovered reward is judged."""
+    posteriors: CountOrZero = 0
+    """Judged strangers whose exact posterior is computed, to stand beside R² from z."""
     seed: Seed = 1_000_000
     """Seed of those episodes and of all other draws."""
 
@@ -64,6 +70,10 @@ class AssessSettings(Checked):
         super().__post_init__()
         if self.ranked < 2:
             raise ValueError("ranking takes two windows: ranked is at least 2, but got 1")
+        if 0 < self.posteriors < 3:
+            raise ValueError(
+                f"R² takes three strangers: posteriors is 0, or at least 3, not {self.posteriors}"
+            )
 
 
 @dataclass(frozen=True)
@@ -90,8 +100,8 @@ class Embedding:
     types: NDArray[np.int64]
     """Indices of ``names``, shape (P,)."""
     names: tuple[str, ...]
-    states: NDArray[np.float64] | None = None
-    """Hidden states of the held-out windows, shape (E, H), to be used again."""
+    sums: NDArray[np.float64] | None = None
+    """:func:`encode` of the held-out windows, to be used again."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +109,7 @@ class Assessment:
     """Results of one trait model."""
 
     supervision: str
-    """"none", "id" or "preference"."""
+    """"none", "id", "preference" or "self"."""
     identified: list[Identified]
     """By the number of windows seen."""
     embedding: Embedding
@@ -108,8 +118,10 @@ class Assessment:
     driving: list[DrivingRow]
     """Empty for recorded drives, which cannot be replayed, as is the ranking."""
     reward_ranking: list[RewardRanking]
-    traits: dict[str, TraitR2] | None
-    """R² over unseen drivers; None if there was no population."""
+    reading: TraitReading | None
+    """Traits read over strangers; None if there was no population."""
+    naming: list[Naming]
+    """Types named from one labelled pool each; empty if there are too few windows."""
 
     def at_pool(self, size: int) -> Identified:
         """Return the accuracies from ``size`` windows."""
@@ -121,7 +133,10 @@ class Assessment:
             "means": self.embedding.means.tolist(),
             "drivers": [self.embedding.names[who] for who in self.embedding.types],
         }
-        return json_value(self) | {"embedding": embedding}
+        reading = self.reading
+        traits = None if reading is None else json_value(reading.r2)
+        content = {name: value for name, value in vars(self).items() if name != "reading"}
+        return json_value(content) | {"embedding": embedding, "traits": traits}
 
 
 @dataclass(frozen=True)
@@ -142,37 +157,11 @@ class Split:
         Raises:
             ValueError: nothing was held out.
         """
-        out = held_out(demonstrations.observed, share)
+        out = held_out(demonstrations.observed.driver, share)
         if not out.any():
             raise ValueError("no window was held out of training, so there is nothing to judge by")
         parts = (demonstrations.take(~out), demonstrations.take(out))
         return cls(*(part.take(part.observed.number < most) for part in parts))
-
-
-def encode(model: TraitModel, observed: Observed) -> NDArray[np.float64]:
-    """Encode every window into the encoder's last hidden state, shape (E, H)."""
-    return model.encode(observed.states, observed.actions, observed.alerts, observed.length)
-
-
-def mean_latents(
-    model: TraitModel, states: NDArray[np.float64], pools: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the mean of z, shape (P, Z), given states (E, H) and pools of indices (P, n)."""
-    return model.latent(states[pools].mean(axis=1)).mean
-
-
-def disjoint_pools(driver: NDArray[np.int64], size: int) -> NDArray[np.int64]:
-    """Make pools of ``size`` windows of one known driver each, in order, no window in two.
-
-    Windows have drivers (E,), -1 if not known. Returns indices of windows, shape (P, size); windows
-    that are left over are left out.
-    """
-    pools = [np.zeros((0, size), np.int64)]
-    for who in np.unique(driver[driver != MISSING]):
-        own = np.flatnonzero(driver == who)
-        whole = len(own) // size * size
-        pools.append(own[:whole].reshape(-1, size))
-    return np.concatenate(pools)
 
 
 def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
@@ -205,9 +194,9 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
 def embed(model: TraitModel, split: Split) -> Embedding:
     """Embed held-out pools of the model's own size."""
     unseen = split.unseen.observed
-    states, pools = encode(model, unseen), disjoint_pools(unseen.driver, model.card.pool)
-    means = mean_latents(model, states, pools)
-    return Embedding(means, unseen.driver[pools[:, 0]], unseen.names, states)
+    sums, pools = encode(model, unseen), disjoint_pools(unseen.driver, model.card.pool)
+    means = mean_latents(model, sums, pools)
+    return Embedding(means, unseen.driver[pools[:, 0]], unseen.names, sums)
 
 
 def identify_drivers(
@@ -231,15 +220,15 @@ def identify_drivers(
     """
     sides = split.learned, split.unseen
     embedding = embedding or embed(model, split)
-    assert embedding.states is not None
-    states = [encode(model, split.learned.observed), embedding.states]
+    assert embedding.sums is not None
+    sums = [encode(model, split.learned.observed), embedding.sums]
     drivers = [side.observed.driver for side in sides]
     help_learned, help_unseen = (likes_help(side) for side in sides)
 
     rows = []
     for size in windows:
         pools = [disjoint_pools(driver, size) for driver in drivers]
-        z_fitted, z = (mean_latents(model, *side) for side in zip(states, pools, strict=True))
+        z_fitted, z = (mean_latents(model, *side) for side in zip(sums, pools, strict=True))
         fitted, judged = pools
         preferences = None
         if help_learned is not None and help_unseen is not None:
@@ -271,41 +260,6 @@ def unseen_drivers(population: Demonstrations, demonstrations: Demonstrations) -
     return population.take(new)
 
 
-def population_pools(population: Demonstrations, size: int) -> tuple[Truth, NDArray[np.int64]]:
-    """Return the truth of a population, and pools of its windows to regress traits over.
-
-    Raises:
-        ValueError: the truth is not known, or fewer than four drivers have a pool.
-    """
-    if population.truth is None:
-        raise ValueError("traits can be regressed only where the truth is known")
-    pools = disjoint_pools(population.observed.driver, size)
-    drivers = len(np.unique(population.observed.driver[pools[:, 0]]))
-    if drivers < MIN_UNSEEN_DRIVERS:
-        raise ValueError(
-            f"traits are regressed over {MIN_UNSEEN_DRIVERS} drivers or more with {size} windows "
-            f"each, but the population has {drivers}"
-        )
-    return population.truth, pools
-
-
-def regress_traits(
-    model: TraitModel, population: Demonstrations, size: int, seed: int = 0
-) -> dict[str, TraitR2]:
-    """Measure R² of each trait from z, over drivers that the model has not learned from.
-
-    One half of the drivers, with pools of ``size`` windows, fits; the other half is judged.
-
-    Raises:
-        ValueError: see :func:`population_pools`.
-    """
-    truth, pools = population_pools(population, size)
-    z = mean_latents(model, encode(model, population.observed), pools)
-    who, traits = population.observed.driver[pools[:, 0]], truth.traits[pools[:, 0]]
-    fits = np.unique(who, return_inverse=True)[1] % 2 == 0
-    return trait_r2(z[fits], traits[fits], z[~fits], traits[~fits], TRAIT_NAMES, seed)
-
-
 def supervision_of(model: TraitModel) -> str:
     """Read from a model's card how it was supervised."""
     return str(model.card.training.get("settings", {}).get("supervision", "none"))
@@ -331,7 +285,7 @@ def assess(
         settings: sizes.
         windows, embedding: see :func:`identify_drivers`.
         progress: called ``PARTS`` times.
-        whole: if not, only identification, which is averaged over seeds.
+        whole: if not, only identification and traits, which are averaged over seeds.
 
     Raises:
         ValueError: demonstrations of another layout, too few of them, or of another version of the
@@ -340,11 +294,19 @@ def assess(
     unseen = split.unseen.observed
     identified, embedding = identify_drivers(model, split, identification, windows, embedding)
     progress()
-    supervision = supervision_of(model)
+    supervision, naming = supervision_of(model), []
+    if np.bincount(unseen.driver[unseen.driver != MISSING]).min() >= 2 * model.card.pool:
+        assert embedding.sums is not None
+        sizes = sorted({1, model.card.pool})
+        naming = name_types(model, embedding.sums, unseen.driver, sizes, settings.seed)
+    reading = None
+    if population is not None:
+        reading = read_traits(model, population, model.card.pool, settings.seed)
+    progress()
     if not whole:
-        for _ in range(PARTS - 1):
+        for _ in range(PARTS - 2):
             progress()
-        return Assessment(supervision, identified, embedding, [], [], [], None)
+        return Assessment(supervision, identified, embedding, [], [], [], reading, naming)
     pools = disjoint_pools(unseen.driver, model.card.pool)
     likelihood = action_likelihood(model, unseen, pools, identification)
     progress()
@@ -362,8 +324,6 @@ def assess(
         ranked = unseen.take(unseen.number < settings.ranked)
         ranking = reward_ranking(model, ranked, z, settings.seed)
     progress()
-    traits = None
-    if population is not None:
-        traits = regress_traits(model, population, model.card.pool, settings.seed)
-    progress()
-    return Assessment(supervision, identified, embedding, likelihood, driving, ranking, traits)
+    return Assessment(
+        supervision, identified, embedding, likelihood, driving, ranking, reading, naming
+    )

@@ -1,137 +1,42 @@
-"""Learn latent driver traits in the paper's three settings, and judge what was learned."""
+"""Learn latent driver traits in the paper's three settings and self-supervised, and judge them."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.checks import Count, Steps
 from hmi_marl.demonstrations.recording import CollectSettings
-from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
 from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
-from hmi_marl.experiments.latent_traits import assessment, ceiling
-from hmi_marl.experiments.latent_traits.assessment import (
-    MIN_UNSEEN_DRIVERS,
-    Assessment,
-    AssessSettings,
-)
-from hmi_marl.experiments.latent_traits.imitation import check_fits
+from hmi_marl.experiments.latent_traits import assessment
+from hmi_marl.experiments.latent_traits.assessment import AssessSettings
+from hmi_marl.experiments.latent_traits.evaluation import SUPERVISIONS, TraitEvaluation
 from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
+from hmi_marl.experiments.latent_traits.strangers import MIN_STRANGERS, strangers_pools
 from hmi_marl.files import json_value, sha256_of
 from hmi_marl.ownership import owned
 from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.run_tasks import RunTask
-from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.runs.start import check_machine
-from hmi_marl.training.traits.settings import Supervision, TraitSettings
+from hmi_marl.training.traits.settings import TraitSettings
 
-SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference")
-DEMONSTRATIONS, POPULATION = "demonstrations", "population"
-_POPULATION_PART = 2**32
-"""Part of the experiment that the population's episodes are; the first parts are its runs."""
+DEMONSTRATIONS, POPULATION, STRANGERS = "demonstrations", "population", "strangers"
+_POPULATION_PART, _STRANGERS_PART = 2**32, 2**32 + 1
+"""Parts of the experiment that their episodes are; the first parts are its runs."""
 _FREE = ("driver_policy", "num_teams")
 """Settings that a recorded dataset may differ in: the policy's folder (its weights are compared
 instead), and memory."""
 
 
 @dataclass(frozen=True)
-class TraitEvaluation(TraitReport):
-    """Evaluation of trained models, as ``hmi-marl traits evaluate`` runs it."""
-
-    runs: tuple[Path, ...]
-    """Folders of trained runs."""
-    demonstrations: Path
-    """Demonstrations that they learned from."""
-    population: Path | None = None
-    """Demonstrations of drivers that they have not learned from."""
-    driver_policy: str | None = None
-    """Run of the driver policy of the demonstrations; by default as recorded in them."""
-    size: AssessSettings = field(default_factory=AssessSettings)
-    """Size of the evaluation."""
-
-    @classmethod
-    def quick(cls) -> TraitEvaluation:
-        """Raise ``ValueError``: there are no default runs."""
-        raise ValueError("an evaluation of trait models names the runs to evaluate")
-
-    def check(self, place: Place) -> None:
-        """See :meth:`Experiment.check`; what the runs learned from is checked in the run."""
-        for run in self.runs:
-            load_traits(run)
-        if self.driver_policy is not None:
-            make_driver_policy(self.driver_policy, TeamConfig())
-
-    def run(self, place: Place) -> TraitResults:
-        """Judge the runs on what they held out.
-
-        The figure of embeddings is written first, long before the rest. The first model of a
-        setting is judged in every respect, others by identification alone.
-
-        Raises:
-            FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
-                other demonstrations or that pool or hold out differently.
-        """
-        from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations
-
-        models = [load_traits(run) for run in self.runs]
-        data = read_demonstrations(self.demonstrations)
-        pool, digest = models[0].card.pool, sha256_of(self.demonstrations / OBSERVED)
-        share, _ = _learned_from(self.runs[0], models[0])
-        for run, model in zip(self.runs, models, strict=True):
-            held_out, learned = _learned_from(run, model)
-            if (model.card.pool, held_out) != (pool, share):
-                raise ValueError(f"{run} pools or holds out other windows than {self.runs[0]}")
-            if learned != digest:
-                raise ValueError(
-                    f"{run} learned from other demonstrations than {self.demonstrations}"
-                )
-        _check_seeds(self.runs, models)
-        split = assessment.Split.of(data, share, self.size.windows)
-        windows = assessment.pool_sizes(split, pool, max(model.card.latent for model in models))
-        unknown = None
-        if self.population is not None:
-            unknown = assessment.unseen_drivers(read_demonstrations(self.population), data)
-            assessment.population_pools(unknown, pool)
-            check_fits(models[0], unknown.observed)
-        embeddings = [assessment.embed(model, split) for model in models]
-        settings = [assessment.supervision_of(model) for model in models]
-        found: dict[str, list[Assessment]] = {}
-        parts = 1 + assessment.PARTS * len(models)
-        with tqdm(total=parts, unit=" parts", desc="judging") as bar:
-            exact = one_step = None
-            try:
-                exact = ceiling.exact_evidence(split.unseen, self.driver_policy)
-                one_step = ceiling.from_one_step(split.unseen, self.driver_policy)
-            except ceiling.NoCeilingError as error:
-                bar.write(str(error), file=sys.stderr)
-            bar.update()
-            for model, name, embedding in zip(models, settings, embeddings, strict=True):
-                whole = name not in found
-                one = assessment.assess(
-                    model, split, exact, unknown, self.size, windows, bar.update, whole, embedding
-                )
-                found.setdefault(name, []).append(one)
-        found = {name: found[name] for name in SUPERVISIONS if name in found}
-        return TraitResults(found, pool, one_step)
-
-    def settings(self) -> dict[str, Any]:
-        """See :meth:`Experiment.settings`."""
-        return dict(vars(self.size))
-
-
-@dataclass(frozen=True)
 class LatentTraits(TraitReport):
-    """Learn latent traits in the paper's three settings and judge what was learned.
+    """Learn latent traits in the paper's three settings and self-supervised, and judge them.
 
     With --seeds 5 every setting is learned five times, and accuracies and KL get intervals.
 
@@ -143,8 +48,11 @@ class LatentTraits(TraitReport):
     """Environment steps in which the driver learns, unless one is given."""
     demonstrated: Steps = 300_000
     """Steps demonstrated by each driver."""
-    population: Count = 200
-    """Unseen drivers, over whom traits are regressed."""
+    strangers: Count = 2000
+    """Drivers of a continuous population that the self-supervised setting learns from."""
+    population: Count = 1000
+    """Drivers of the population that nothing has learned from: one half fits the probes of traits,
+    the other half is judged."""
     learn: TraitSettings = field(default_factory=TraitSettings)
     """Settings of each learning; supervision and seed are set for each."""
     seed: Seed = 0
@@ -165,24 +73,28 @@ class LatentTraits(TraitReport):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.learn.supervision, self.learn.seed) != ("none", 0):
+        default = TraitSettings()
+        if (self.learn.supervision, self.learn.seed) != (default.supervision, default.seed):
             raise ValueError(
                 "every supervision is learned, from --seed on: leave out "
                 "--learn.supervision and --learn.seed"
             )
-        if self.population < MIN_UNSEEN_DRIVERS:
+        if self.population < MIN_STRANGERS:
             raise ValueError(
-                f"traits are regressed over {MIN_UNSEEN_DRIVERS} drivers or more, but got "
+                f"traits are regressed over {MIN_STRANGERS} drivers or more, but got "
                 f"population = {self.population}"
             )
+        if self.strangers < 2:
+            raise ValueError("the self-supervised setting learns from two strangers or more")
 
     @classmethod
     def quick(cls) -> LatentTraits:
         """See :meth:`Experiment.quick`."""
         return cls(
             demonstrated=100_000,
+            strangers=200,
             population=60,
-            learn=TraitSettings(steps=150_000, imitation_updates=200),
+            learn=TraitSettings(steps=150_000, imitation_updates=200, encoder_updates=60),
             evaluation=AssessSettings(windows=200, episodes=60, ranked=40),
         )
 
@@ -197,15 +109,17 @@ class LatentTraits(TraitReport):
     def datasets(self, driver_run: Path) -> dict[str, CollectSettings]:
         """Return what to collect, by folder."""
         common = CollectSettings(driver_policy=str(driver_run), seed=self.seed)
+        people = replace(
+            common, drivers=(), windows=max(common.windows, 2 * self.learn.pool), population=1
+        )
+
+        def drawn(count: int, part: int) -> CollectSettings:
+            return replace(people, population=count, seed=int(part_seed(self.seed, part)))
+
         return {
             DEMONSTRATIONS: replace(common, steps=self.demonstrated),
-            POPULATION: replace(
-                common,
-                drivers=(),
-                population=self.population,
-                windows=max(common.windows, 2 * self.learn.pool),
-                seed=int(part_seed(self.seed, _POPULATION_PART)),
-            ),
+            POPULATION: drawn(self.population, _POPULATION_PART),
+            STRANGERS: drawn(self.strangers, _STRANGERS_PART),
         }
 
     def trainings(self, folder: Path) -> dict[Path, TraitSettings]:
@@ -227,7 +141,7 @@ class LatentTraits(TraitReport):
             self.collect(place.driver_run, out)
         with watch.timing("all training of this call, in parallel"):
             tasks = [
-                RunTask(_learn, (job, place.command_line), folder, (data.absolute(),))
+                RunTask(_learn, (job, place.command_line), folder, (_data(out, job).absolute(),))
                 for folder, job in runs.items()
             ]
             side_by_side(tasks, place.workers, place.cluster)
@@ -251,6 +165,7 @@ class LatentTraits(TraitReport):
             write_demonstrations,
         )
         from hmi_marl.demonstrations.recording import collect
+        from hmi_marl.demonstrations.stored import ObservedFile
 
         for name, dataset in self.datasets(driver_run).items():
             truth = folder / name / TRUTH
@@ -272,13 +187,20 @@ class LatentTraits(TraitReport):
             ):
                 write_demonstrations(folder / name, collect(dataset, bar.update))
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
-        split = assessment.Split.of(demonstrations, learn.held_out, self.evaluation.windows)
-        assessment.pool_sizes(split, learn.pool, learn.latent)
-        assessment.population_pools(read_demonstrations(folder / POPULATION), learn.pool)
+        share = replace(learn, supervision="none").held_out_share
+        split = assessment.Split.of(demonstrations, share, self.evaluation.windows)
+        latent = max(settings.latent_size for settings in self.trainings(folder).values())
+        assessment.pool_sizes(split, learn.pool, latent)
+        strangers_pools(ObservedFile(folder / POPULATION).driver, learn.pool)
 
     def agents(self, place: Place) -> list[Agent]:
         """See :meth:`Experiment.agents`."""
-        labels = "no labels", "a fifth labelled by driver", "a fifth labelled by preference"
+        labels = (
+            "no labels",
+            "a fifth labelled by driver",
+            "a fifth labelled by preference",
+            "no labels, from who belongs together among strangers",
+        )
         return [
             Agent(
                 f"traits-{supervision}",
@@ -289,32 +211,9 @@ class LatentTraits(TraitReport):
         ]
 
 
-def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:
-    """Raise ``ValueError`` unless runs of one supervision differ in their seed and nothing else."""
-    first: dict[str, tuple[Path, dict[str, Any]]] = {}
-    seen: dict[tuple[str, int], Path] = {}
-    for run, model in zip(runs, models, strict=True):
-        settings = dict(model.card.training["settings"])
-        seed, supervision = settings.pop("seed", None), assessment.supervision_of(model)
-        if (supervision, seed) in seen:
-            raise ValueError(f"{run} and {seen[supervision, seed]} have the same seed")
-        seen[supervision, seed] = run
-        other, before = first.setdefault(supervision, (run, settings))
-        odd = [n for n in settings if n not in MACHINE and settings[n] != before.get(n)]
-        if odd:
-            raise ValueError(
-                f"{run} was learned with another {odd[0]} than {other}: runs of one supervision "
-                "count as seeds of one setting; judge them one at a time"
-            )
-
-
-def _learned_from(run: Path, model: TraitModel) -> tuple[float, str]:
-    """Read the share that a run held out, and the checksum of its demonstrations."""
-    training = model.card.training
-    try:
-        return float(training["settings"]["held_out"]), str(training["demonstrations"])
-    except (KeyError, TypeError, ValueError):
-        raise ValueError(f"the card of {run} does not name its demonstrations") from None
+def _data(folder: Path, job: TraitSettings) -> Path:
+    """Folder of the dataset that a run learns from."""
+    return folder / (STRANGERS if job.supervision == "self" else DEMONSTRATIONS)
 
 
 def _binding(settings: dict[str, Any]) -> dict[str, Any]:

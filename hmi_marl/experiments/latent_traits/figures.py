@@ -28,7 +28,12 @@ Array = NDArray[np.float64]
 DRIVER_COLOURS = (*COLOURS[1:5], *COLOURS[5:], COLOURS[0])
 SETTING_COLOURS = (COLOURS[0], *COLOURS[5:], *COLOURS[1:5])
 """Different colours first, so that a setting is not mistaken for a driver."""
-TITLES = {"none": "unsupervised", "id": "by driver", "preference": "by preference"}
+TITLES = {
+    "none": "unsupervised",
+    "id": "by driver",
+    "preference": "by preference",
+    "self": "self-supervised",
+}
 """Titles of the settings by supervision."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SIGMAS = 2.0
@@ -151,7 +156,7 @@ def draw_accuracy(
 
 
 def _embedding(axes: Axes, panel: EmbeddingPanel, names: Sequence[str]) -> None:
-    flat, labels = _two_axes(panel.means)
+    flat, labels = two_axes(panel.means)
     for name in names:
         own = flat[[panel.names[each] == name for each in panel.types]]
         place = names.index(name)
@@ -172,7 +177,7 @@ def _embedding(axes: Axes, panel: EmbeddingPanel, names: Sequence[str]) -> None:
     axes.locator_params(nbins=6)
 
 
-def _two_axes(means: Array) -> tuple[Array, tuple[str, str]]:
+def two_axes(means: Array) -> tuple[Array, tuple[str, str]]:
     """Return vectors of shape (P, 2) and the labels of their axes: z, or its principal axes."""
     if means.shape[1] == 1:
         return np.column_stack([means, np.zeros(len(means))]), ("$z_1$", "")

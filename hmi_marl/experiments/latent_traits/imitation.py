@@ -23,7 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hmi_marl.agents.learned.trait_model import EXTRA, LONG_AGO, Latent, TraitModel, situations
+from hmi_marl.agents.learned.situations import EXTRA, LONG_AGO, situations
+from hmi_marl.agents.learned.trait_encoder import Latent
+from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.agents.memory import Draws
 from hmi_marl.demonstrations.dataset import MISSING, Observed, alert_rate
 from hmi_marl.demonstrations.env import team_of
@@ -64,13 +66,13 @@ def pool_latents(model: TraitModel, observed: Observed, pools: ArrayLike) -> Lat
     """Infer q(z | τ) of P pools of n windows each, indices of shape (P, n).
 
     Raises:
-        ValueError: see :meth:`TraitModel.encode`; or a pool that is not of one known driver.
+        ValueError: see :meth:`Encoder.encode`; or a pool that is not of one known driver.
     """
     places, _ = checked_pools(observed, pools)
     used, where = np.unique(places, return_inverse=True)
     some = observed.take(used)
-    hidden = model.encode(some.states, some.actions, some.alerts, some.length)
-    return model.latent(hidden[where.reshape(places.shape)].mean(axis=1))
+    sums = model.encoder.encode(some.states, some.actions, some.alerts, some.length)
+    return model.encoder.latent(sums[where.reshape(places.shape)].sum(axis=1))
 
 
 def driver_latents(model: TraitModel, observed: Observed) -> dict[str, NDArray[np.float64]]:

@@ -40,6 +40,8 @@ _FOLDS = 5
 _LANDMARKS = 100
 _PENALTIES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 _SHARPNESS = (1 / 16, 1 / 4, 1.0, 4.0)  # of the kernel, exp(-s |z - z'|² / Z)
+_DECAY, _EPOCHS = 0.1, 400
+"""Weight decay and passes of the small network, so that it does not learn drivers by heart."""
 _SCORING = "neg_mean_squared_error"  # defined for a fold of one vector, as R² is not
 
 
@@ -203,6 +205,8 @@ class TraitR2:
     """R² of ridge regression."""
     smooth: Estimate
     """R² of kernel ridge regression, which fits any smooth function of z."""
+    network: Estimate
+    """R² of a small network."""
 
 
 def trait_r2(
@@ -212,6 +216,7 @@ def trait_r2(
     traits: ArrayLike,
     names: Sequence[str],
     seed: int = 0,
+    predicted: Array | None = None,
 ) -> dict[str, TraitR2]:
     """Measure how well each trait of held-out drivers can be read from z.
 
@@ -230,6 +235,7 @@ def trait_r2(
         means, traits: held-out vectors, shape (P, Z), and their traits, shape (P, T).
         names: names of the T traits.
         seed: seed of folds, landmarks and resampling.
+        predicted: :func:`predict_traits` of the same, if it is there already.
 
     Raises:
         ValueError: arrays that are not finite or do not fit each other, or fewer than two drivers
@@ -263,12 +269,45 @@ def trait_r2(
     linear, smooth = (
         GridSearchCV(model, grid, cv=splits, scoring=_SCORING) for model, grid in models
     )
+    network = predict_traits(fitted, known, vectors, seed) if predicted is None else predicted
     scores = {}
     for column, name in enumerate(names):
         trait, wanted = known[:, column], truth[:, column]
         read = [model.fit(fitted, trait).predict(vectors) for model in (linear, smooth)]
+        read.append(network[:, column])
         scores[name] = TraitR2(*(_r2(wanted, each, held_out, seed) for each in read))
     return scores
+
+
+def predict_traits(train_means: Array, train_traits: Array, means: Array, seed: int = 0) -> Array:
+    """Read all traits from z (P, Z) by one network with 32 hidden units, shape (P, T).
+
+    Args:
+        train_means, train_traits: what it learns from, shapes (P', Z) and (P', T).
+        means: vectors to read, shape (P, Z).
+        seed: seed of its first weights and of its batches.
+
+    Raises:
+        ModuleNotFoundError: scikit-learn is not installed.
+    """
+    with needing("judging latent vectors"):
+        from sklearn.compose import TransformedTargetRegressor
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.neural_network import MLPRegressor
+        from sklearn.pipeline import make_pipeline
+        from sklearn.preprocessing import StandardScaler
+
+    network = MLPRegressor(
+        hidden_layer_sizes=(32,), alpha=_DECAY, max_iter=_EPOCHS, random_state=seed
+    )
+    model = TransformedTargetRegressor(
+        make_pipeline(StandardScaler(), network), transformer=StandardScaler()
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # stopped early on purpose
+        # One trait has to come as one axis.
+        model.fit(train_means, train_traits if train_traits.shape[1] > 1 else train_traits[:, 0])
+    return np.asarray(model.predict(means), np.float64).reshape(len(means), -1)
 
 
 def _r2(truth: Array, predicted: Array, drivers: Labels, seed: int) -> Estimate:

@@ -1,7 +1,7 @@
 """Judge trait models, and show them in tables and figures.
 
-Settings come in the paper's order: unsupervised, supervised by driver, by preference. Each may
-have been learned several times, from different seeds.
+Settings come in the paper's order: unsupervised, supervised by driver, by preference; after them
+comes the self-supervised one. Each may have been learned several times, from different seeds.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from hmi_marl.experiments.latent_traits.assessment import WINDOWS, Assessment, I
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.figures import TITLES, draw_accuracy, embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
-from hmi_marl.experiments.latent_traits.probes import TraitR2
+from hmi_marl.experiments.latent_traits.posterior import PosteriorRow
 from hmi_marl.experiments.latent_traits.reward import RewardRanking
+from hmi_marl.experiments.latent_traits.strangers import Naming
+from hmi_marl.experiments.latent_traits.trait_figures import reading_figure
 from hmi_marl.files import json_value
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
@@ -26,6 +28,8 @@ from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import SEEDS, Part, Verdict
 
 T = TypeVar("T")
+PROBES = ("linear", "smooth", "network")
+"""What reads traits from z; see :class:`TraitR2`."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,8 @@ class TraitResults:
     """Windows that the models pool."""
     one_step: Ceilings | None = None
     """Accuracies of the exact classifier that sees a single observation; None if not known."""
+    posterior: PosteriorRow | None = None
+    """The exact posterior of judged strangers from as many windows; None if it was not computed."""
 
     @property
     def first(self) -> Mapping[str, Assessment]:
@@ -75,6 +81,24 @@ class TraitResults:
     def average_kl(self, setting: str, size: int) -> Estimate:
         """Average the KL between driver types over seeds."""
         return over_seeds([o.at_pool(size).types.average_kl for o in self.assessments[setting]])
+
+    def trait_r2(self, setting: str, trait: str, probe: str) -> Estimate | None:
+        """Average R² of a probe over seeds; 1 seed: interval over strangers; None if not judged."""
+        readings = [one.reading for one in self.assessments[setting] if one.reading is not None]
+        found = [getattr(reading.r2[trait], probe) for reading in readings]
+        if len(found) < 2:
+            return found[0] if found else None
+        return over_seeds([each.mean for each in found])
+
+    def trait_r2_by_seed(self, setting: str, trait: str, probe: str) -> Estimate:
+        """Average the same over training seeds; without an interval for a single one."""
+        readings = [one.reading for one in self.assessments[setting] if one.reading is not None]
+        return statistics.mean_of_same([getattr(reading.r2[trait], probe) for reading in readings])
+
+    def named(self, setting: str, place: int) -> Estimate:
+        """Average the share of types named from one labelled pool over seeds, by rows of naming."""
+        found = [one.naming[place].named for one in self.assessments[setting]]
+        return found[0] if len(found) == 1 else over_seeds([each.mean for each in found])
 
 
 def over_seeds(values: Sequence[float]) -> Estimate:
@@ -121,6 +145,8 @@ class TraitReport(Experiment[TraitResults]):
                 part = Part.ratio("KL ratio", ratio, SEEDS, above=least, seeds=both, form=".2f")
                 claim = f"{TITLES[name]}: KL {least:.0f} times the unsupervised one"
                 verdicts.append(Verdict(claim, (part,)))
+        if "self" in found:
+            verdicts += judge_self(results)
         return verdicts
 
     def numbers(self, results: TraitResults) -> dict[str, Any]:
@@ -128,11 +154,12 @@ class TraitReport(Experiment[TraitResults]):
         return {
             "pool": results.pool,
             "one_step": json_value(results.one_step),
+            "posterior": json_value(results.posterior),
             "supervisions": {
                 name: {
                     "accuracy": results.accuracy(name, results.pool).as_json(),
                     "average_kl": results.average_kl(name, results.pool).as_json(),
-                    "paper_kl": AVERAGE_KL[name],
+                    "paper_kl": AVERAGE_KL.get(name),
                     "seeds": [one.as_json() for one in several],
                 }
                 for name, several in results.assessments.items()
@@ -150,6 +177,7 @@ class TraitReport(Experiment[TraitResults]):
         tables = (
             identity_table(results),
             trait_table(results),
+            naming_table(results),
             likelihood_table(results),
             driving_table(results),
             ranking_table(results),
@@ -158,8 +186,41 @@ class TraitReport(Experiment[TraitResults]):
             Text(" ".join([note, *left_out(results)])),
             embeddings_figure({name: one.embedding for name, one in results.first.items()}),
             accuracy_figure(results),
+            *(
+                reading_figure(name, one.reading)
+                for name, one in results.first.items()
+                if name == "self" and one.reading is not None
+            ),
             *(table for table in tables if table.rows),
         ]
+
+
+def judge_self(results: TraitResults) -> list[Verdict]:
+    """Judge the self-supervised setting by strangers, and by types that it has never seen."""
+    seeds, verdicts = len(results.assessments["self"]), []
+    for probe, title, bars in (
+        ("linear", "a linear probe", criteria.LINEAR_R2),
+        ("network", "a small network", criteria.NETWORK_R2),
+    ):
+        found = {trait: results.trait_r2_by_seed("self", trait, probe) for trait in bars}
+        if any(each.count == 0 for each in found.values()):
+            continue
+        asked = ", ".join(f"{trait} {bar:.2f}" for trait, bar in bars.items())
+        parts = [
+            Part.mean(f"R² of {trait}", found[trait], SEEDS, above=bar, seeds=seeds, form="z.3f")
+            for trait, bar in bars.items()
+        ]
+        claim = f"self-supervised: R² of strangers by {title} at least {asked}"
+        verdicts.append(Verdict(claim, tuple(parts)))
+    for place, row in enumerate(results.first["self"].naming):
+        bar = criteria.NAMED_WINDOWS if row.windows == 1 else criteria.NAMED_POOLS
+        shares = [one.naming[place].named for one in results.assessments["self"]]
+        what = "window" if row.windows == 1 else f"pool of {row.windows}"
+        claim = f"self-supervised: {100 * bar:.0f} % of types named from one {what}"
+        share = statistics.mean_share(shares)
+        part = Part.mean("named", share, SEEDS, above=bar, seeds=seeds, form="z.1%")
+        verdicts.append(Verdict(claim, (part,)))
+    return verdicts
 
 
 def left_out(results: TraitResults) -> list[str]:
@@ -215,7 +276,9 @@ def identity_table(results: TraitResults) -> Table:
                     f"{row.types.silhouette:.2f}",
                     f"{row.types.adjusted_rand:.2f}",
                     f"{results.average_kl(name, size).mean:.4g}",
-                    f"{AVERAGE_KL[name]:.0f}" if size == results.pool else "",
+                    f"{AVERAGE_KL[name]:.0f}"
+                    if size == results.pool and name in AVERAGE_KL
+                    else "",
                 ]
             )
     return Table("Drivers identified, by number of windows", head, rows)
@@ -234,14 +297,46 @@ def _table(
 
 
 def trait_table(results: TraitResults) -> Table:
-    """Show R² of each trait of unseen drivers."""
-    columns: dict[str, Callable[[tuple[str, TraitR2]], str]] = {
-        "trait": lambda row: row[0],
-        "R², linear": lambda row: row[1].linear.shown("z.2f"),
-        "R², smooth": lambda row: row[1].smooth.shown("z.2f"),
+    """Show R² of each trait of strangers, beside that of the exact posterior's mean."""
+    rows = []
+    for name, one in results.first.items():
+        for trait in one.reading.r2 if one.reading is not None else ():
+            found = [results.trait_r2(name, trait, probe) for probe in PROBES]
+            shown = [each.shown("z.2f") for each in found if each is not None]
+            exact = None if results.posterior is None else results.posterior.traits[trait].r2
+            network = found[-1]
+            ratio = (
+                "-"
+                if exact is None or network is None
+                else number(network.mean / exact.mean, ".2f")
+            )
+            exact_shown = "-" if exact is None else exact.shown("z.2f")
+            rows.append([TITLES[name], trait, *shown, exact_shown, ratio])
+    head = [
+        "setting",
+        "trait",
+        "R², linear",
+        "R², smooth",
+        "R², network",
+        "exact",
+        "network / exact",
+    ]
+    readings = [one.reading for one in results.first.values() if one.reading is not None]
+    about = f"{readings[0].drivers} strangers in pools of {results.pool}" if readings else ""
+    if results.posterior is not None:
+        about += f"; exact: the posterior's mean, for {results.posterior.drivers} of them"
+    return Table("Traits of strangers, read from z", head, rows, about)
+
+
+def naming_table(results: TraitResults) -> Table:
+    """Show how often types are named from one labelled pool each."""
+    columns: dict[str, Callable[[Naming], str]] = {
+        "windows": lambda row: str(row.windows),
+        "named right [%]": lambda row: row.named.percent(),
+        "by chance [%]": lambda row: f"{100 * row.chance:.0f}",
     }
-    title = "Traits of unseen drivers"
-    return _table(results, title, lambda one: (one.traits or {}).items(), columns)
+    title = "Types named from one labelled pool of each"
+    return _table(results, title, lambda one: one.naming, columns)
 
 
 def likelihood_table(results: TraitResults) -> Table:

@@ -7,7 +7,6 @@ and are driven again when a run is resumed.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -33,15 +32,9 @@ with needing("training"):
     import torch
 
     from hmi_marl.training.evidence.model import EvidenceNetwork
-    from hmi_marl.training.runs.divergence import check_finite
+    from hmi_marl.training.runs.descent import Descent
     from hmi_marl.training.runs.progress import Progress
-    from hmi_marl.training.runs.run import (
-        ModelRun,
-        Tensors,
-        flat_moments,
-        own_torch_state,
-        with_moments,
-    )
+    from hmi_marl.training.runs.run import ModelRun, Tensors, own_torch_state
 
 
 _AT_ONCE = 1000
@@ -133,8 +126,6 @@ _SETTLED = "settled"
 """Name in a checkpoint of what is calibrated after the learning."""
 _ROW_EVERY = 50
 """Updates between two rows of the curve."""
-_LAST_RATE = 0.05
-"""Learning rate at the end, as a share of the first."""
 _TEMPERATURES = torch.linspace(0.2, 1.2, 41)
 """Temperatures to choose from."""
 
@@ -165,8 +156,8 @@ class _Run(ModelRun):
         """Softmax temperature, once everything is learned."""
         torch.manual_seed(self.draw(Stream.LEARNING, 0))
         self._model = EvidenceNetwork(settings.card(settings.team))
-        self._optimizer = torch.optim.AdamW(
-            self._model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay
+        self._descent = Descent(
+            self._model.parameters(), settings.learning_rate, settings.weight_decay
         )
 
     def learn(self) -> None:
@@ -193,8 +184,7 @@ class _Run(ModelRun):
 
     def tensors(self) -> Tensors:
         """See :meth:`Run.tensors`."""
-        moments = flat_moments(self._optimizer.state_dict())
-        tensors = {"model": dict(self._model.state_dict()), "learner": moments}
+        tensors = {"model": dict(self._model.state_dict()), "learner": self._descent.tensors()}
         if self._calibrated is not None:
             tensors[_SETTLED] = {"temperature": torch.tensor(self._calibrated)}
         return tensors
@@ -204,8 +194,7 @@ class _Run(ModelRun):
         self._model.load_state_dict(tensors["model"])
         if _SETTLED in tensors:
             self._calibrated = float(tensors[_SETTLED]["temperature"])
-        moments = with_moments(self._optimizer.state_dict(), tensors["learner"])
-        self._optimizer.load_state_dict(moments)
+        self._descent.load(tensors["learner"])
 
     def _update(self, drives: RecordedDrives, progress: Progress) -> None:
         state, settings, shown = self.state, self._settings, self._shown(drives)
@@ -218,19 +207,9 @@ class _Run(ModelRun):
             rng = np.random.default_rng(self.draw(Stream.LEARNING, 2 + state.iteration))
             which = rng.choice(learned, settings.batch, replace=False)
             turns, driving = self._turns(drives, which)
-            share = state.iteration / settings.updates
-            rate = _LAST_RATE + (1 - _LAST_RATE) * 0.5 * (1 + math.cos(math.pi * share))
-            for group in self._optimizer.param_groups:
-                group["lr"] = settings.learning_rate * rate
             loss = self._model.loss(turns, driving, shown[which])
-            self._optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            norm = torch.nn.utils.clip_grad_norm_(self._model.parameters(), 1.0)
-            recent.append(loss.item())
             with self.watched():
-                numbers = {"loss": recent[-1], "gradient": norm.item()}
-                check_finite(numbers, settings.learning_rate * rate, "learning_rate")
-            self._optimizer.step()
+                recent.append(self._descent.step(loss, state.iteration / settings.updates))
             seconds = self.count(began)
             row = {}
             if state.iteration % _ROW_EVERY == 0 or state.iteration == settings.updates:

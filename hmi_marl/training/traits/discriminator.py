@@ -12,6 +12,7 @@ from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.training.runs.divergence import check_finite
 from hmi_marl.training.runs.run import flat_moments, with_moments
+from hmi_marl.training.traits.encoder import SMALLEST_SPREAD, Posterior
 from hmi_marl.training.traits.losses import (
     adversarial_loss,
     cohesion_loss,
@@ -20,13 +21,7 @@ from hmi_marl.training.traits.losses import (
     log_discriminator,
     regularisation_loss,
 )
-from hmi_marl.training.traits.model import (
-    SMALLEST_SPREAD,
-    Discriminator,
-    Posterior,
-    log_likelihood,
-    log_policy,
-)
+from hmi_marl.training.traits.model import Discriminator, log_likelihood, log_policy
 from hmi_marl.training.traits.settings import TraitSettings
 from hmi_marl.training.traits.windows import Batch, transitions
 
@@ -56,25 +51,27 @@ class DiscriminatorLearner:
     ) -> None:
         self.model = Discriminator(card).to(device)
         self._settings, self._policy = settings, policy
+        self._learning = [*self.model.reward.parameters(), self.model.width]
+        if not settings.fixed_encoder:
+            self._learning += self.model.encoder.learning()
         self._optimizer = torch.optim.Adam(
             [
-                {"params": list(self.model.parameters()), "lr": settings.learning_rate},
+                {"params": self._learning, "lr": settings.learning_rate},
                 {"params": list(policy.mlp.parameters()), "lr": settings.imitation_rate},
             ]
         )
 
     def prepare(self, batch: Batch) -> None:
-        """Take the encoder's units from a batch of demonstrations, before anything is learned."""
+        """Take the units of the encoder's means from a batch of demonstrations."""
         encoder = self.model.encoder
-        encoder.standardise_by(batch)
         with torch.no_grad():
-            raw = encoder.mean(encoder.read(*batch))
+            raw = encoder.raw(encoder.sums(batch).sum(dim=1)).mean
             encoder.centre.copy_(raw.mean(dim=0))
             encoder.scale.copy_(raw.std(dim=0) + SMALLEST_SPREAD)
 
     def encode(self, batch: Batch) -> Posterior:
         """Return q(z | τ) of every pool."""
-        posterior: Posterior = self.model.encoder(*batch)
+        posterior: Posterior = self.model.encoder(batch)
         return posterior
 
     def learn(
@@ -106,7 +103,7 @@ class DiscriminatorLearner:
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         self._optimizer.zero_grad()
         total.backward()  # type: ignore[no-untyped-call]
-        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), LONGEST_GRADIENT)
+        norm = torch.nn.utils.clip_grad_norm_(self._learning, LONGEST_GRADIENT)
         found = {name: value.item() for name, value in (losses | measures).items()}
         check_finite(found | {"gradient": norm.item()}, self._settings.learning_rate, _RATE)
         self._optimizer.step()
@@ -121,28 +118,33 @@ class DiscriminatorLearner:
     ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
         """Return the losses and the other measures of :meth:`learn`."""
         encoder, settings = self.model.encoder, self._settings
-        read = encoder.read(*experts)
-        known = None if labelled is None else encoder.read(*labelled.batch)
-        units = encoder.units(read if known is None else torch.cat([read, known]))
-        posterior = encoder.posterior(read, *units)
+        with torch.set_grad_enabled(not settings.fixed_encoder):
+            sums = encoder.sums(experts).sum(dim=1)
+            known = None if labelled is None else encoder.sums(labelled.batch).sum(dim=1)
+            every = sums if known is None else torch.cat([sums, known])
+            fixed = encoder.centre, encoder.scale
+            units = fixed if settings.fixed_encoder else encoder.units(every)
+            posterior = encoder.posterior(sums, *units)
         z_experts = posterior.sample()
         # The policy learns from the whole gradient, the encoder from a share of it.
-        fixed = z_experts.detach()
-        z_imitated = fixed + settings.weights.imitate * (z_experts - fixed)
+        constant = z_experts.detach()
+        z_imitated = constant + settings.weights.imitate * (z_experts - constant)
         losses = {"imitation": -log_likelihood(self._policy, experts, z_imitated).mean()}
+        if settings.weights.cohesion:
+            losses["cohesion"] = cohesion_loss(z_experts[::2], z_experts[1::2])
         if labelled is not None and known is not None:
             losses["L3"] = contrastive_loss(
                 encoder.posterior(known, *units).sample(),
                 labelled.labels,
                 settings.margin,
                 settings.label_bandwidth,
-            ) + cohesion_loss(z_experts[::2], z_experts[1::2])
+            )
         measures = {
             "sigma": (0.5 * posterior.log_variance.detach()).exp().mean(),
             "width": (0.5 * self.model.width.detach()).exp().mean(),
         }
         if driven is not None and z is not None:
-            again = encoder.posterior(encoder.read(*driven), *units)
+            again = encoder.posterior(encoder.sums(driven).sum(dim=1), *units)
             losses["L4"] = regularisation_loss(posterior.mean, posterior.log_variance)
             losses["L2"] = information_loss(z, again.mean, self.model.width.expand_as(z))
             expert_f, expert_log_pi = self._judge(experts, z_experts)

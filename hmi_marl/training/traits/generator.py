@@ -12,10 +12,11 @@ from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.training.ppo.learner import PPOLearner
 from hmi_marl.training.ppo.models import unchanged
+from hmi_marl.training.traits.episodes import Units
 from hmi_marl.training.traits.model import log_likelihood, make_policy, make_value
 from hmi_marl.training.traits.rollouts import Drives, drive
 from hmi_marl.training.traits.settings import TraitSettings
-from hmi_marl.training.traits.windows import Batch, Units
+from hmi_marl.training.traits.windows import Batch
 
 
 class Generator:

@@ -117,6 +117,36 @@ def cohesion_loss(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     return ((first - second) ** 2).sum(dim=1).mean()
 
 
+def same_driver_loss(
+    mean: torch.Tensor,
+    log_variance: torch.Tensor,
+    other_mean: torch.Tensor,
+    other_log_variance: torch.Tensor,
+) -> torch.Tensor:
+    r"""Return the loss of finding the other pool of the same driver among those of P drivers.
+
+    This is InfoNCE with the likelihood that the posteriors themselves give: if both estimate one z,
+    they differ by :math:`μ_k - μ'_l \sim N(0, σ_k^2 + σ'^2_l)`, so
+
+    .. math::
+        L = -E_k[\log p(l = k | k)], \quad
+        p(l | k) \propto N(μ_k - μ'_l; 0, σ_k^2 + σ'^2_l)
+
+    averaged with the same from the other pools to these. It is least if z holds what distinguishes
+    drivers, and if σ is how far the means of one driver lie apart.
+
+    Args:
+        mean: μ of one pool of each driver, shape (P, Z).
+        log_variance: log σ², shape (P, Z).
+        other_mean, other_log_variance: the same of the drivers' other pools.
+    """
+    variance = log_variance.exp()[:, None] + other_log_variance.exp()[None]
+    squares = (mean[:, None] - other_mean[None]) ** 2 / variance
+    log_likelihood = -0.5 * (squares + variance.log()).sum(dim=2)
+    of_one, of_other = (torch.log_softmax(log_likelihood, dim=axis).diagonal() for axis in (1, 0))
+    return -0.5 * (of_one.mean() + of_other.mean())
+
+
 def regularisation_loss(mean: torch.Tensor, log_variance: torch.Tensor) -> torch.Tensor:
     r"""Return L4: the Kullback-Leibler divergence of q(z | τ) from the unit Gaussian.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -13,125 +11,13 @@ from tensordict import TensorDict
 from torch.nn.functional import one_hot
 
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.trait_model import ACTIONS, EXTRA, PARTS, TraitCard
+from hmi_marl.agents.learned.situations import ACTIONS
+from hmi_marl.agents.learned.trait_model import PARTS, TraitCard
 from hmi_marl.training.ppo.heads import OneAction
-from hmi_marl.training.ppo.models import GROUPS, array_of, layers_of, make_critic
-from hmi_marl.training.traits.windows import Batch, Units
-
-FIRST_LOG_VARIANCE = -3.0
-"""Initial log variance of z: small enough that z depends on its mean, which is random then."""
-FORGET_BIAS = 2.0
-"""Added to the initial bias of the forget gate, so that evidence adds up over a whole window."""
-SMALLEST_SPREAD = 1e-5
-"""Added to the standard deviation of the encoder's means, which may all be equal."""
-SMALLEST_UNIT = 0.05
-"""Least scale of an input, so that rare events are not blown up."""
-FORGETTING = 0.05
-"""Weight of the current batch in the running averages of the encoder's units."""
-
-
-class Posterior(NamedTuple):
-    """q(z | τ) of P pools; both of shape (P, Z)."""
-
-    mean: torch.Tensor
-    log_variance: torch.Tensor
-
-    def sample(self) -> torch.Tensor:
-        """Draw z by reparametrisation, so that gradients pass; shape (P, Z)."""
-        return self.mean + torch.randn_like(self.mean) * (0.5 * self.log_variance).exp()
-
-
-class ContextEncoder(torch.nn.Module):
-    """q(z | τ): an LSTM over windows, an average over a pool, two linear heads.
-
-    Means are standardised by running averages over the demonstrations (:meth:`units`). The bound
-    behind L2 holds for a z of constant entropy; without a fixed scale all z would shrink into one
-    point, where L2 is low for any z.
-    """
-
-    def __init__(self, card: TraitCard) -> None:
-        super().__init__()
-        inputs, units = card.encoder_inputs, card.encoder_units
-        self.memory = torch.nn.LSTM(inputs, units, batch_first=True)
-        self.mean = torch.nn.Linear(units, card.latent)
-        self.log_variance = torch.nn.Linear(units, card.latent)
-        torch.nn.init.constant_(self.log_variance.bias, FIRST_LOG_VARIANCE)
-        with torch.no_grad():
-            bias = self.memory.get_parameter("bias_ih_l0")
-            bias[units : 2 * units] += FORGET_BIAS
-        self.register_buffer("input_centre", torch.zeros(inputs))
-        self.register_buffer("input_scale", torch.ones(inputs))
-        self.input_centre: torch.Tensor
-        self.input_scale: torch.Tensor
-        self.register_buffer("centre", torch.zeros(card.latent))
-        self.register_buffer("scale", torch.ones(card.latent))
-        self.centre: torch.Tensor
-        self.scale: torch.Tensor
-
-    def forward(self, x: torch.Tensor, actions: torch.Tensor, length: torch.Tensor) -> Posterior:
-        """Return the posterior of P pools of n windows; arguments as for :meth:`read`."""
-        return self.posterior(self.read(x, actions, length), self.centre, self.scale)
-
-    @staticmethod
-    def inputs(x: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """Do :func:`hmi_marl.agents.learned.trait_model.encoder_inputs` for any leading axes."""
-        done = one_hot(actions.clamp_min(0), ACTIONS).to(x.dtype)
-        before, since = x[..., -EXTRA : ACTIONS - EXTRA], x[..., ACTIONS - EXTRA :]
-        repeated = (before * done).sum(dim=-1, keepdim=True)
-        return torch.cat([x, done, repeated * since], dim=-1)
-
-    def standardise_by(self, batch: Batch) -> None:
-        """Take the inputs' units from a batch, so that rare events count as much as others."""
-        with torch.no_grad():
-            steps = torch.arange(batch.situations.shape[2], device=batch.length.device)
-            there = steps < batch.length[..., None]
-            read = self.inputs(batch.situations, batch.actions)[there]
-            self.input_centre.copy_(read.mean(dim=0))
-            self.input_scale.copy_(read.std(dim=0).clamp_min(SMALLEST_UNIT))
-
-    def read(self, x: torch.Tensor, actions: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
-        """Return the final hidden states of P pools of n windows, averaged over each pool: (P, H).
-
-        Args:
-            x: situations, shape (P, n, T, D).
-            actions: v_t, shape (P, n, T); those after a window's end are not read.
-            length: steps of each window, shape (P, n).
-        """
-        pools, windows, steps, _ = x.shape
-        read = (self.inputs(x, actions) - self.input_centre) / self.input_scale
-        hidden, _ = self.memory(read.reshape(pools * windows, steps, -1))
-        last = hidden[torch.arange(len(hidden), device=x.device), length.reshape(-1) - 1]
-        return last.reshape(pools, windows, -1).mean(dim=1)
-
-    def posterior(
-        self, hidden: torch.Tensor, centre: torch.Tensor, scale: torch.Tensor
-    ) -> Posterior:
-        """Return the posterior of averaged hidden states (P, H), in units of :meth:`units`."""
-        return Posterior((self.mean(hidden) - centre) / scale, self.log_variance(hidden))
-
-    def units(self, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return centre and scale of a batch's raw means, and update their running averages."""
-        raw = self.mean(hidden)
-        centre, scale = raw.mean(dim=0), raw.std(dim=0) + SMALLEST_SPREAD
-        with torch.no_grad():
-            self.centre += FORGETTING * (centre - self.centre)
-            self.scale += FORGETTING * (scale - self.scale)
-        return centre, scale
-
-    def folded(self) -> dict[str, torch.Tensor]:
-        """Return the weights with the units of inputs and means folded in, for NumPy."""
-        memory = self.memory.get_parameter
-        from_inputs = memory("weight_ih_l0") / self.input_scale
-        return {
-            "encoder.input_weight": from_inputs,
-            "encoder.hidden_weight": memory("weight_hh_l0"),
-            "encoder.input_bias": memory("bias_ih_l0") - from_inputs @ self.input_centre,
-            "encoder.hidden_bias": memory("bias_hh_l0"),
-            "mean.weight": self.mean.weight / self.scale[:, None],
-            "mean.bias": (self.mean.bias - self.centre) / self.scale,
-            "log_variance.weight": self.log_variance.weight,
-            "log_variance.bias": self.log_variance.bias,
-        }
+from hmi_marl.training.ppo.models import GROUPS, layers_of, make_critic
+from hmi_marl.training.traits.encoder import ContextEncoder
+from hmi_marl.training.traits.episodes import Units
+from hmi_marl.training.traits.windows import Batch
 
 
 class Reward(torch.nn.Module):
@@ -199,9 +85,8 @@ def weights_of_model(
     discriminator: Discriminator, policy: MLPModel, units: Units
 ) -> dict[str, NDArray[np.float32]]:
     """Return all weights by the names of :attr:`TraitCard.shapes`."""
-    encoder = discriminator.encoder
     weights = {"state.centre": units.centre, "state.scale": units.scale}
-    weights |= {name: array_of(values) for name, values in encoder.folded().items()}
+    weights |= discriminator.encoder.arrays()
     networks = (discriminator.reward.reward, discriminator.reward.potential, policy.mlp)
     for part, network in zip(PARTS, networks, strict=True):
         for name, values in layers_of(network).items():

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.hmis import RandomAlert
-from hmi_marl.agents.learned.trait_model import Recent
+from hmi_marl.agents.learned.situations import Recent
 from hmi_marl.agents.memory import Memoryless
 from hmi_marl.agents.rollout import Observer, play
 from hmi_marl.demonstrations.dataset import observed_layout

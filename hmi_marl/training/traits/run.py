@@ -1,9 +1,11 @@
 """Learning of latent traits in a folder, round by round, resumable.
 
-First the policy learns to imitate, and the encoder from labels, if there are any
-(:attr:`TraitSettings.imitation_updates`). Then in every round the policy drives, given z of
-demonstrated pools; the discriminator learns from that and from demonstrations, while the policy
-continues to imitate; and the policy learns from the learned reward, by PPO.
+First the average driver's policy is learned by imitation, and, if self-supervised, the encoder from
+which windows are of one driver. Next the policy learns to imitate given z, and the encoder of the
+other settings from labels, if there are any (:attr:`TraitSettings.imitation_updates`). Then in
+every round the policy drives, given z of demonstrated pools; the discriminator learns from that and
+from demonstrations, while the policy continues to imitate; and the policy learns from the learned
+reward, by PPO.
 
 Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the learned
 model, ``traits.json`` with its weights.
@@ -12,21 +14,23 @@ model, ``traits.json`` with its weights.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_model import NAME, save_traits
-from hmi_marl.demonstrations.dataset import Demonstrations, alert_rate, held_out
+from hmi_marl.demonstrations.dataset import held_out
 from hmi_marl.demonstrations.env import team_of
-from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations, read_observed
+from hmi_marl.demonstrations.stored import OBSERVED, TRUTH, ObservedFile, TruthFile
+from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
 from hmi_marl.files import json_value, sha256_of
-from hmi_marl.training.traits.settings import TraitSettings
+from hmi_marl.training.traits.settings import LABELLED, TraitSettings
 
 with needing("training"):
     import torch
@@ -35,17 +39,25 @@ with needing("training"):
     from hmi_marl.training.runs.progress import Progress
     from hmi_marl.training.runs.run import ModelRun, Tensors, own_torch_state
     from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
+    from hmi_marl.training.traits.episodes import PIECE, Episodes
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
-    from hmi_marl.training.traits.windows import Batch, Units, Windows, make_labels
+    from hmi_marl.training.traits.self_supervision import AverageLearner, SelfSupervision
+    from hmi_marl.training.traits.windows import Batch, Windows, make_labels
 
 PREPARING_POOLS = 64
 """Pools from which the encoder takes its units."""
 DISCRIMINATOR, GENERATOR = "discriminator", "generator"
+_AVERAGE_DRIVER, _ENCODER = "average", "encoder"
 _SHOWN_EVERY = 10
-"""Imitation updates between two changes of the progress bar."""
-_IMITATING, _ROUNDS = range(2)
+"""Updates between two changes of the progress bar, where nothing is driven."""
+_AVERAGE, _SELF, _IMITATING, _ROUNDS = range(4)
 """Phases of a run."""
+_DOING = {
+    _AVERAGE: "the average driver",
+    _SELF: "finding drivers again",
+    _IMITATING: "imitating",
+}
 
 
 def learn_traits(
@@ -82,7 +94,7 @@ def learn_traits(
 class _Run(ModelRun):
     card_name = NAME
 
-    phases = 2
+    phases = 4
 
     def __init__(
         self,
@@ -92,10 +104,7 @@ class _Run(ModelRun):
         preferences: Mapping[str, float] | None,
         **shown: Any,
     ) -> None:
-        asks_truth = settings.supervision == "preference" and preferences is None
-        data = (
-            read_demonstrations(dataset) if asks_truth else Demonstrations(read_observed(dataset))
-        )
+        stored = ObservedFile(dataset)
         about = {
             "protocol": "traits",
             "preferences": json_value(preferences),
@@ -103,31 +112,38 @@ class _Run(ModelRun):
         }
         super().__init__(settings, folder, about, **shown)
         self._settings = settings
-        if data.observed.about.get("team", {}).get("end_at_crash"):
+        if stored.about.get("team", {}).get("end_at_crash"):
             raise ValueError(
                 "these windows end at a crash, which would distinguish them from the policy's, "
                 "in which a crashed car stands; collect with --no-end-at-crash"
             )
-        learned = ~held_out(data.observed, settings.held_out)
+        learned = ~held_out(stored.driver, settings.held_out_share)
         if not learned.any():
             raise ValueError("held_out leaves no window to learn from; record more demonstrations")
-        data = data.take(learned)
-        observed = data.observed
+        eta = None
+        if settings.supervision == "preference" and preferences is None:
+            known = _etas(dataset, stored)
+            eta = None if known is None else known[learned]
+        episodes = Episodes.read(stored, learned, folder)
         rng = np.random.default_rng(self.draw(Stream.LEARNING, 0))
-        labels = make_labels(data, settings.supervision, settings.labelled, rng, preferences)
-        self._units = Units.of(observed)
-        self._windows = Windows(observed, labels, self._units)
-        self._card = settings.card(observed.layout)
+        labelled = settings.supervision, settings.labelled
+        labels = make_labels(episodes, *labelled, rng, preferences, eta)
+        self._units = episodes.units
+        self._windows = Windows(episodes, labels)
+        self._card = settings.card(episodes.layout)
         self._device = ALONE.device(settings.device)
         torch.manual_seed(self.draw(Stream.LEARNING, 1))
-        team, rate = team_of(observed), alert_rate(observed)
-        self._generator = Generator(self._card, settings, team, rate, self._units, self._device)
+        made_by = team_of(episodes), episodes.alert_rate
+        self._generator = Generator(self._card, settings, *made_by, self._units, self._device)
         self._discriminator = DiscriminatorLearner(
             self._card, settings, self._generator.policy, self._device
         )
-        pools = self._windows.draw(rng, PREPARING_POOLS, settings.pool)
-        self._discriminator.prepare(self._windows.batch(pools, self._device))
-        self._about_data = {"drivers": list(observed.names), "about": json_value(observed.about)}
+        encoder = self._discriminator.model.encoder
+        self._average = AverageLearner(encoder, settings.imitation_rate)
+        self._self = SelfSupervision(encoder, settings.encoder_rate, settings.weight_decay)
+        if settings.supervision == "self":
+            self._windows.draw_drivers(rng, settings.drivers_per_update, settings.pool)  # or raise
+        self._about_data = {"drivers": list(episodes.names), "about": json_value(episodes.about)}
         self._rounds = settings.rounds(self._generator.horizon)
 
     def learn(self) -> None:
@@ -135,9 +151,11 @@ class _Run(ModelRun):
         state, settings, name = self.state, self._settings, self.folder.name
         per_round = settings.num_teams * self._generator.horizon
         with self.progress(name, per_round * self._rounds, state.steps) as progress:
-            if state.phase == _IMITATING:
-                self._imitate(progress)
-                self.finish_phase()
+            self._updates(_AVERAGE, settings.average_updates, self._learn_average, progress)
+            self._prepare()
+            count = settings.encoder_updates if settings.supervision == "self" else 0
+            self._updates(_SELF, count, self._learn_self, progress)
+            self._updates(_IMITATING, settings.imitation_updates, self._imitate, progress)
             progress.phase(name)
             while state.iteration < self._rounds:
                 began = time.monotonic()
@@ -157,21 +175,51 @@ class _Run(ModelRun):
         training = about | {"steps": self.state.steps, "command": self.command_line}
         save_traits(self.folder, replace(self._card, training=training), weights)
 
-    def _imitate(self, progress: Progress) -> None:
-        state, updates = self.state, self._settings.imitation_updates
-        while state.iteration < updates:
+    def _updates(
+        self,
+        phase: int,
+        count: int,
+        update: Callable[[np.random.Generator, float], dict[str, float]],
+        progress: Progress,
+    ) -> None:
+        """Make the updates of a phase in which nothing is driven."""
+        state = self.state
+        while state.phase == phase and state.iteration < count:
             if state.iteration % _SHOWN_EVERY == 0:
-                progress.phase(f"{self.folder.name}: imitating {state.iteration}/{updates}")
-            began = time.monotonic()
-            rng = self._seed_update(2 * state.iteration)
+                about = f"{self.folder.name}: {_DOING[phase]} {state.iteration}/{count}"
+                progress.phase(about)
+            began, done = time.monotonic(), state.iteration / count
+            rng = self._seed_update(4 * state.iteration + phase)
             with self.watched():
-                row = self._discriminator.learn(*self._demonstrated(rng))
+                row = update(rng, done)
             state.curve.append({"steps": 0} | self.count(began) | row)
             self.save_if_due()
+        if state.phase == phase:
+            self.finish_phase()
+
+    def _learn_average(self, rng: np.random.Generator, progress: float) -> dict[str, float]:
+        settings, windows = self._settings, self._windows
+        which = windows.draw(rng, settings.expert_pools, settings.pool)
+        return self._average.learn(windows.batch(which, self._device), progress)
+
+    def _learn_self(self, rng: np.random.Generator, progress: float) -> dict[str, float]:
+        settings, windows = self._settings, self._windows
+        which = windows.draw_drivers(rng, settings.drivers_per_update, settings.pool)
+        return self._self.learn(windows.batch(which, self._device), progress)
+
+    def _imitate(self, rng: np.random.Generator, progress: float) -> dict[str, float]:
+        return self._discriminator.learn(*self._demonstrated(rng))
+
+    def _prepare(self) -> None:
+        """Take the units of the encoder's means, once the average driver is known."""
+        if self.state.phase == _SELF and self.state.iteration == 0:
+            rng = np.random.default_rng(self.draw(Stream.LEARNING, 2))
+            pools = self._windows.draw(rng, PREPARING_POOLS, self._settings.pool)
+            self._discriminator.prepare(self._windows.batch(pools, self._device))
 
     def _round(self) -> dict[str, float]:
         settings, iteration = self._settings, self.state.iteration
-        rng = self._seed_update(2 * iteration + 1)
+        rng = self._seed_update(4 * iteration + _ROUNDS)
         self._generator.begin(iteration / self._rounds)
         pools = self._windows.draw(rng, settings.num_teams // settings.pool, settings.pool)
         with torch.no_grad():
@@ -194,7 +242,7 @@ class _Run(ModelRun):
         settings, windows = self._settings, self._windows
         which = windows.draw_pairs(rng, settings.expert_pools, settings.pool)
         experts = windows.batch(which, self._device)
-        if settings.supervision == "none":
+        if settings.supervision not in LABELLED:
             return experts, None
         which, labels = windows.draw_labelled(rng, settings.labelled_pools, settings.pool)
         batch = windows.batch(which, self._device)
@@ -202,19 +250,25 @@ class _Run(ModelRun):
 
     def _seed_update(self, counter: int) -> np.random.Generator:
         """Seed torch for one update or round, and return NumPy's generator for it."""
-        seed = self.draw(Stream.LEARNING, 2 + counter)
+        seed = self.draw(Stream.LEARNING, 3 + counter)
         torch.manual_seed(seed)
         return np.random.default_rng(seed)
 
     def tensors(self) -> Tensors:
         """See :meth:`Run.tensors`."""
-        d, g = self._discriminator, self._generator
-        return {DISCRIMINATOR: d.tensors(), GENERATOR: g.learner.tensors()}
+        return {
+            DISCRIMINATOR: self._discriminator.tensors(),
+            GENERATOR: self._generator.learner.tensors(),
+            _AVERAGE_DRIVER: self._average.descent.tensors(),
+            _ENCODER: self._self.descent.tensors(),
+        }
 
     def restore(self, tensors: Tensors) -> None:
         """See :meth:`Run.restore`."""
         self._discriminator.load(tensors[DISCRIMINATOR])
         self._generator.learner.load(tensors[GENERATOR])
+        self._average.descent.load(tensors.get(_AVERAGE_DRIVER, {}))
+        self._self.descent.load(tensors.get(_ENCODER, {}))
 
     def check(self, before: dict[str, Any]) -> None:
         """See :meth:`Run.check`; checksums of demonstrations would say nothing to a reader."""
@@ -224,3 +278,13 @@ class _Run(ModelRun):
                 "--out, or remove the folder"
             )
         super().check(before)
+
+
+def _etas(dataset: Path, stored: ObservedFile) -> NDArray[np.float64] | None:
+    """Read η of each episode's driver, shape (E,); None if the truth is not known."""
+    if not (dataset / TRUTH).is_file():
+        return None
+    truth = TruthFile(dataset, stored)
+    pieces = [truth.read(k, min(k + PIECE, len(stored))) for k in range(0, len(stored), PIECE)]
+    column = TRAIT_NAMES.index("eta")
+    return np.concatenate([piece.traits[:, column] for piece in pieces])

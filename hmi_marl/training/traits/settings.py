@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_encoder import EncoderConfig
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.checks import (
     Checked,
@@ -29,7 +30,13 @@ from hmi_marl.envs.observations import Layout
 from hmi_marl.envs.streams import Seed
 from hmi_marl.training.protocols.settings import PPOSettings
 
-Supervision = Literal["none", "id", "preference"]
+Supervision = Literal["self", "none", "id", "preference"]
+LABELLED: tuple[Supervision, ...] = ("id", "preference")
+"""Settings in which some windows have labels."""
+PAPER_HELD_OUT = 0.2
+"""Share of windows that the paper's settings hold out by default."""
+PAPER_LATENT, SELF_LATENT = 2, 8
+"""Sizes of z by default: in the paper's settings, and in the self-supervised one."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,9 @@ class LossWeights(Checked):
     """Weight of L3, the contrastive loss."""
     regularise: Weight = 1e-4
     """Weight of L4, the regularisation."""
+    cohesion: Weight = 0.0
+    """Weight of the squared distance between pools of one driver, labelled or not, which is not in
+    the paper."""
     imitate: Weight = 0.0
     """Weight of −log π(a | s, z) on demonstrations in the encoder, which is not in the paper. The
     policy always learns from it: a random policy would crash at once and leave the discriminator
@@ -61,6 +71,7 @@ class LossWeights(Checked):
             "L2": self.information,
             "L3": self.contrast,
             "L4": self.regularise,
+            "cohesion": self.cohesion,
             "imitation": 1.0,
         }
 
@@ -73,8 +84,11 @@ class TraitSettings(Checked):
         ValueError, TypeError: a value out of its range, saying what to use instead.
     """
 
-    supervision: Supervision = "none"
-    """Labels of windows: none, the driver (id), or the driver's wish for help (preference)."""
+    supervision: Supervision = "self"
+    """How the encoder learns. In the paper's settings, from adversarial IRL, with labels of some
+    windows: none, the driver (id), or the driver's wish for help (preference). Self-supervised
+    (self), from which windows are of one driver, which takes many drivers; adversarial IRL then
+    leaves the encoder as it is."""
     labelled: Annotated[float, Real(0.0, 1.0, above=True)] = 0.2
     """Share of each driver's windows that is labelled."""
     label_bandwidth: Annotated[float, Real(1e-6, 1e6, or_zero=True)] = 0.0
@@ -82,14 +96,26 @@ class TraitSettings(Checked):
     if labels are only equal or different."""
     margin: Factor = 2.0
     """Margin ε of L3: least distance between latent vectors of different labels."""
-    held_out: Annotated[float, Real(0.0, 1.0, below=True)] = 0.2
-    """Share of each driver's windows, the last ones, that is kept out of the learning."""
-    latent: Units = 2
-    """Size of z."""
+    held_out: Annotated[float, Real(0.0, 1.0, below=True)] | None = None
+    """Share of each driver's windows, the last ones, that is kept out of the learning; by default
+    0.2, or 0 if self-supervised, which is judged by drivers who are kept out altogether."""
+    latent: Units | None = None
+    """Size of z; by default 8 if self-supervised, else 2 as in the paper."""
     pool: Count = 8
     """Windows of one driver that are pooled."""
-    encoder_units: Units = 128
-    """Recurrent units of the context encoder."""
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
+    """Sizes of the context encoder."""
+    average_updates: CountOrZero = 300
+    """Updates at the start, in which the average driver's policy is learned by imitation. The
+    encoder reads how likely actions are under it."""
+    encoder_updates: CountOrZero = 600
+    """Updates after that in which the encoder learns if self-supervised."""
+    drivers_per_update: Annotated[int, Whole(2, 100_000)] = 64
+    """Drivers in each of these updates, with two pools each."""
+    encoder_rate: LearningRate = 2e-3
+    """Learning rate of these updates at the start; it falls to a twentieth along half a cosine."""
+    weight_decay: Weight = 1e-2
+    """Weight decay in these updates."""
     imitation_updates: CountOrZero = 600
     """Updates before the policy drives, in which the policy learns by imitation and the encoder
     from the losses that need no driving by the policy."""
@@ -153,6 +179,23 @@ class TraitSettings(Checked):
             )
         check_mini_batches(self.ppo.num_mini_batches, self.num_teams)
 
+    @property
+    def fixed_encoder(self) -> bool:
+        """Whether the encoder stays as it is in adversarial IRL."""
+        return self.supervision == "self"
+
+    @property
+    def held_out_share(self) -> float:
+        """Share of each driver's windows that is kept out of the learning."""
+        if self.held_out is not None:
+            return self.held_out
+        return 0.0 if self.supervision == "self" else PAPER_HELD_OUT
+
+    @property
+    def latent_size(self) -> int:
+        """Z, the size of z."""
+        return self.latent or (SELF_LATENT if self.supervision == "self" else PAPER_LATENT)
+
     def rounds(self, horizon: int) -> int:
         """Number of rounds, for windows of ``horizon`` steps."""
         return math.ceil(self.steps / (self.num_teams * horizon))
@@ -161,8 +204,8 @@ class TraitSettings(Checked):
         """Card of the model for states of this layout."""
         return TraitCard(
             tuple((part.name, part.size) for part in layout.parts),
-            self.latent,
-            self.encoder_units,
+            self.latent_size,
+            self.encoder,
             self.pool,
             self.ppo.gamma,
             self.reward,

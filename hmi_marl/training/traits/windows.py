@@ -16,14 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.trait_model import situations, standardise
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Observed
-from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.demonstrations.dataset import MISSING
 from hmi_marl.reading import read_json
-from hmi_marl.training.traits.settings import Supervision
+from hmi_marl.training.traits.episodes import Episodes
+from hmi_marl.training.traits.settings import LABELLED, Supervision
 from hmi_marl.typed_json import read_value
-
-SMALLEST_SPREAD = 1e-6
 
 
 class Batch(NamedTuple):
@@ -60,60 +57,39 @@ def transitions(batch: Batch) -> Transitions:
     return Transitions(x[:, :, :-1][later], actions[:, :, :-1][later], x[:, :, 1:][later], pool)
 
 
-class Units(NamedTuple):
-    """Units of the observed states in the model: both of shape (D,)."""
-
-    centre: NDArray[np.float32]
-    scale: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, observed: Observed) -> Units:
-        """Take mean and standard deviation over all steps; constant columns keep their scale."""
-        states = observed.states[observed.steps_taken].astype(np.float64)
-        spread = states.std(axis=0)
-        scale = np.where(spread > SMALLEST_SPREAD, spread, 1.0)
-        return cls(states.mean(axis=0).astype(np.float32), scale.astype(np.float32))
-
-    def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return situations in these units."""
-        return standardise(x, self.centre, self.scale)
-
-
 class Windows:
     """Demonstrations from which pools are drawn. Every episode is a window.
 
     Args:
-        observed: the demonstrations. Windows of an unknown driver are never drawn, since they
+        episodes: the demonstrations. Windows of an unknown driver are never drawn, since they
             cannot be pooled.
         labels: labels of the windows, shape (E,), NaN where there is none.
-        units: units of the states.
 
     Raises:
         ValueError: no driver is known, or the labels' shape is wrong, or a driver has several
             labels.
     """
 
-    def __init__(self, observed: Observed, labels: NDArray[np.float64], units: Units) -> None:
-        if labels.shape != (len(observed),):
-            raise ValueError(f"labels have shape ({len(observed)},), not {labels.shape}")
-        self._known = observed.driver != MISSING
+    def __init__(self, episodes: Episodes, labels: NDArray[np.float64]) -> None:
+        if labels.shape != (len(episodes),):
+            raise ValueError(f"labels have shape ({len(episodes)},), not {labels.shape}")
+        self._known = episodes.driver != MISSING
         if not self._known.any():
             raise ValueError("no window's driver is known, so none can be pooled with another")
-        if observed.length.max() < 2:
+        if episodes.length.max() < 2:
             raise ValueError(
                 "all windows have a single step, so there are no transitions; record longer ones"
             )
-        for number in np.unique(observed.driver[self._known]):
-            given = labels[observed.driver == number]
-            if len(np.unique(given[~np.isnan(given)])) > 1:
-                raise ValueError(f"windows of {observed.names[number]} have different labels")
-        self._observed, self._labels = observed, labels
-        x = situations(observed.states, observed.actions, observed.alerts)
-        self._situations = units.standardise(x)
+        self._episodes, self._labels = episodes, labels
+        self._pooled = by_driver(episodes.driver, self._known)
+        self._labelled = by_driver(episodes.driver, self._known & ~np.isnan(labels))
+        for number, own in self._labelled.items():
+            if len(np.unique(labels[own])) > 1:
+                raise ValueError(f"windows of {episodes.names[number]} have different labels")
 
     def draw(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
         """Draw ``count`` pools of ``size`` windows, each of one driver: indices (count, size)."""
-        return draw_pools(rng, self._observed.driver, self._known, count, size)
+        return draw_pools(rng, self._pooled, count, size)
 
     def draw_pairs(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
         """Draw an even ``count`` of pools, where pools 2k and 2k + 1 are of the same driver.
@@ -127,6 +103,26 @@ class Windows:
             raise ValueError(f"count is an even number of pools, but got {count}")
         return self.draw(rng, count // 2, 2 * size).reshape(count, size)
 
+    def draw_drivers(self, rng: np.random.Generator, count: int, size: int) -> NDArray[np.int64]:
+        """Draw ``count`` different drivers, or all if there are no more, and windows of each.
+
+        Returns:
+            Indices of windows, none twice: an even number for each driver, ``2 size`` if every
+            driver has so many. Shape (count, windows).
+
+        Raises:
+            ValueError: there is one driver alone, or one with a single window.
+        """
+        fewest = min(len(own) for own in self._pooled.values())
+        if len(self._pooled) < 2 or fewest < 2:
+            raise ValueError(
+                "finding windows of one driver among others takes two drivers or more with two "
+                "windows or more each; collect many, as with hmi-marl collect --population 2000"
+            )
+        each = 2 * min(size, fewest // 2)
+        chosen = rng.choice(list(self._pooled), min(count, len(self._pooled)), replace=False)
+        return np.stack([rng.choice(self._pooled[who], each, replace=False) for who in chosen])
+
     def draw_labelled(
         self, rng: np.random.Generator, count: int, size: int
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -135,25 +131,34 @@ class Windows:
         Raises:
             ValueError: no window has a label.
         """
-        labelled = self._known & ~np.isnan(self._labels)
-        if not labelled.any():
+        if not self._labelled:
             raise ValueError("no window of a known driver has a label, so none can be drawn")
-        which = draw_pools(rng, self._observed.driver, labelled, count, size)
+        which = draw_pools(rng, self._labelled, count, size)
         return which, self._labels[which[:, 0]]
 
     def batch(self, which: NDArray[np.int64], device: str = "cpu") -> Batch:
         """Return the windows of these indices, (P, n)."""
+        own = self._episodes
         return Batch(
-            torch.from_numpy(self._situations[which]).to(device),
-            torch.from_numpy(self._observed.actions[which]).to(device),
-            torch.from_numpy(self._observed.length[which]).to(device),
+            torch.from_numpy(own.units.standardise(own.situations[which])).to(device),
+            torch.from_numpy(own.actions[which].astype(np.int64)).to(device),
+            torch.from_numpy(own.length[which]).to(device),
         )
+
+
+def by_driver(driver: NDArray[np.int64], among: NDArray[np.bool_]) -> dict[int, NDArray[np.int64]]:
+    """Return the indices of the windows of every driver, of those that are ``among``, both (E,)."""
+    windows = np.flatnonzero(among)
+    order = windows[np.argsort(driver[windows], kind="stable")]
+    if not len(order):
+        return {}
+    drivers, first = np.unique(driver[order], return_index=True)
+    return dict(zip(drivers.tolist(), np.split(order, first[1:]), strict=True))
 
 
 def draw_pools(
     rng: np.random.Generator,
-    driver: NDArray[np.int64],
-    among: NDArray[np.bool_],
+    windows: Mapping[int, NDArray[np.int64]],
     count: int,
     size: int,
 ) -> NDArray[np.int64]:
@@ -162,16 +167,12 @@ def draw_pools(
     No window is drawn twice for a pool, unless its driver has fewer than ``size`` of them.
 
     Args:
-        driver: driver of each window, shape (E,).
-        among: windows to draw from, shape (E,).
+        windows: indices of the windows of each driver; see :func:`by_driver`.
 
     Returns:
         Indices of windows, shape (count, size).
     """
-    windows = np.flatnonzero(among)
-    drivers = np.unique(driver[windows])
-    by_driver = {number: windows[driver[windows] == number] for number in drivers}
-    drawn_from = [by_driver[number] for number in rng.choice(drivers, count)]
+    drawn_from = [windows[number] for number in rng.choice(list(windows), count)]
     return np.stack([rng.choice(own, size, replace=len(own) < size) for own in drawn_from])
 
 
@@ -190,45 +191,48 @@ def choose_labelled(
 
 
 def make_labels(
-    demonstrations: Demonstrations,
+    episodes: Episodes,
     supervision: Supervision,
     share: float,
     rng: np.random.Generator,
     preferences: Mapping[str, float] | None = None,
+    eta: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Return labels of all windows, shape (E,), NaN where there is none.
 
     Args:
         share: share of each driver's windows that is labelled; ``rng`` chooses them.
         preferences: people's answers by name, in [0, 1]; not needed for simulated drivers.
+        eta: η of each window's driver, shape (E,), which answers for simulated drivers.
 
     Raises:
         ValueError: a preference is missing or outside [0, 1], or all labels are the same.
     """
-    observed = demonstrations.observed
-    marked = choose_labelled(observed.driver, share, rng)
-    labels = np.full(len(observed), np.nan)
+    marked = choose_labelled(episodes.driver, share, rng)
+    labels = np.full(len(episodes), np.nan)
     if supervision == "id":
-        labels[marked] = observed.driver[marked]
+        labels[marked] = episodes.driver[marked]
     elif supervision == "preference":
-        labels[marked] = _preferences(demonstrations, marked, preferences)
-    if supervision != "none" and len(np.unique(labels[~np.isnan(labels)])) < 2:
+        labels[marked] = _preferences(episodes, marked, preferences, eta)
+    if supervision in LABELLED and len(np.unique(labels[~np.isnan(labels)])) < 2:
         raise ValueError("all labels are the same, so nothing can be learned from them")
     return labels
 
 
 def _preferences(
-    demonstrations: Demonstrations, marked: NDArray[np.bool_], answers: Mapping[str, float] | None
+    episodes: Episodes,
+    marked: NDArray[np.bool_],
+    answers: Mapping[str, float] | None,
+    eta: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
     if answers is None:
-        if demonstrations.truth is None:
+        if eta is None:
             raise ValueError(
                 "the preferences of these drivers are unknown, since the demonstrations have no "
                 "truth; give the drivers' answers with --preferences FILE"
             )
-        return demonstrations.truth.traits[marked, TRAIT_NAMES.index("eta")]
-    observed = demonstrations.observed
-    asked = [observed.names[number] for number in observed.driver[marked]]
+        return eta[marked]
+    asked = [episodes.names[number] for number in episodes.driver[marked]]
     if missing := sorted(set(asked) - set(answers)):
         raise ValueError(f"the preferences lack {', '.join(missing)}; add them to the file")
     values = np.array([float(answers[name]) for name in asked])

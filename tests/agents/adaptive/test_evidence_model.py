@@ -23,7 +23,7 @@ from hmi_marl.agents.adaptive.evidence_model import (
     Turns,
 )
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.trait_model import LONG_AGO
+from hmi_marl.agents.learned.situations import LONG_AGO
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.observations import vehicle_ai_layout

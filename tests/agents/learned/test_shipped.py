@@ -77,14 +77,15 @@ def test_the_papers_agents_are_there() -> None:
     drivers = ["lisa", "marge", "bart", "homer", "average"]
     assert {"driver", "attentive-driver"} <= set(shipped_names("driver"))
     assert {*drivers, *(f"hidden-{name}" for name in drivers)} <= set(shipped_names("vehicle_ai"))
-    assert set(ENCODERS) == {"traits-none", "traits-id", "traits-preference"}
+    assert set(ENCODERS) == {"traits-none", "traits-id", "traits-preference", "traits-self"}
 
 
 @pytest.mark.parametrize("name", AGENTS)
 def test_cards_say_how_they_were_made_and_name_no_places(name: str) -> None:
     card = card_of(name)
     training = card["training"]
-    assert training["command"].startswith(("hmi-marl reproduce", "hmi-marl compare"))
+    commands = "hmi-marl reproduce", "hmi-marl compare", "hmi-marl traits train"
+    assert training["command"].startswith(commands)
     assert training["settings"]["seed"] == 0
     assert training["version"]
     assert not re.search(r'["\s=][/~]\w|[A-Za-z]:\\\\', json.dumps(card))
@@ -113,9 +114,9 @@ def test_each_encoder_encodes(name: str) -> None:
     settings = CollectSettings(drivers=("lisa", "homer"), steps=200)
     (windows,) = collect(settings)
     seen = windows.observed
-    hidden = model.encode(seen.states, seen.actions, seen.alerts, seen.length)
-    latent = model.latent(hidden)
-    assert latent.mean.shape == (4, 2)
+    sums = model.encoder.encode(seen.states, seen.actions, seen.alerts, seen.length)
+    latent = model.encoder.latent(sums)
+    assert latent.mean.shape == (4, 8 if name == "traits-self" else 2)
     assert np.isfinite(latent.mean).all()
 
 

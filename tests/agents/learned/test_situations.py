@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_marl.agents.learned.trait_model import ACTIONS, EXTRA, LONG_AGO, Recent, situations
+from hmi_marl.agents.learned.situations import (
+    ACTIONS,
+    EXTRA,
+    LONG_AGO,
+    Recent,
+    situations,
+    standardise,
+)
 
 COLUMNS = 3
 seeds = st.integers(0, 2**32 - 1)
@@ -115,3 +122,11 @@ def test_nothing_hidden_can_be_handed_in():
 @pytest.mark.parametrize("count", [0, 1])
 def test_few_drives_are_drives(count):
     assert situations(*drives(0, count)).shape == (count, 16, COLUMNS + EXTRA)
+
+
+def test_situations_are_standardised_by_hand():
+    x = np.arange(4 + EXTRA, dtype=np.float32)
+    out = standardise(x, np.array([0.0, 1.0, 1.0, 5.0]), np.array([1.0, 2.0, 0.5, 4.0]))
+    assert out.tolist() == [0.0, 0.0, 2.0, -0.5, *range(4, 4 + EXTRA)]
+    assert x.tolist() == list(range(4 + EXTRA))
+    assert out.dtype == np.float32

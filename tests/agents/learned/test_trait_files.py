@@ -11,6 +11,7 @@ import pytest
 from demonstrations import LAYOUT
 from model_cards import card_bytes, with_card, with_weights
 from safetensors.numpy import save as save_tensors
+from trait_models import SMALL
 
 from hmi_marl.agents.learned import cards as weight_files
 from hmi_marl.agents.learned.network import NetworkConfig
@@ -26,7 +27,7 @@ READS = tuple((part.name, part.size) for part in LAYOUT.parts)
 CARD = TraitCard(
     READS,
     latent=3,
-    encoder_units=4,
+    encoder=SMALL,
     pool=5,
     gamma=0.9,
     reward=NetworkConfig((4, 3), "tanh"),
@@ -61,9 +62,11 @@ def test_a_trait_model_comes_back_as_it_was(tmp_path: Path, card: TraitCard) -> 
 
 def test_what_comes_back_does_the_same(tmp_path: Path) -> None:
     weights, back = weights_for(CARD), load_traits(saved(tmp_path))
-    pooled = np.random.default_rng(1).normal(size=(6, 4))
+    pooled = np.random.default_rng(1).uniform(1.0, 9.0, size=(6, 6))
     for one, other in zip(
-        TraitModel(CARD, weights).latent(pooled), back.latent(pooled), strict=True
+        TraitModel(CARD, weights).encoder.latent(pooled),
+        back.encoder.latent(pooled),
+        strict=True,
     ):
         np.testing.assert_array_equal(one, other)
 
@@ -79,8 +82,14 @@ def test_the_same_model_makes_the_same_bytes(tmp_path: Path) -> None:
 def test_weights_that_do_not_fit_are_not_written(tmp_path: Path) -> None:
     weights = weights_for(CARD)
     for change, message in (
-        ({"mean.bias": np.full(3, np.nan, np.float32)}, r"mean\.bias is not finite everywhere"),
-        ({"mean.bias": np.zeros(2, np.float32)}, r"mean\.bias has shape \(2,\), but the card"),
+        (
+            {"encoder.step_layer.bias": np.full(4, np.nan, np.float32)},
+            r"encoder\.step_layer\.bias is not finite everywhere",
+        ),
+        (
+            {"encoder.step_layer.bias": np.zeros(2, np.float32)},
+            r"encoder\.step_layer\.bias has shape \(2,\), but the card",
+        ),
         ({"extra": np.zeros(2, np.float32)}, "do not fit the trait model's card: extra"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -128,16 +137,16 @@ def test_weights_that_are_gone_are_reported(tmp_path: Path) -> None:
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl traits 3"', "is no JSON file"),
+        (b'{"format": "hmi-marl traits 4"', "is no JSON file"),
         (b"[1, 2]", "is no trait model that can be read here: format None"),
         (b'{"format": "hmi-marl policy 1"}', "is no trait model .* 'hmi-marl policy 1'"),
         (b'{"format": "hmi-marl traits 2"}', "is no trait model .* 'hmi-marl traits 2'"),
         (
-            card_bytes({"format": "hmi-marl traits 3"}),
+            card_bytes({"format": "hmi-marl traits 4"}),
             "is a damaged trait model card: it lacks reads",
         ),
         (
-            b'{"format": "hmi-marl traits 3"}',
+            b'{"format": "hmi-marl traits 4"}',
             "is a damaged trait model card: it has no checksum; copy",
         ),
     ],
@@ -161,7 +170,8 @@ def test_other_files_are_no_trait_models(tmp_path: Path, content: bytes, message
         {"latent": None},
         {"latent": "two"},
         {"pool": 0},
-        {"encoder_units": -1},
+        {"encoder": {"span": -1}},
+        {"encoder": {"units": 5}},
         {"gamma": 1.5},
         {"policy": None},
         {"policy": {"hidden_dims": [64], "depth": 2}},
@@ -180,7 +190,10 @@ def test_a_damaged_card_is_reported(tmp_path: Path, changed: dict[str, Any]) -> 
 def test_the_weights_of_another_model_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path)
     for other, message in (
-        (replace(CARD, latent=2), r"mean\.weight has shape \(2, 4\), but the card says \(3, 4\)"),
+        (
+            replace(CARD, latent=2),
+            r"head\.layer1\.weight has shape \(4, 4\), but the card says \(6, 4\)",
+        ),
         (replace(CARD, policy=NetworkConfig((5, 5))), r"trait model's card: policy\.layer2\."),
     ):
         with_weights(path, save_tensors(weights_for(other)))
@@ -190,12 +203,14 @@ def test_the_weights_of_another_model_are_refused(tmp_path: Path) -> None:
 
 def test_weights_missing_or_not_finite_are_refused(tmp_path: Path) -> None:
     path, weights = saved(tmp_path), weights_for(CARD)
-    with_weights(path, save_tensors(weights | {"mean.bias": np.full(3, np.inf, np.float32)}))
-    with pytest.raises(ValueError, match=r"mean\.bias is not finite everywhere"):
+    with_weights(
+        path, save_tensors(weights | {"encoder.step_layer.bias": np.full(4, np.inf, np.float32)})
+    )
+    with pytest.raises(ValueError, match=r"encoder\.step_layer\.bias is not finite everywhere"):
         load_traits(path)
-    del weights["encoder.hidden_bias"]
+    del weights["encoder.span_layer.bias"]
     with_weights(path, save_tensors(weights))
-    with pytest.raises(ValueError, match=r"trait model's card: encoder\.hidden_bias"):
+    with pytest.raises(ValueError, match=r"trait model's card: encoder\.span_layer\.bias"):
         load_traits(path)
 
 
@@ -245,8 +260,10 @@ def test_a_kill_between_the_two_files_is_noticed_and_mended_by_the_next_write(
     with pytest.raises(ValueError, match="is not the file that"):
         load_traits(tmp_path)
     saved(tmp_path, seed=1)
-    expected = weights_for(CARD, 1)["mean.bias"]
-    np.testing.assert_array_equal(load_traits(tmp_path).weights["mean.bias"], expected)
+    expected = weights_for(CARD, 1)["encoder.step_layer.bias"]
+    np.testing.assert_array_equal(
+        load_traits(tmp_path).weights["encoder.step_layer.bias"], expected
+    )
 
 
 def test_the_card_holds_its_format_and_how_it_was_made(tmp_path: Path) -> None:

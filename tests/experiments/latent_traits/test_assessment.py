@@ -19,12 +19,12 @@ from hmi_marl.experiments.latent_traits.assessment import (
     AssessSettings,
     Split,
     assess,
-    disjoint_pools,
     pool_sizes,
-    regress_traits,
 )
 from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence, exact_evidence
 from hmi_marl.experiments.latent_traits.imitation import by_driver, driving, replay
+from hmi_marl.experiments.latent_traits.latents import disjoint_pools
+from hmi_marl.experiments.latent_traits.strangers import read_traits
 from hmi_marl.files import json_value
 
 CAST = ("lisa", "homer")
@@ -86,8 +86,8 @@ def test_everything_is_asked(assessment: Assessment, split: Split) -> None:
         ("lisa", 4),
         ("homer", 4),
     ]
-    assert assessment.traits is not None
-    assert tuple(assessment.traits) == TRAIT_NAMES
+    assert assessment.reading is not None
+    assert tuple(assessment.reading.r2) == TRAIT_NAMES
     for row in assessment.driving:
         assert (row.demonstrated.drives, row.imitated.drives) == (3, 3)
     unseen = split.unseen.observed
@@ -105,8 +105,9 @@ def test_nobody_beats_the_exact_likelihood_by_much(assessment: Assessment) -> No
 def test_the_regression_is_over_the_population(
     assessment: Assessment, split: Split, population: Demonstrations
 ) -> None:
-    expected = regress_traits(model_for(split), population, 2, SMALL.seed)
-    assert assessment.traits == expected
+    expected = read_traits(model_for(split), population, 2, SMALL.seed).r2
+    assert assessment.reading is not None
+    assert assessment.reading.r2 == expected
 
 
 def test_it_comes_back_from_json(assessment: Assessment) -> None:
@@ -119,13 +120,14 @@ def test_it_comes_back_from_json(assessment: Assessment) -> None:
         "driving",
         "reward_ranking",
         "traits",
+        "naming",
     }
     assert [row["windows"] for row in content["identified"]] == [1, 2]
     assert content["identified"][1]["types"] == json_value(assessment.identified[1].types)
     assert content["embedding"]["means"] == assessment.embedding.means.tolist()
     assert content["embedding"]["drivers"] == ["lisa"] * 4 + ["homer"] * 4
     assert content["traits"]["eta"]["linear"]["mean"] == pytest.approx(
-        assessment.traits["eta"].linear.mean  # type: ignore[index]
+        assessment.reading.r2["eta"].linear.mean  # type: ignore[index]
     )
 
 
@@ -160,7 +162,7 @@ def test_recorded_people_are_judged_as_far_as_can_be(split: Split) -> None:
     )
     people, calls = Split(*sides), []
     found = assess(model_for(split), people, None, None, SMALL, (1, 2), lambda: calls.append(None))
-    assert (found.driving, found.reward_ranking, found.traits) == ([], [], None)
+    assert (found.driving, found.reward_ranking, found.reading) == ([], [], None)
     assert [row.windows for row in found.identified] == [1, 2]
     assert found.identified[0].preferences is None
     assert len(found.likelihood) == 2

@@ -7,22 +7,21 @@ from demonstrations import LAYOUT, made_up
 from trait_models import untrained
 
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_encoder import BEHAVIOUR, EncoderConfig
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
 from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
-from hmi_marl.experiments.latent_traits import assessment as traits
+from hmi_marl.experiments.latent_traits import strangers
 from hmi_marl.experiments.latent_traits.assessment import (
+    WINDOWS,
     Split,
-    disjoint_pools,
-    encode,
     identify_drivers,
-    mean_latents,
     pool_sizes,
-    population_pools,
-    regress_traits,
 )
 from hmi_marl.experiments.latent_traits.ceiling import likes_help
+from hmi_marl.experiments.latent_traits.latents import disjoint_pools, encode, mean_latents
+from hmi_marl.experiments.latent_traits.strangers import read_traits, strangers_pools
 from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
 
@@ -32,16 +31,19 @@ NAMES = ("lisa", "marge", "bart")
 
 
 def speed_reader(pool: int = 2) -> TraitModel:
-    """z is tanh(tanh) of the last step's speed and target speed, in pools averaged."""
+    """z is the mean of speed and target speed over all steps."""
     one = NetworkConfig((1,))
     reads = tuple((part.name, part.size) for part in LAYOUT.parts)
-    card = TraitCard(reads, encoder_units=2, pool=pool, reward=one, potential=one, policy=one)
+    two = EncoderConfig(2, 2, 1, 2, head=NetworkConfig((2,)), average=one)
+    card = TraitCard(reads, encoder=two, pool=pool, reward=one, potential=one, policy=one)
     weights = {name: np.zeros(size, np.float32) for name, size in card.shapes.items()}
     weights["state.scale"] += 1.0
-    weights["encoder.input_bias"][:] = 40, 40, -40, -40, 0, 0, 40, 40  # in, forget, cell, out
     for unit, part in enumerate(("speed", "target_speed")):
-        weights["encoder.input_weight"][4 + unit, LAYOUT[part].start] = 1.0
-    weights["mean.weight"][:] = np.eye(2)
+        weights["encoder.state_layer.weight"][unit, LAYOUT[part].start] = 1.0
+    weights["encoder.step_layer.weight"][:, BEHAVIOUR:] = np.eye(2)
+    weights["encoder.span_layer.weight"][0] = np.eye(2)
+    weights["encoder.head.layer0.weight"][:, :2] = np.eye(2)
+    weights["encoder.head.layer1.weight"][:2] = np.eye(2)
     return TraitModel(card, weights)
 
 
@@ -91,19 +93,19 @@ def test_pools_share_no_window_and_have_one_driver(size: int) -> None:
     assert len(pools) == sum((driver == who).sum() // size for who in range(4))
 
 
-def test_pooled_states_are_averages() -> None:
+def test_a_pool_is_averaged_over_all_steps() -> None:
     data = driven({"lisa": 3, "marge": 2})
     model = speed_reader()
-    states = encode(model, data.observed)
+    sums = encode(model, data.observed)
     speed, target = (
-        data.observed.layout.scalar(data.observed.states, part)[:, -1]
+        data.observed.layout.scalar(data.observed.states, part)
         for part in ("speed", "target_speed")
     )
-    z = np.tanh(np.tanh(np.stack([speed, target], axis=1)))
-    np.testing.assert_allclose(states, z, rtol=1e-6)
+    z = np.stack([speed, target], axis=2).mean(axis=1)
+    np.testing.assert_allclose(sums, np.concatenate([2 * z, np.full((5, 1), 2.0)], axis=1))
     pools = np.array([[0, 2], [3, 4]])
     expected = [(z[0] + z[2]) / 2, (z[3] + z[4]) / 2]
-    np.testing.assert_allclose(mean_latents(model, states, pools), expected, rtol=1e-6)
+    np.testing.assert_allclose(mean_latents(model, sums, pools), expected, rtol=1e-6)
     np.testing.assert_array_equal(data.observed.driver, [0, 0, 0, 1, 1])
 
 
@@ -153,7 +155,7 @@ def test_sizes_of_pools_by_hand() -> None:
     assert pool_sizes(split, 1, 1) == (1, 2, 4)
     assert pool_sizes(split, 15, -1) == (1, 2, 4, 8, 15)
     whole = Split.of(driven({"lisa": 200, "marge": 128}), 0.5, 1000)
-    assert pool_sizes(whole, 8, 2) == traits.WINDOWS
+    assert pool_sizes(whole, 8, 2) == WINDOWS
 
 
 def test_too_few_windows_are_told_beforehand() -> None:
@@ -276,7 +278,7 @@ def random_drivers(count: int = 12, windows: int = 2, seed: int = 0) -> Demonstr
 
 
 def test_what_can_be_read_from_z_is_told_of_every_trait() -> None:
-    found = regress_traits(speed_reader(), random_drivers(60), 2)
+    found = read_traits(speed_reader(), random_drivers(60), 2).r2
     assert tuple(found) == TRAIT_NAMES
     for name in ("beta", "inflation"):
         assert found[name].linear.mean > 0.95
@@ -287,13 +289,16 @@ def test_what_can_be_read_from_z_is_told_of_every_trait() -> None:
 def test_no_driver_is_on_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
     given: dict[str, Any] = {}
 
-    def record(z: Any, known: Any, new: Any, truth: Any, names: Any, seed: int) -> dict[str, Any]:
+    def record(
+        z: Any, known: Any, new: Any, truth: Any, names: Any, seed: int, predicted: Any
+    ) -> dict[str, Any]:
+        assert predicted.shape == truth.shape
         given.update(z=z, known=known, new=new, truth=truth, names=names, seed=seed)
         return {}
 
-    monkeypatch.setattr(traits, "trait_r2", record)
+    monkeypatch.setattr(strangers, "trait_r2", record)
     population = random_drivers(7, windows=5)
-    regress_traits(speed_reader(), population, 2, seed=3)
+    read_traits(speed_reader(), population, 2, seed=3)
     assert (given["names"], given["seed"]) == (TRAIT_NAMES, 3)
     sides = [np.unique(given[side], axis=0) for side in ("known", "truth")]
     assert [len(side) for side in sides] == [4, 3]
@@ -301,26 +306,26 @@ def test_no_driver_is_on_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (len(given["z"]), len(given["new"])) == (8, 6)  # two pools of each
     # Each z beside its driver's traits: the speed is half of β.
     for z, known in ((given["z"], given["known"]), (given["new"], given["truth"])):
-        np.testing.assert_allclose(z[:, 0], np.tanh(np.tanh(0.5 * known[:, 0])), rtol=1e-5)
+        np.testing.assert_allclose(z[:, 0], 0.5 * known[:, 0], rtol=1e-5)
 
 
 def test_halves_are_equal_whoever_has_too_few_windows() -> None:
     # Every other driver has a single window, and so no pool of two.
     data = random_drivers(8)
     kept = (data.observed.driver % 2 == 0) | (data.observed.number == 0)
-    found = regress_traits(speed_reader(), data.take(kept), 2)
-    whole = regress_traits(speed_reader(), data.take(data.observed.driver % 2 == 0), 2)
+    found = read_traits(speed_reader(), data.take(kept), 2).r2
+    whole = read_traits(speed_reader(), data.take(data.observed.driver % 2 == 0), 2).r2
     assert found == whole
     assert np.isfinite(found["beta"].linear.mean)
 
 
 def test_a_population_that_tells_too_little_is_refused() -> None:
     with pytest.raises(ValueError, match="only where the truth is known"):
-        population_pools(Demonstrations(random_drivers().observed), 2)
+        read_traits(speed_reader(), Demonstrations(random_drivers().observed), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 2 windows each, but .* has 3"):
-        regress_traits(speed_reader(), random_drivers(3), 2)
+        read_traits(speed_reader(), random_drivers(3), 2)
     with pytest.raises(ValueError, match=r"4 drivers or more with 3 windows each, but .* has 0"):
-        population_pools(random_drivers(), 3)
-    truth, pools = population_pools(random_drivers(), 2)
+        strangers_pools(random_drivers().observed.driver, 3)
+    pools, fits = strangers_pools(random_drivers().observed.driver, 2)
     assert pools.shape == (12, 2)
-    assert truth.traits.shape == (24, 4)
+    assert fits.sum() == 6

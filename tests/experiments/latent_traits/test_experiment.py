@@ -21,13 +21,13 @@ from hmi_marl.envs.streams import part_seed
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.latent_traits import assessment, ceiling
 from hmi_marl.experiments.latent_traits.assessment import Assessment
+from hmi_marl.experiments.latent_traits.evaluation import SUPERVISIONS, TraitEvaluation
 from hmi_marl.experiments.latent_traits.experiment import (
     DEMONSTRATIONS,
     POPULATION,
-    SUPERVISIONS,
+    STRANGERS,
     AssessSettings,
     LatentTraits,
-    TraitEvaluation,
 )
 from hmi_marl.files import sha256_of
 from hmi_marl.reporting.report import Report, Stopwatch
@@ -36,7 +36,13 @@ from hmi_marl.training.traits.settings import TraitSettings
 pytestmark = pytest.mark.usefixtures("few_folds")
 
 SMALL = AssessSettings(windows=10, episodes=2, ranked=2)
-TINY = LatentTraits(demonstrated=2000, population=4, learn=TraitSettings(pool=1), evaluation=SMALL)
+TINY = LatentTraits(
+    demonstrated=2000,
+    strangers=3,
+    population=4,
+    learn=TraitSettings(pool=1, latent=2),
+    evaluation=SMALL,
+)
 
 
 @pytest.fixture(scope="module")
@@ -119,26 +125,31 @@ def test_every_setting_is_learned_as_often_as_there_are_seeds(tmp_path: Path) ->
         ("traits-none", "none", 5),
         ("traits-id", "id", 5),
         ("traits-preference", "preference", 5),
+        ("traits-self", "self", 5),
         ("traits-none-1", "none", second),
         ("traits-id-1", "id", second),
         ("traits-preference-1", "preference", second),
+        ("traits-self-1", "self", second),
     ]
-    assert {replace(job, supervision="none", seed=0) for job in jobs.values()} == {size.learn}
+    assert {replace(job, supervision="self", seed=0) for job in jobs.values()} == {size.learn}
     assert list(dict.fromkeys(job.supervision for job in jobs.values())) == list(SUPERVISIONS)
 
 
 def test_the_population_shares_no_driver_and_no_episode_with_the_demonstrations() -> None:
     sets = TINY.datasets(Path("somewhere"))
-    assert list(sets) == [DEMONSTRATIONS, POPULATION]
-    demonstrations, population = sets[DEMONSTRATIONS], sets[POPULATION]
+    assert list(sets) == [DEMONSTRATIONS, POPULATION, STRANGERS]
+    demonstrations, population, strangers = sets.values()
     assert demonstrations.drivers == PAPER_DRIVERS
     assert (demonstrations.population, population.drivers) == (0, ())
     assert (demonstrations.steps, population.population) == (2000, 4)
-    assert demonstrations.seed != population.seed
+    assert (strangers.drivers, strangers.population) == ((), 3)
+    assert len({each.seed for each in sets.values()}) == 3
     assert demonstrations.driver_policy == population.driver_policy == "somewhere"
 
 
-@pytest.mark.parametrize("name", ["driver_steps", "demonstrated", "population", "seeds"])
+@pytest.mark.parametrize(
+    "name", ["driver_steps", "demonstrated", "population", "strangers", "seeds"]
+)
 def test_a_reproduction_of_nothing_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name} lies in 1 to"):
         LatentTraits(**{name: 0})
@@ -150,6 +161,8 @@ def test_what_a_reproduction_sets_itself_is_refused() -> None:
             LatentTraits(learn=learn)
     with pytest.raises(ValueError, match="over 4 drivers or more, but got population = 3"):
         LatentTraits(population=3)
+    with pytest.raises(ValueError, match="learns from two strangers or more"):
+        LatentTraits(strangers=1)
 
 
 def test_what_is_recorded_is_not_recorded_again(
@@ -170,11 +183,11 @@ def test_what_is_recorded_is_not_recorded_again(
     with pytest.raises(ValueError, match=r"demonstrations holds another .*steps = 2000, now 1900"):
         replace(TINY, demonstrated=1900).collect(steering, tmp_path)
     # Too little is told before anything is learned from it.
-    larger = replace(TINY, learn=TraitSettings(pool=2))
+    larger = replace(TINY, learn=TraitSettings(pool=2, latent=2))
     with pytest.raises(ValueError, match="too few windows to judge by"):
         larger.collect(steering, tmp_path)
     monkeypatch.setattr(assessment, "pool_sizes", lambda *given: (1,))
-    many = replace(TINY, learn=TraitSettings(pool=32))
+    many = replace(TINY, learn=TraitSettings(pool=32, latent=2))
     with pytest.raises(ValueError, match=r"population holds another .*windows = 16, now 64"):
         many.collect(steering, tmp_path)
     with pytest.raises(ValueError, match="recorded with another driver policy than that of"):
@@ -200,8 +213,8 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
     first, second = found["id"]
     assert first.identified[0].ceilings == second.identified[0].ceilings is not None
     assert not (first.embedding.means == second.embedding.means).all()
-    assert first.traits is not None
-    assert second.traits is None  # only what is told over seeds
+    assert first.reading is not None
+    assert second.reading is not None
     assert not second.reward_ranking
     watch = Stopwatch()
     watch.seconds["judging"] = 1.0
@@ -226,6 +239,36 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
     assert "data:image/png;base64" in (out / "index.html").read_text("utf-8")
 
 
+def test_strangers_may_have_taught_the_self_supervised_setting_alone(
+    tmp_path: Path, data: Path, population: Path
+) -> None:
+    none, own = a_run(tmp_path / "a", data), a_run(tmp_path / "b", population, "self", held_out=0.0)
+    found, _ = assess_runs([none, own], data, None, None, SMALL)
+    assert list(found) == ["none", "self"]
+    # Both name the same windows, which the first has held out.
+    assert [row.pools for row in found["none"][0].identified] == [
+        row.pools for row in found["self"][0].identified
+    ]
+    assert [row.windows for row in found["self"][0].naming] == [1, 2]
+    with pytest.raises(ValueError, match=r"b has learned from .*; name a population that it has"):
+        assess_runs([none, own], data, population, None, SMALL)
+    none = a_run(tmp_path / "c", population)
+    with pytest.raises(ValueError, match="c learned from other demonstrations than"):
+        assess_runs([none], data, None, None, SMALL)
+
+
+def test_the_exact_posterior_stands_beside(tmp_path: Path, data: Path, steering: Path) -> None:
+    people = {"drivers": (), "population": 6, "windows": 2}
+    strangers = record(tmp_path / "population", steering, **people)
+    size = replace(SMALL, posteriors=3)
+    evaluation = TraitEvaluation((a_run(tmp_path / "a", data),), data, strangers, None, size)
+    found = evaluation.run(Place(data, data)).posterior
+    assert found is not None
+    assert (found.drivers, found.windows, found.case) == (3, 2, "hidden-known")
+    with pytest.raises(ValueError, match="posteriors is 0, or at least 3, not 2"):
+        AssessSettings(posteriors=2)
+
+
 def test_sizes_of_z_may_differ(tmp_path: Path, data: Path) -> None:
     # Eight held-out windows make pools of two enough for a z of one number, not of four.
     sizes = {"none": 1, "id": 4}
@@ -233,7 +276,7 @@ def test_sizes_of_z_may_differ(tmp_path: Path, data: Path) -> None:
     found, _ = assess_runs(runs, data, None, None, SMALL)
     for name in sizes:
         assert [row.windows for row in found[name][0].identified] == [1]
-        assert found[name][0].traits is None
+        assert found[name][0].reading is None
     write_report(tmp_path / "out", runs, data)
 
 
@@ -250,8 +293,8 @@ def test_what_cannot_be_judged_together_is_told(tmp_path: Path, data: Path) -> N
     good = a_run(tmp_path / "good", data)
     other = record(tmp_path / "other", "rule")
     for run, told in (
-        (a_run(tmp_path / "pool", data, pool=1), "pool pools or holds out other windows than"),
-        (a_run(tmp_path / "share", data, held_out=0.3), "share pools or holds out other"),
+        (a_run(tmp_path / "pool", data, pool=1), "pool pools other windows than"),
+        (a_run(tmp_path / "share", data, held_out=0.3), "share holds out other windows than"),
         (a_run(tmp_path / "from", other), "from learned from other demonstrations than"),
         (
             a_run(tmp_path / "none", data, training={}),

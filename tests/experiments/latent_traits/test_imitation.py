@@ -9,7 +9,8 @@ from trait_models import untrained
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import make_card, save_policy
-from hmi_marl.agents.learned.trait_model import TraitModel, situations
+from hmi_marl.agents.learned.situations import situations
+from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.demonstrations.dataset import Observed
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import TeamConfig
@@ -69,13 +70,13 @@ def by_hand(model: TraitModel, observed: Observed, judged: int, given: int) -> f
     return total / steps
 
 
-def test_pools_are_averaged_over_windows(observed: Observed) -> None:
+def test_a_pool_is_the_sum_of_its_windows(observed: Observed) -> None:
     model = untrained(observed.layout)
-    hidden = [
-        model.encode(one.states, one.actions, one.alerts, one.length)[0]
+    sums = [
+        model.encoder.encode(one.states, one.actions, one.alerts, one.length)[0]
         for one in (observed.take([window]) for window in (6, 3))
     ]
-    expected = model.latent(np.mean(hidden, axis=0)[None])
+    expected = model.encoder.latent(np.sum(sums, axis=0)[None])
     found = pool_latents(model, observed, [[6, 3], [1, 7]])
     np.testing.assert_allclose(found.mean[:1], expected.mean, rtol=1e-12)
     np.testing.assert_allclose(found.variance[:1], expected.variance, rtol=1e-12)

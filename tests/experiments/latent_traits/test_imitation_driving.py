@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from trait_models import untrained
 
-from hmi_marl.agents.learned.trait_model import EXTRA, situations
+from hmi_marl.agents.learned.situations import EXTRA, situations
 from hmi_marl.demonstrations.dataset import Observed
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.observations import FASTEST, Layout

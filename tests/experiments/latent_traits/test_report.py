@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from foreign_texts import FOREIGN
 
+from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.latent_traits import figures
 from hmi_marl.experiments.latent_traits import report as trait_report
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
-from hmi_marl.experiments.latent_traits.experiment import TraitEvaluation
+from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
+from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, TraitScore
 from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, average_kl
 from hmi_marl.experiments.latent_traits.report import (
     TraitResults,
@@ -26,11 +28,14 @@ from hmi_marl.experiments.latent_traits.report import (
     identity_table,
     left_out,
     likelihood_table,
+    naming_table,
     over_seeds,
     ranking_table,
     trait_table,
 )
 from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
+from hmi_marl.experiments.latent_traits.strangers import Naming, TraitReading
+from hmi_marl.experiments.latent_traits.trait_figures import draw_reading
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import as_text
 from hmi_marl.reporting.report import PAGE, Stopwatch
@@ -61,6 +66,17 @@ def identified(
         None if likes is None else kept_apart(likes, 0.5),
         None if best is None else Ceilings(share(best[0], 100), share(best[1], 100)),
     )
+
+
+def reading(**network: float) -> TraitReading:
+    """Twenty pools of ten strangers; R² by trait."""
+    rng = np.random.default_rng(1)
+    traits = rng.random((20, 4))
+    r2 = {
+        name: TraitR2(about(mean - 0.125), about(mean), about(mean + 0.125))
+        for name, mean in network.items()
+    }
+    return TraitReading(rng.normal(size=(20, 3)), traits, traits, 10, r2)
 
 
 def one(
@@ -95,7 +111,8 @@ def one(
                 "lisa", 5, Ranks(NOT_KNOWN, about(0.25)), Ranks(about(0.75), about(0.5)), {}
             )
         ],
-        "traits": {"beta": TraitR2(about(0.5), about(0.625)), "eta": TraitR2(NOT_KNOWN, NOT_KNOWN)},
+        "reading": reading(beta=0.5, eta=math.nan),
+        "naming": [Naming(1, share(90, 100), 0.25), Naming(POOL, share(99, 100), 0.25)],
     }
     return Assessment(**(content | changed))
 
@@ -272,16 +289,19 @@ def test_what_is_not_known_is_a_dash() -> None:
     assert (row[3], row[5], row[6]) == ("-", "-", "-")
     (row, _) = identity_table(results(id=[one("id", likes=None)])).rows
     assert (row[5], row[6]) == ("-", "-")
-    assert trait_table(results(id=[one("id")])).rows[1] == ["by driver", "eta", "-", "-"]
+    assert trait_table(results(id=[one("id")])).rows[1][1:] == ["eta", *["-"] * 5]
 
 
 def test_rows_of_the_other_tables_by_hand() -> None:
-    both = results(none=[one(), one(likelihood=[], driving=[], reward_ranking=[], traits=None)])
+    both = results(none=[one(), one(likelihood=[], driving=[], reward_ranking=[], reading=None)])
     assert trait_table(both).rows[0] == [
         "unsupervised",
         "beta",
+        "0.38 [0.28, 0.47]",
         "0.50 [0.40, 0.60]",
         "0.62 [0.53, 0.72]",
+        "-",
+        "-",
     ]
     assert likelihood_table(both).rows == [
         [
@@ -323,8 +343,66 @@ def test_rows_of_the_other_tables_by_hand() -> None:
         assert all(len(row) == len(table.head) for row in table.rows)
 
 
+def exact(**r2: float) -> PosteriorRow:
+    scores = {name: TraitScore(about(mean, 0.05), (), ()) for name, mean in r2.items()}
+    return PosteriorRow("hidden-known", POOL, 20.0, 7, scores, 500.0, 1.0)
+
+
+def test_the_exact_posterior_stands_beside_with_the_ratio() -> None:
+    found = TraitResults({"none": [one()]}, POOL, exact(beta=0.9, eta=0.5))
+    table = trait_table(found)
+    assert table.rows[0][-2:] == ["0.90 [0.85, 0.95]", "0.69"]  # 0.625 / 0.9
+    assert table.note == "10 strangers in pools of 8; exact: the posterior's mean, for 7 of them"
+    assert REPORT.numbers(found)["posterior"]["traits"]["beta"]["r2"]["mean"] == 0.9
+
+
+def test_r2_and_naming_are_averaged_over_seeds() -> None:
+    found = results(self=[one("self"), one("self", reading=reading(beta=0.7, eta=0.0))])
+    assert found.trait_r2("self", "beta", "network") == statistics.mean([0.625, 0.825])
+    assert found.named("self", 1) == over_seeds([0.99, 0.99])
+    assert trait_table(found).rows[0][2].startswith("0.47 [")  # (0.375 + 0.575) / 2
+    assert [row[:4:2] for row in naming_table(found).rows] == [
+        ["self-supervised", "90.0 [82.6, 94.5]"],
+        ["self-supervised", "99.0 [94.6, 99.8]"],
+    ]
+
+
+def test_the_self_supervised_setting_is_judged_by_strangers() -> None:
+    good = reading(beta=0.99, alpha=0.75, eta=0.65, inflation=1.01)
+    low = reading(beta=0.99, alpha=0.75, eta=0.40, inflation=1.01)
+    for read, outcomes in ((good, [True] * 4), (low, [False, False, True, True])):
+        verdicts = REPORT.judge(results(self=[one("self", reading=read)]))
+        assert [verdict.holds for verdict in verdicts] == outcomes
+        assert "at least beta 0.85, alpha 0.60, eta 0.50, inflation 0.88" in verdicts[0].claim
+        assert verdicts[3].reason == "99.0 %"
+    (windows, pools) = REPORT.judge(
+        results(
+            self=[
+                one(
+                    "self",
+                    reading=None,
+                    naming=[Naming(n, share(87, 100), 0.25) for n in (1, POOL)],
+                )
+            ]
+        )
+    )
+    assert not windows.holds
+    assert not pools.holds
+
+
+def test_strangers_are_drawn() -> None:
+    read = reading(**dict.fromkeys(TRAIT_NAMES, 0.5))
+    blocks = REPORT.blocks(results(self=[one("self", reading=read)]))
+    (figure,) = [block for block in blocks if getattr(block, "name", "") == "strangers-self"]
+    assert figure.drawn.startswith(b"\x89PNG")
+    drawn = draw_reading(read)
+    assert len(drawn.axes) == 3 * 4  # two panels and a scale of colours for each trait
+    dots = drawn.axes[4].collections[0].get_offsets()
+    np.testing.assert_allclose(dots[:, 1], read.predicted[:, 0])
+
+
 def test_no_population_no_rows() -> None:
-    assert trait_table(results(none=[one(traits=None)])).rows == []
+    assert trait_table(results(none=[one(reading=None)])).rows == []
 
 
 # Text and JSON.
@@ -344,7 +422,7 @@ def test_the_text_holds_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     text = report_of(ALL, tmp_path, monkeypatch, watch=watch).text
     for part in (
         "Drivers identified, by number of windows",
-        "Traits of unseen drivers",
+        "Traits of strangers, read from z",
         "Log-likelihood of held-out actions per step [nats]",
         "The learned policy / the demonstrations",
         "Rank correlation of recovered and true driving return",
@@ -365,12 +443,12 @@ def test_what_was_left_out_is_told_and_nothing_else() -> None:
     assert left_out(results(none=[one(identified=every[:3])])) == [
         "Too few windows were held out to identify drivers from pools of 8, 16."
     ]
-    people = one(best=None, driving=[], reward_ranking=[], traits=None)
+    people = one(best=None, driving=[], reward_ranking=[], reading=None)
     assert len(left_out(results(none=[people]))) == 3
     text = text_of(results(none=[people]))
     assert "There is no exact ceiling." in text
     assert "Recorded drives cannot be replayed" in text
-    for title in ("The learned policy", "Rank correlation", "Traits of unseen"):
+    for title in ("The learned policy", "Rank correlation", "Traits of strangers"):
         assert title not in text
 
 
@@ -394,7 +472,12 @@ def test_json_holds_every_seed_and_no_nan(tmp_path: Path, monkeypatch: pytest.Mo
     assert first["driving"][0]["imitated"]["alert_effect"]["mean"] is None
     judged_here = judged_together(REPORT.judge(results(**several)))
     assert content["verdicts"] == [v.as_json() for v in judged_here]
-    assert set(REPORT.numbers(results(**several))) == {"pool", "supervisions", "one_step"}
+    assert set(REPORT.numbers(results(**several))) == {
+        "pool",
+        "posterior",
+        "supervisions",
+        "one_step",
+    }
 
 
 # Figures and the page.

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from trait_models import SMALL
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
@@ -50,7 +51,7 @@ def model_of(layout: Layout, **weights: Any) -> TraitModel:
     """Weights of zero, but those told, by name with __ for the dot."""
     one = NetworkConfig((1,), "relu")
     reads = tuple((part.name, part.size) for part in layout.parts)
-    card = TraitCard(reads, encoder_units=2, gamma=0.9, reward=one, potential=one, policy=one)
+    card = TraitCard(reads, encoder=SMALL, gamma=0.9, reward=one, potential=one, policy=one)
     values = {name: np.zeros(size, np.float32) for name, size in card.shapes.items()}
     values["state.scale"] += 1.0
     for name, given in weights.items():

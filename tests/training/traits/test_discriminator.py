@@ -4,19 +4,22 @@ import numpy as np
 import pytest
 import torch
 from demonstrations import LAYOUT, made_up
+from trait_models import SMALL
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
+from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.model import log_policy, make_policy
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
-from hmi_marl.training.traits.windows import Units, Windows, transitions
+from hmi_marl.training.traits.windows import Windows, transitions
 
 SETTINGS = TraitSettings(
+    supervision="id",
     num_teams=4,
     pool=2,
     expert_pools=4,
-    encoder_units=5,
+    encoder=SMALL,
     reward=NetworkConfig((4,)),
     potential=NetworkConfig((4,)),
     policy=NetworkConfig((4,)),
@@ -25,7 +28,7 @@ SETTINGS = TraitSettings(
 )
 CARD = SETTINGS.card(LAYOUT)
 OBSERVED = made_up([6] * 12, driver=[0, 1] * 6, names=("ada", "bob")).observed
-WINDOWS = Windows(OBSERVED, OBSERVED.driver.astype(float), Units.of(OBSERVED))
+WINDOWS = Windows(Episodes.of(OBSERVED), OBSERVED.driver.astype(float))
 
 
 def pools(count, seed=0):
@@ -66,7 +69,9 @@ def test_every_loss_is_there_when_there_is_what_it_needs():
     every, told = one.losses(pools(4), labelled(), pools(2, seed=1), z)
     assert set(every) == {"imitation", "L1", "L2", "L3", "L4"}
     assert set(told) == {"sigma", "width", "experts_recognised", "policy_recognised"}
-    assert set(every) == set(LossWeights().by_loss())
+    assert set(every) == set(LossWeights().by_loss()) - {"cohesion"}
+    more, _ = adversary(cohesion=1.0).losses(pools(4))
+    assert set(more) == {"imitation", "cohesion"}
 
 
 @pytest.mark.parametrize("name", ["L1", "L2", "L3", "L4"])
@@ -74,7 +79,7 @@ def test_the_policy_stays_as_it_is_for_all_losses_of_the_paper(name):
     one = adversary()
     backward(one, name)
     assert not gradient(one._policy.mlp.parameters())
-    assert gradient(one.model.encoder.memory.parameters()) > 0
+    assert gradient(one.model.encoder.learning()) > 0
 
 
 def test_the_reward_learns_from_l1_alone():
@@ -90,7 +95,21 @@ def test_imitation_teaches_the_policy_and_the_encoder_if_it_is_to(weight):
     one = adversary(imitate=weight)
     backward(one, "imitation")
     assert gradient(one._policy.mlp.parameters()) > 0
-    assert (gradient(one.model.encoder.memory.parameters()) > 0) == (weight > 0)
+    assert (gradient(one.model.encoder.learning()) > 0) == (weight > 0)
+
+
+def test_a_fixed_encoder_stays_as_it_is_while_the_rest_learns():
+    torch.manual_seed(0)
+    settings = replace(SETTINGS, supervision="self", latent=2)
+    one = DiscriminatorLearner(CARD, settings, make_policy(CARD), "cpu")
+    one.prepare(pools(8, seed=3))
+    before = {name: value.clone() for name, value in one.model.state_dict().items()}
+    for _ in range(2):
+        row = one.learn(pools(4), None, pools(2, seed=1), torch.randn(2, 2))
+    assert set(row) > {"L1", "L2", "L4", "imitation"}
+    for name, value in one.model.state_dict().items():
+        stays = name.startswith("encoder.")
+        assert torch.equal(value, before[name]) == stays, name
 
 
 def test_a_discriminator_learns_to_tell_the_policy_from_the_experts():
@@ -154,6 +173,8 @@ def test_it_goes_on_from_what_it_kept():
 
 
 def test_weights_of_another_model_are_refused():
-    other = DiscriminatorLearner(replace(CARD, encoder_units=6), SETTINGS, make_policy(CARD), "cpu")
+    other = DiscriminatorLearner(
+        replace(CARD, encoder=replace(SMALL, span=2)), SETTINGS, make_policy(CARD), "cpu"
+    )
     with pytest.raises(RuntimeError, match="size mismatch"):
         adversary().load(other.tensors())

@@ -9,15 +9,16 @@ from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.scene import Scene
 from hmi_marl.training.protocols.settings import PPOSettings
+from hmi_marl.training.traits.episodes import Units
 from hmi_marl.training.traits.generator import Generator
 from hmi_marl.training.traits.model import log_policy
 from hmi_marl.training.traits.settings import TraitSettings
-from hmi_marl.training.traits.windows import Units
 
 CONFIG = TeamConfig(duration=1.0, end_at_crash=False, scene=Scene(vehicles=(1, 2)))
 SETTINGS = TraitSettings(
     num_teams=8,
     pool=4,
+    latent=2,
     policy=NetworkConfig((8,)),
     ppo=PPOSettings(num_mini_batches=2, num_learning_epochs=2),
 )

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 from demonstrations import made_up
 
+from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.windows import choose_labelled, make_labels, read_preferences
 
 NAMES = ("ada", "bob")
 DRIVER = [0, 1, 0, 1, 0, 0, -1, 0]
 
 
-def demonstrations(**choices):
-    return made_up([4] * 8, driver=DRIVER, names=NAMES, **choices)
+DATA = made_up([4] * 8, driver=DRIVER, names=NAMES)
+EPISODES = Episodes.of(DATA.observed)
+ETA = DATA.truth.traits[:, TRAIT_NAMES.index("eta")]
 
 
 def test_a_share_of_every_drivers_windows_is_labelled():
@@ -27,32 +30,30 @@ def test_at_least_one_window_is_labelled():
 
 
 def test_nothing_is_labelled_without_supervision():
-    assert np.isnan(make_labels(demonstrations(), "none", 0.5, np.random.default_rng(0))).all()
+    assert np.isnan(make_labels(EPISODES, "none", 0.5, np.random.default_rng(0))).all()
 
 
 def test_labels_of_identity_are_who_drives():
-    labels = make_labels(demonstrations(), "id", 1.0, np.random.default_rng(0))
+    labels = make_labels(EPISODES, "id", 1.0, np.random.default_rng(0))
     np.testing.assert_array_equal(labels, [0, 1, 0, 1, 0, 0, np.nan, 0])
 
 
 def test_labels_of_preference_are_eta_of_labelled_windows_alone():
-    data = demonstrations()
-    labels = make_labels(data, "preference", 0.4, np.random.default_rng(0))
+    labels = make_labels(EPISODES, "preference", 0.4, np.random.default_rng(0), eta=ETA)
     known = ~np.isnan(labels)
     assert known.sum() == 3  # 2 of 5, and 1 of 2
-    np.testing.assert_array_equal(labels[known], data.truth.traits[known, 2])
+    np.testing.assert_array_equal(labels[known], ETA[known])
 
 
 def test_people_can_answer():
     answers = {"ada": 0.25, "bob": 1.0}
-    data = demonstrations(with_truth=False)
-    labels = make_labels(data, "preference", 1.0, np.random.default_rng(0), answers)
+    labels = make_labels(EPISODES, "preference", 1.0, np.random.default_rng(0), answers)
     np.testing.assert_array_equal(labels, [0.25, 1, 0.25, 1, 0.25, 0.25, np.nan, 0.25])
 
 
 def test_which_windows_are_labelled_follows_from_the_generator():
     one, two, other = (
-        make_labels(demonstrations(), "id", 0.5, np.random.default_rng(seed)) for seed in (0, 0, 3)
+        make_labels(EPISODES, "id", 0.5, np.random.default_rng(seed)) for seed in (0, 0, 3)
     )
     np.testing.assert_array_equal(one, two)
     assert not np.array_equal(np.isnan(one), np.isnan(other))
@@ -68,9 +69,8 @@ def test_which_windows_are_labelled_follows_from_the_generator():
     ],
 )
 def test_preferences_that_are_not_known_are_refused(answers, message):
-    data = demonstrations(with_truth=False)
     with pytest.raises(ValueError, match=message):
-        make_labels(data, "preference", 1.0, np.random.default_rng(0), answers)
+        make_labels(EPISODES, "preference", 1.0, np.random.default_rng(0), answers)
 
 
 def test_preferences_come_from_a_file(tmp_path):
@@ -93,4 +93,4 @@ def test_other_files_are_no_preferences(text, tmp_path):
 def test_labels_that_are_all_the_same_are_refused():
     answers = dict.fromkeys(NAMES, 0.5)
     with pytest.raises(ValueError, match="all labels are the same"):
-        make_labels(demonstrations(), "preference", 1.0, np.random.default_rng(0), answers)
+        make_labels(EPISODES, "preference", 1.0, np.random.default_rng(0), answers)

@@ -14,6 +14,7 @@ from hmi_marl.training.traits.losses import (
     information_loss,
     log_discriminator,
     regularisation_loss,
+    same_driver_loss,
 )
 
 moderate = st.floats(-5, 5)
@@ -269,3 +270,64 @@ def test_no_loss_grows_with_the_batch(copies: int) -> None:
     ):
         repeated = [torch.cat([one] * copies) for one in arguments]
         torch.testing.assert_close(loss(*repeated), loss(*arguments))
+
+
+# Finding the other pool of a driver.
+
+
+def test_finding_the_other_pool_by_hand() -> None:
+    # Two drivers with z of one number. First pools at 0 and 4, σ² of 1; other pools at 1 and 4, σ²
+    # of 3: differences -1, -4, 3 and 0, of variance 4.
+    first, other = torch.tensor([[0.0], [4.0]]), torch.tensor([[1.0], [4.0]])
+    variances = torch.zeros(2, 1), torch.full((2, 1), math.log(3))
+    found = same_driver_loss(first, variances[0], other, variances[1])
+    likely = np.exp([[-1 / 8, -16 / 8], [-9 / 8, 0.0]])
+    right = np.diag(likely)
+    expected = -0.5 * (
+        np.log(right / likely.sum(axis=1)).mean() + np.log(right / likely.sum(axis=0)).mean()
+    )
+    assert found.item() == near(expected)
+
+
+def test_with_one_sigma_a_wider_one_counts_differences_less() -> None:
+    # Three axes; a driver whose σ is larger is likelier far away, and less likely nearby.
+    first, other = random(0, 5, 3), random(1, 5, 3)
+    log_variance = torch.zeros(5, 3, dtype=torch.float64)
+    log_variance[2] = 2.0
+    found = same_driver_loss(first, log_variance, other, log_variance)
+    logits = torch.zeros(5, 5, dtype=torch.float64)
+    for k in range(5):
+        for m in range(5):
+            spread = (log_variance[k].exp() + log_variance[m].exp()).sqrt()
+            logits[k, m] = Normal(0.0, spread).log_prob(first[k] - other[m]).sum()
+    labels = torch.arange(5)
+    expected = 0.5 * (
+        torch.nn.functional.cross_entropy(logits, labels)
+        + torch.nn.functional.cross_entropy(logits.T, labels)
+    )
+    torch.testing.assert_close(found, expected)
+
+
+@given(seeds, st.integers(2, 6))
+def test_without_knowledge_every_driver_is_as_likely(seed: int, count: int) -> None:
+    point, log_variance = torch.ones(count, 2), torch.full((count, 2), float(seed % 3))
+    found = same_driver_loss(point, log_variance, point, log_variance)
+    assert found.item() == near(math.log(count), 1e-5)
+
+
+def test_sigma_is_learned_as_it_is() -> None:
+    # Pools of 4,000 drivers on a line differ by noise of σ = 0.5: half of the variance each.
+    rng = torch.Generator().manual_seed(0)
+    z = 10.0 * torch.randn(4000, 1, generator=rng)
+    first, other = (z + 0.5 * torch.randn(4000, 1, generator=rng) for _ in range(2))
+    losses = {
+        sigma: same_driver_loss(
+            *(
+                part
+                for mean in (first, other)
+                for part in (mean, torch.full_like(mean, 2 * math.log(sigma)))
+            )
+        ).item()
+        for sigma in (0.25, 0.35, 0.5, 0.7, 1.0)
+    }
+    assert min(losses, key=losses.__getitem__) == 0.5

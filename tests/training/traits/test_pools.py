@@ -7,8 +7,15 @@ from demonstrations import LAYOUT, changed, made_up
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hmi_marl.agents.learned.trait_model import EXTRA, situations
-from hmi_marl.training.traits.windows import Batch, Units, Windows, draw_pools, transitions
+from hmi_marl.agents.learned.situations import EXTRA, situations
+from hmi_marl.training.traits.episodes import Episodes
+from hmi_marl.training.traits.windows import (
+    Batch,
+    Windows,
+    by_driver,
+    draw_pools,
+    transitions,
+)
 
 NAN = float("nan")
 LENGTH = [3, 5, 2, 5, 1, 4, 5, 3, 4]
@@ -16,8 +23,8 @@ DRIVER = [0, 1, 0, -1, 0, 1, 1, 0, 1]
 """Windows 0, 2, 4, 7 are lisa's, 1, 5, 6, 8 bart's, 3 nobody's."""
 LABELS = np.array([1.0, NAN, 1.0, 1.0, NAN, 0.0, 0.0, NAN, NAN])
 OBSERVED = made_up(LENGTH, driver=DRIVER, names=("lisa", "bart"), with_truth=False).observed
-UNITS = Units.of(OBSERVED)
-WINDOWS = Windows(OBSERVED, LABELS, UNITS)
+UNITS = Episodes.of(OBSERVED).units
+WINDOWS = Windows(Episodes.of(OBSERVED), LABELS)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -35,7 +42,7 @@ def test_units_are_mean_and_spread_of_the_steps_that_there_were():
     speed = LAYOUT["speed"].start
     states = observed.states.copy()
     states[0, :, speed], states[1, 0, speed] = (0.1, 0.3), 0.8
-    units = Units.of(dataclasses.replace(observed, states=states))
+    units = Episodes.of(dataclasses.replace(observed, states=states)).units
     assert units.centre[speed] == pytest.approx(0.4)
     assert units.scale[speed] == pytest.approx(np.sqrt(0.26 / 3))
     assert units.centre.shape == units.scale.shape == (LAYOUT.size,)
@@ -46,7 +53,7 @@ def test_a_column_that_never_changes_keeps_its_unit():
     speed = LAYOUT["speed"].start
     states = changed(OBSERVED, "states", (..., speed), 0.7)
     states *= OBSERVED.steps_taken[..., None]
-    units = Units.of(dataclasses.replace(OBSERVED, states=states))
+    units = Episodes.of(dataclasses.replace(OBSERVED, states=states)).units
     assert units.scale[speed] == 1.0
     assert (units.scale > 0).all()
     x = units.standardise(situations(states, OBSERVED.actions, OBSERVED.alerts))
@@ -84,7 +91,7 @@ def test_a_driver_of_few_windows_gives_some_twice():
 
 def test_drivers_are_equally_likely_however_much_they_drove():
     driver = np.array([0] * 99 + [1])
-    which = draw_pools(rng(), driver, np.ones(100, np.bool_), 4000, 1)
+    which = draw_pools(rng(), by_driver(driver, np.ones(100, np.bool_)), 4000, 1)
     # 4000 draws of 1/2: a standard deviation of 0.008.
     assert (which == 99).mean() == pytest.approx(0.5, abs=0.04)
     times = np.bincount(which[which < 99], minlength=99)
@@ -93,7 +100,7 @@ def test_drivers_are_equally_likely_however_much_they_drove():
 
 def test_only_the_windows_among_which_to_draw_are_drawn():
     among = np.array([True, False, True, False, False, True, True, False, False])
-    which = draw_pools(rng(), OBSERVED.driver, among, 40, 2)
+    which = draw_pools(rng(), by_driver(OBSERVED.driver, among), 40, 2)
     assert {tuple(sorted(pool)) for pool in which} == {(0, 2), (5, 6)}
 
 
@@ -115,7 +122,27 @@ def test_pairs_of_pools_are_of_one_driver(seed, pairs, size):
         assert not set(first) & set(second)  # each has four windows, enough for both
 
 
-@pytest.mark.parametrize("draw", ["draw", "draw_pairs", "draw_labelled"])
+@given(seeds, st.integers(1, 3), st.integers(1, 4))
+def test_drivers_are_drawn_once_with_an_even_number_of_windows(seed, count, size):
+    which = WINDOWS.draw_drivers(rng(seed), count, size)
+    # Both known drivers have four windows, so at most two in each half.
+    assert which.shape == (min(count, 2), 2 * min(size, 2))
+    drivers = OBSERVED.driver[which]
+    assert (drivers == drivers[:, :1]).all()
+    assert len(set(drivers[:, 0])) == len(which)
+    for own in which:
+        assert len(set(own)) == len(own)
+
+
+@pytest.mark.parametrize("driver", [[0, 0, 0, 0], [0, 0, 0, 1], [-1, -1, 0, 0]])
+def test_drivers_among_others_take_two_with_two_windows_each(driver):
+    few = made_up([3] * 4, driver=driver, names=("ada", "bob")).observed
+    windows = Windows(Episodes.of(few), np.full(4, np.nan))
+    with pytest.raises(ValueError, match="two drivers or more with two windows or more each"):
+        windows.draw_drivers(rng(), 2, 2)
+
+
+@pytest.mark.parametrize("draw", ["draw", "draw_pairs", "draw_labelled", "draw_drivers"])
 def test_equal_seeds_give_equal_pools(draw):
     def drawn(seed):
         which = getattr(WINDOWS, draw)(rng(seed), 8, 2)
@@ -127,12 +154,13 @@ def test_equal_seeds_give_equal_pools(draw):
 
 def test_windows_that_cannot_be_pooled_are_told():
     with pytest.raises(ValueError, match=r"labels have shape \(9,\), not \(3,\)"):
-        Windows(OBSERVED, LABELS[:3], UNITS)
+        Windows(Episodes.of(OBSERVED), LABELS[:3])
     nobody = dataclasses.replace(OBSERVED, driver=np.full(9, -1))
     with pytest.raises(ValueError, match="no window's driver is known, so none can be pooled"):
-        Windows(nobody, LABELS, UNITS)
+        Windows(Episodes.of(nobody), LABELS)
+    of_nobody = Windows(Episodes.of(OBSERVED), np.where(np.arange(9) == 3, 1.0, NAN))
     with pytest.raises(ValueError, match="no window of a known driver has a label"):
-        Windows(OBSERVED, np.where(np.arange(9) == 3, 1.0, NAN), UNITS).draw_labelled(rng(), 4, 2)
+        of_nobody.draw_labelled(rng(), 4, 2)
     with pytest.raises(ValueError, match="count is an even number of pools, but got 3"):
         WINDOWS.draw_pairs(rng(), 3, 2)
 
@@ -189,7 +217,7 @@ def test_windows_of_a_single_step_have_no_transitions():
 def test_windows_that_cannot_be_learned_from_are_refused():
     single = made_up([1, 1], driver=[0, 0]).observed
     with pytest.raises(ValueError, match="windows have a single step, so there are no"):
-        Windows(single, np.full(2, NAN), Units.of(single))
+        Windows(Episodes.of(single), np.full(2, NAN))
     two = made_up([3, 3], driver=[0, 0]).observed
     with pytest.raises(ValueError, match="windows of lisa have different labels"):
-        Windows(two, np.array([0.0, 1.0]), Units.of(two))
+        Windows(Episodes.of(two), np.array([0.0, 1.0]))

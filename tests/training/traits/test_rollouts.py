@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hmi_marl.agents.learned.trait_model import LONG_AGO, situations
+from hmi_marl.agents.learned.situations import LONG_AGO, situations
 from hmi_marl.demonstrations.dataset import STATE_PARTS, observed_layout
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import Driver

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from trait_models import SMALL
 from unchecked import unchecked
 
 from hmi_marl.agents.learned.network import NetworkConfig
@@ -25,16 +26,20 @@ from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.checkpoint import Checkpoint
 from hmi_marl.training.traits import run
 from hmi_marl.training.traits.run import learn_traits
-from hmi_marl.training.traits.settings import TraitSettings
+from hmi_marl.training.traits.settings import LABELLED, TraitSettings
 
 TINY = TraitSettings(
+    supervision="none",
     steps=40,  # two rounds of 4 cars for 5 steps
     imitation_updates=2,
     num_teams=4,
     pool=2,
     expert_pools=2,
     labelled_pools=3,
-    encoder_units=6,
+    average_updates=2,
+    encoder_updates=2,
+    drivers_per_update=3,
+    encoder=SMALL,
     reward=NetworkConfig((4,)),
     potential=NetworkConfig((4,)),
     policy=NetworkConfig((4,)),
@@ -44,6 +49,7 @@ TINY = TraitSettings(
     device="cpu",
     checkpoint_every=0.0,
 )
+SUPERVISIONS = ["self", "none", "id", "preference"]
 FILES = ("traits.safetensors", "traits.json")
 
 
@@ -67,7 +73,7 @@ def rows(folder):
     return [{name: v for name, v in row.items() if name not in timed} for row in curve]
 
 
-@pytest.mark.parametrize("supervision", ["none", "id", "preference"])
+@pytest.mark.parametrize("supervision", SUPERVISIONS)
 def test_every_setting_leaves_a_model_and_tells_its_losses(supervision, dataset, tmp_path):
     settings = replace(TINY, supervision=supervision)
     learn_traits(settings, dataset, tmp_path, quiet=True, command_line="hmi-marl traits train it")
@@ -76,15 +82,16 @@ def test_every_setting_leaves_a_model_and_tells_its_losses(supervision, dataset,
     assert model.card.training["command"] == "hmi-marl traits train it"
     assert model.card.training["drivers"] == list(PAPER_DRIVERS)
     assert model.card.training["steps"] == 40
-    assert [row["steps"] for row in rows(tmp_path)] == [0, 0, 20, 40]
+    updates = [0] * (6 if supervision == "self" else 4)
+    assert [row["steps"] for row in rows(tmp_path)] == [*updates, 20, 40]
     for row in rows(tmp_path):
         assert np.isfinite(list(row.values())).all()
-        assert ("L3" in row) == (supervision != "none")
+        assert ("L3" in row) == (supervision in LABELLED and "average" not in row)
         assert ("L1" in row) == (row["steps"] > 0)
     observed = read_demonstrations(dataset).observed
-    hidden = model.encode(observed.states, observed.actions, observed.alerts, observed.length)
-    latent = model.latent(hidden)
-    assert latent.mean.shape == (40, 2)
+    sums = model.encoder.encode(observed.states, observed.actions, observed.alerts, observed.length)
+    latent = model.encoder.latent(sums)
+    assert latent.mean.shape == (40, 8 if supervision == "self" else 2)
     assert np.isfinite(latent.mean).all()
     assert (latent.variance > 0).all()
 
@@ -120,7 +127,7 @@ def with_other_truth(dataset, folder, keep_eta=True):
     return folder
 
 
-@pytest.mark.parametrize("supervision", ["none", "id", "preference"])
+@pytest.mark.parametrize("supervision", SUPERVISIONS)
 def test_nothing_of_the_hidden_truth_is_learned_from(supervision, dataset, tmp_path):
     settings = replace(TINY, supervision=supervision)
     other = with_other_truth(dataset, tmp_path / "other")
@@ -137,7 +144,7 @@ def test_the_preference_setting_is_told_eta_alone_so_that_the_test_above_could_f
     assert learned(tmp_path / "two", other, settings)[FILES[0]] != one
 
 
-@pytest.mark.parametrize("supervision", ["none", "id"])
+@pytest.mark.parametrize("supervision", ["self", "none", "id"])
 def test_without_a_truth_the_same_is_learned(supervision, dataset, tmp_path):
     settings = replace(TINY, supervision=supervision)
     alone = tmp_path / "alone"
@@ -177,11 +184,12 @@ def test_a_finished_run_is_left_alone(dataset, tmp_path, monkeypatch):
     assert learned(tmp_path, dataset) == one
 
 
-@pytest.mark.parametrize("cut", [1, 2, 3])
+@pytest.mark.parametrize("supervision", ["self", "id"])
+@pytest.mark.parametrize("cut", [1, 2, 3, 6, 8])
 def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(
-    cut, dataset, tmp_path, monkeypatch
+    cut, supervision, dataset, tmp_path, monkeypatch
 ):
-    settings = replace(TINY, supervision="id")
+    settings = replace(TINY, supervision=supervision)
     whole = learned(tmp_path / "whole", dataset, settings)
     saves = 0
     save = Checkpoint.save
@@ -290,7 +298,7 @@ def test_a_model_that_was_lost_is_written_again_from_the_checkpoint(dataset, tmp
 
 @pytest.mark.parametrize("wild", [{"learning_rate": 1e30}, {"imitation_rate": 1e30}])
 def test_learning_that_diverges_is_told_with_the_batch_and_what_to_change(wild, dataset, tmp_path):
-    told = r"diverged in batch \d+ of phase [12]: .*not finite.*lower"
+    told = r"diverged in batch \d+ of phase [1-4]: .*not finite.*lower"
     with pytest.raises(FloatingPointError, match=told):
         learned(tmp_path, dataset, unchecked(replace(TINY, imitation_updates=20), **wild))
     assert not (tmp_path / "traits.json").exists()

@@ -18,13 +18,27 @@ def test_the_losses_weigh_as_the_paper_says():
 
 
 def test_the_model_is_the_papers():
-    settings = TraitSettings()
+    settings = TraitSettings(supervision="none")
     card = settings.card(LAYOUT)
-    assert (card.encoder_units, card.latent, card.pool) == (128, 2, 8)
+    assert (card.latent, card.pool) == (2, 8)
     assert card.reward == NetworkConfig((32, 32))
     assert card.potential == card.policy == NetworkConfig((32,))
     assert card.gamma == settings.ppo.gamma
     assert card.state_size == LAYOUT.size
+
+
+@pytest.mark.parametrize("supervision", ["self", "none", "id", "preference"])
+def test_z_is_the_papers_unless_self_supervised_or_chosen(supervision):
+    settings = TraitSettings(supervision=supervision)
+    assert settings.latent_size == (8 if supervision == "self" else 2)
+    assert settings.fixed_encoder == (supervision == "self")
+    assert replace(settings, latent=4).latent_size == 4
+    assert replace(settings, latent=4).card(LAYOUT).latent == 4
+
+
+def test_the_papers_settings_differ_in_supervision_alone():
+    weights = LossWeights()
+    assert weights.cohesion == 0.0  # which needs no labels, so that it would be in all of them
 
 
 def test_rounds_are_whole():
@@ -48,6 +62,11 @@ def test_rounds_are_whole():
             {"num_teams": 2, "pool": 2},
             "cannot split 2 teams into 4 mini-batches; lower --ppo.num-mini-batches",
         ),
+        ({"drivers_per_update": 1}, "drivers_per_update lies in 2 to"),
+        ({"encoder_updates": -1}, "encoder_updates lies in 0 to"),
+        ({"average_updates": -1}, "average_updates lies in 0 to"),
+        ({"encoder_rate": 0.0}, "encoder_rate lies in"),
+        ({"weight_decay": -1.0}, "weight_decay lies in"),
         ({"latent": 0}, "latent lies in 1 to"),
         ({"steps": 0}, "steps lies in 1 to"),
         ({"margin": 0.0}, "margin lies in"),
@@ -55,7 +74,7 @@ def test_rounds_are_whole():
         ({"learning_rate": float("inf")}, "learning_rate lies in"),
         ({"checkpoint_every": -1.0}, "checkpoint_every lies in"),
         ({"seed": -1}, "seed"),
-        ({"supervision": "foo"}, "supervision is one of none, id, preference, not 'foo'"),
+        ({"supervision": "foo"}, "supervision is one of self, none, id, preference, not 'foo'"),
         ({"supervision": "id", "label_bandwidth": 0.1}, "drivers are not graded; set it to 0"),
     ],
 )

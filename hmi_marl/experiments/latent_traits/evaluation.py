@@ -1,0 +1,197 @@
+"""Judge trained trait models, as ``hmi-marl traits evaluate`` does."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from hmi_marl.agents.catalogue import make_driver_policy
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
+from hmi_marl.demonstrations.dataset import Demonstrations
+from hmi_marl.envs.config import TeamConfig
+from hmi_marl.experiments.experiment import Place
+from hmi_marl.experiments.latent_traits import assessment, ceiling
+from hmi_marl.experiments.latent_traits.assessment import Assessment, AssessSettings
+from hmi_marl.experiments.latent_traits.imitation import check_fits
+from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, evaluate_posteriors
+from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
+from hmi_marl.experiments.latent_traits.strangers import strangers_pools
+from hmi_marl.files import sha256_of
+from hmi_marl.training.runs.folder import FREE as MACHINE
+from hmi_marl.training.traits.settings import PAPER_HELD_OUT, Supervision, TraitSettings
+
+SUPERVISIONS: tuple[Supervision, ...] = ("none", "id", "preference", "self")
+"""The paper's three settings in its order, then the self-supervised one."""
+
+
+@dataclass(frozen=True)
+class TraitEvaluation(TraitReport):
+    """Evaluation of trained models, as ``hmi-marl traits evaluate`` runs it."""
+
+    runs: tuple[Path, ...]
+    """Folders of trained runs."""
+    demonstrations: Path
+    """Demonstrations that they learned from, or self-supervised ones have not learned from."""
+    population: Path | None = None
+    """Demonstrations of drivers that none has learned from."""
+    driver_policy: str | None = None
+    """Run of the driver policy of the demonstrations; by default as recorded in them."""
+    size: AssessSettings = field(default_factory=AssessSettings)
+    """Size of the evaluation."""
+
+    @classmethod
+    def quick(cls) -> TraitEvaluation:
+        """Raise ``ValueError``: there are no default runs."""
+        raise ValueError("an evaluation of trait models names the runs to evaluate")
+
+    def check(self, place: Place) -> None:
+        """See :meth:`Experiment.check`; what the runs learned from is checked in the run."""
+        for run in self.runs:
+            load_traits(run)
+        if self.driver_policy is not None:
+            make_driver_policy(self.driver_policy, TeamConfig())
+
+    def run(self, place: Place) -> TraitResults:
+        """Judge the runs on what they held out.
+
+        The figure of embeddings is written first, long before the rest. The first model of a
+        setting is judged in every respect, others by identification alone.
+
+        Raises:
+            FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
+                other demonstrations or that pool or hold out differently.
+        """
+        from hmi_marl.demonstrations.parquet import read_demonstrations
+
+        models = [load_traits(run) for run in self.runs]
+        data = read_demonstrations(self.demonstrations)
+        pool = models[0].card.pool
+        share = self._share(models)
+        _check_seeds(self.runs, models)
+        split = assessment.Split.of(data, share, self.size.windows)
+        windows = assessment.pool_sizes(split, pool, max(model.card.latent for model in models))
+        unknown = None if self.population is None else self._unknown(models, data, pool)
+        embeddings = [assessment.embed(model, split) for model in models]
+        settings = [assessment.supervision_of(model) for model in models]
+        found: dict[str, list[Assessment]] = {}
+        parts = 1 + assessment.PARTS * len(models)
+        with tqdm(total=parts, unit=" parts", desc="judging") as bar:
+            exact = one_step = None
+            try:
+                exact = ceiling.exact_evidence(split.unseen, self.driver_policy)
+                one_step = ceiling.from_one_step(split.unseen, self.driver_policy)
+            except ceiling.NoCeilingError as error:
+                bar.write(str(error), file=sys.stderr)
+            bar.update()
+            for model, name, embedding in zip(models, settings, embeddings, strict=True):
+                whole = name not in found
+                one = assessment.assess(
+                    model, split, exact, unknown, self.size, windows, bar.update, whole, embedding
+                )
+                found.setdefault(name, []).append(one)
+        ordered: dict[str, list[Assessment]] = {
+            name: found[name] for name in SUPERVISIONS if name in found
+        }
+        return TraitResults(ordered, pool, one_step, self._posterior(unknown, pool))
+
+    def _unknown(
+        self, models: Sequence[TraitModel], data: Demonstrations, pool: int
+    ) -> Demonstrations:
+        """Read the population without drivers who have demonstrated.
+
+        Raises:
+            FileNotFoundError, ValueError: it is not there, or not fit to judge by.
+        """
+        from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations
+
+        assert self.population is not None
+        unknown = assessment.unseen_drivers(read_demonstrations(self.population), data)
+        if unknown.truth is None:
+            raise ValueError("traits can be regressed only where the truth is known")
+        strangers_pools(unknown.observed.driver, pool)
+        check_fits(models[0], unknown.observed)
+        digest = sha256_of(self.population / OBSERVED)
+        for run, model in zip(self.runs, models, strict=True):
+            if _learned_from(run, model)[1] == digest:
+                raise ValueError(
+                    f"{run} has learned from {self.population}; name a population that it has not"
+                )
+        return unknown
+
+    def _share(self, models: Sequence[TraitModel]) -> float:
+        """Share of windows that the runs held out of the demonstrations, the same for all.
+
+        Raises:
+            ValueError: they hold out or pool differently, or learned from other demonstrations, as
+                only self-supervised ones may.
+        """
+        from hmi_marl.demonstrations.parquet import OBSERVED
+
+        digest, first = sha256_of(self.demonstrations / OBSERVED), None
+        for run, model in zip(self.runs, models, strict=True):
+            held_out, learned = _learned_from(run, model)
+            if learned == digest:
+                first = first or (run, held_out)
+                if held_out != first[1]:
+                    raise ValueError(f"{run} holds out other windows than {first[0]}")
+            elif assessment.supervision_of(model) != "self":
+                raise ValueError(
+                    f"{run} learned from other demonstrations than {self.demonstrations}"
+                )
+            if model.card.pool != models[0].card.pool:
+                raise ValueError(f"{run} pools other windows than {self.runs[0]}")
+        return PAPER_HELD_OUT if first is None else first[1]
+
+    def _posterior(self, unknown: Demonstrations | None, pool: int) -> PosteriorRow | None:
+        """Judge the exact posterior of some of the strangers, if there are enough."""
+        count = self.size.posteriors
+        if unknown is None or not count:
+            return None
+        judged = np.unique(unknown.observed.driver)[1::2][:count]
+        some = unknown.take(np.isin(unknown.observed.driver, judged))
+        try:
+            return evaluate_posteriors(some, "hidden-known", pool, None, self.driver_policy)
+        except ceiling.NoCeilingError:
+            return None
+
+    def settings(self) -> dict[str, Any]:
+        """See :meth:`Experiment.settings`."""
+        return dict(vars(self.size))
+
+
+def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:
+    """Raise ``ValueError`` unless runs of one supervision differ in their seed and nothing else."""
+    first: dict[str, tuple[Path, dict[str, Any]]] = {}
+    seen: dict[tuple[str, int], Path] = {}
+    for run, model in zip(runs, models, strict=True):
+        settings = dict(model.card.training["settings"])
+        seed, supervision = settings.pop("seed", None), assessment.supervision_of(model)
+        if (supervision, seed) in seen:
+            raise ValueError(f"{run} and {seen[supervision, seed]} have the same seed")
+        seen[supervision, seed] = run
+        other, before = first.setdefault(supervision, (run, settings))
+        odd = [n for n in settings if n not in MACHINE and settings[n] != before.get(n)]
+        if odd:
+            raise ValueError(
+                f"{run} was learned with another {odd[0]} than {other}: runs of one supervision "
+                "count as seeds of one setting; judge them one at a time"
+            )
+
+
+def _learned_from(run: Path, model: TraitModel) -> tuple[float, str]:
+    """Read the share that a run held out, and the checksum of its demonstrations."""
+    training = model.card.training
+    try:
+        settings = training["settings"]
+        share = settings["held_out"]
+        if share is None:
+            share = replace(TraitSettings(), supervision=settings["supervision"]).held_out_share
+        return float(share), str(training["demonstrations"])
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"the card of {run} does not name its demonstrations") from None
