@@ -34,6 +34,7 @@ UNBOUNDED = {
 """Numeric fields whose annotation has no range, and why."""
 
 NO_SETTINGS = {
+    "hmi_marl.people.trip.Road": "made from a Scene, which checks",
     "hmi_marl.commands": "as typed; what they set up is checked",
     "hmi_marl.envs.config.TeamSettings": "as typed; TeamConfig checks",
     "hmi_marl.experiments.metrics_table.table.TableSettings": "as typed; TableConfig checks",
@@ -57,6 +58,17 @@ NO_SETTINGS = {
 """Dataclasses with numbers by default that nobody sets, and why."""
 
 EXAMPLES = {
+    "TripRecord": {
+        "config": TeamConfig(driver=("lisa",)),
+        "seed": 1,
+        "seat": "driver",
+        "kind": "free",
+        "partner": "optimal",
+        "intents": (1,),
+        "alerts": (0,),
+        "looking_away": (0,),
+        "crashed": False,
+    },
     "PosteriorEvaluation": {"demonstrations": Path("data")},
     "Case": {"window": 7, "weights": "paper", "horizon": 100, "revealing": 0.35},
     "Driver": {"name": "mona", "beta": 0.1, "alpha": 0.2, "eta": 0.3, "inflation": 4.0},

@@ -11,6 +11,7 @@ from hmi_marl.reporting.statistics import (
     average,
     geometric_ratio,
     mean,
+    mean_of_same,
     mean_share,
     number,
     ratio,
@@ -238,3 +239,12 @@ def test_an_average_of_estimates_worked_by_hand() -> None:
     assert average([one]) == one
     assert math.isnan(average([]).mean)
     assert math.isnan(average([one, Estimate(2.0, math.nan, math.nan)]).low)
+
+
+def test_the_luck_of_the_same_units_does_not_average_out_over_seeds() -> None:
+    one = Estimate(0.5, 0.304, 0.696)  # a standard error of 0.1
+    same = mean_of_same([one] * 5)  # no spread over seeds
+    assert same.mean == 0.5
+    assert same.error == pytest.approx(0.1, abs=1e-4)
+    assert (same.high - same.mean) / same.error == pytest.approx(2.776, abs=1e-3)
+    assert math.isnan(mean_of_same([one]).low)

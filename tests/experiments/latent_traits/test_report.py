@@ -349,7 +349,7 @@ def exact(**r2: float) -> PosteriorRow:
 
 
 def test_the_exact_posterior_stands_beside_with_the_ratio() -> None:
-    found = TraitResults({"none": [one()]}, POOL, exact(beta=0.9, eta=0.5))
+    found = TraitResults({"none": [one()]}, POOL, posterior=exact(beta=0.9, eta=0.5))
     table = trait_table(found)
     assert table.rows[0][-2:] == ["0.90 [0.85, 0.95]", "0.69"]  # 0.625 / 0.9
     assert table.note == "10 strangers in pools of 8; exact: the posterior's mean, for 7 of them"
@@ -368,26 +368,15 @@ def test_r2_and_naming_are_averaged_over_seeds() -> None:
 
 
 def test_the_self_supervised_setting_is_judged_by_strangers() -> None:
-    good = reading(beta=0.99, alpha=0.75, eta=0.65, inflation=1.01)
-    low = reading(beta=0.99, alpha=0.75, eta=0.40, inflation=1.01)
-    for read, outcomes in ((good, [True] * 4), (low, [False, False, True, True])):
-        verdicts = REPORT.judge(results(self=[one("self", reading=read)]))
-        assert [verdict.holds for verdict in verdicts] == outcomes
-        assert "at least beta 0.85, alpha 0.60, eta 0.50, inflation 0.88" in verdicts[0].claim
-        assert verdicts[3].reason == "99.0 %"
-    (windows, pools) = REPORT.judge(
-        results(
-            self=[
-                one(
-                    "self",
-                    reading=None,
-                    naming=[Naming(n, share(87, 100), 0.25) for n in (1, POOL)],
-                )
-            ]
-        )
-    )
-    assert not windows.holds
-    assert not pools.holds
+    read = reading(beta=0.99, alpha=0.75, eta=0.65, inflation=1.01)
+    several = [one("self", reading=read)] * 2
+    verdicts = REPORT.judge(results(self=several))
+    assert "at least beta 0.85, alpha 0.60, eta 0.50, inflation 0.88" in verdicts[0].claim
+    assert [part.above for part in verdicts[0].parts] == [0.85, 0.60, 0.50, 0.88]
+    assert [part.seeds for verdict in verdicts for part in verdict.parts] == [2] * 10
+    for verdict in REPORT.judge(results(self=several[:1])):
+        assert verdict.outcome == "undetermined"
+        assert "1 seed: undetermined for training" in verdict.summary
 
 
 def test_strangers_are_drawn() -> None:
