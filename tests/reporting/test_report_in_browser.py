@@ -6,7 +6,7 @@ from pages import DOCS
 
 from hmi_marl.reporting.blocks import Clip, Figure, Heading, Table, Text, Verdicts, canvas, png
 from hmi_marl.reporting.report import Report
-from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 
 pytestmark = [
     pytest.mark.slow,
@@ -25,7 +25,11 @@ def picture():
 def page(tmp_path_factory):
     head = ["driver and what it learned with", *(f"column {k}" for k in range(20))]
     row = ["lisa, marge, bart and homer, one after the other", *(["-123.4 [-130.1, -116.7]"] * 20)]
-    outcomes = [Verdict(f"{LONG} {name}", name, f"measured: {LONG}", "5.1") for name in Outcome]
+    parts = [Part.exact(LONG, 1.0, above=0.5), Part.exact(LONG, 0.0, above=0.5)]
+    outcomes = [
+        Verdict(f"{LONG} {len(some)}", tuple(some), f"measured: {LONG}", "5.1")
+        for some in ([], parts[:1], parts)
+    ]
     blocks = [
         Heading("A section", "section"),
         Text(f"Made by `hmi-marl table --out {LONG} --episodes 2000` from {LONG}.", lead=LONG),
