@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from hmi_marl.checks import Count
+from hmi_marl.commands.choice import Choice
 from hmi_marl.commands.people_traits import PeopleTraits
 from hmi_marl.ownership import owned
 from hmi_marl.people.export import Format
@@ -69,7 +70,7 @@ class DeletePeople:
 
 
 @dataclass(frozen=True)
-class PeopleCommand:
+class PeopleCommand(Choice):
     """Export, delete and measure what people left at the wheel."""
 
     what: Annotated[
@@ -78,7 +79,3 @@ class PeopleCommand:
         | Annotated[PeopleTraits, tyro.conf.subcommand("traits")],
         tyro.conf.arg(prefix_name=False),
     ]
-
-    def run(self, command_line: str) -> None:
-        """Do it."""
-        self.what.run(command_line)

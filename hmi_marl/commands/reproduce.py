@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Union
 
 import tyro
 
+from hmi_marl.commands.choice import Choice
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.experiment import Experiment, Place, coarse, conduct
 from hmi_marl.experiments.registry import EXPERIMENTS
@@ -164,17 +165,11 @@ class ReproduceShip:
 
 
 @dataclass(frozen=True)
-class Reproduce:
+class Reproduce(Choice):
     """Reproduce the paper's results, each number with its exact value and a verdict.
 
     Example: hmi-marl reproduce --quick
     """
-
-    what: Any
-
-    def run(self, command_line: str) -> None:
-        """Run the part that was chosen."""
-        self.what.run(command_line)
 
 
 def experiment_command(name: str) -> type[ReproduceOne]:

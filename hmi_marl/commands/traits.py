@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from hmi_marl.commands.choice import Choice
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.exact.importance import Sampling
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
@@ -137,7 +138,7 @@ class TraitPosteriors:
 
 
 @dataclass(frozen=True)
-class TraitsCommand:
+class TraitsCommand(Choice):
     """Learn latent driver traits from driving alone, and judge them."""
 
     what: Annotated[
@@ -146,7 +147,3 @@ class TraitsCommand:
         | Annotated[TraitPosteriors, tyro.conf.subcommand("posterior")],
         tyro.conf.arg(prefix_name=False),
     ]
-
-    def run(self, command_line: str) -> None:
-        """Do it."""
-        self.what.run(command_line)

@@ -271,6 +271,45 @@ def held_out(driver: NDArray[np.int64], share: float) -> NDArray[np.bool_]:
     return numbers(driver) >= kept
 
 
+def disjoint_pools(driver: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """Make pools of ``size`` windows of one known driver each, in order, no window in two.
+
+    Windows have drivers (E,), -1 if not known. Returns indices of windows, shape (P, size); windows
+    that are left over are left out.
+    """
+    pools = [np.zeros((0, size), np.int64)]
+    for who in np.unique(driver[driver != MISSING]):
+        own = np.flatnonzero(driver == who)
+        whole = len(own) // size * size
+        pools.append(own[:whole].reshape(-1, size))
+    return np.concatenate(pools)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Demonstrations as a model's run divided them."""
+
+    learned: Demonstrations
+    """Windows that it learned from."""
+    unseen: Demonstrations
+    """Windows that it held out."""
+
+    @classmethod
+    def of(cls, demonstrations: Demonstrations, share: float, most: int) -> Split:
+        """Split them as a run does that holds out ``share`` of each driver's windows, the last.
+
+        At most ``most`` windows of each driver are kept on either side.
+
+        Raises:
+            ValueError: nothing was held out.
+        """
+        out = held_out(demonstrations.observed.driver, share)
+        if not out.any():
+            raise ValueError("no window was held out of training, so there is nothing to judge by")
+        parts = (demonstrations.take(~out), demonstrations.take(out))
+        return cls(*(part.take(part.observed.number < most) for part in parts))
+
+
 def check_layout(layout: Layout) -> None:
     """Check that a layout is that of observed states, or raise ValueError."""
     names = tuple(part.name for part in layout.parts)

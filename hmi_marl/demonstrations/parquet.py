@@ -35,14 +35,15 @@ with needing("reading and writing demonstrations"):
     from hmi_marl.demonstrations.checksums import BELONGS, STAMP, FileChecksums
     from hmi_marl.demonstrations.step_file import (
         TRUTH_SCHEMA,
-        StepFile,
         column_names,
         observed_schema,
         stamped,
     )
     from hmi_marl.demonstrations.stored import OBSERVED as OBSERVED
     from hmi_marl.demonstrations.stored import TRUTH as TRUTH
-    from hmi_marl.demonstrations.stored import ObservedFile, read_pieces
+    from hmi_marl.demonstrations.stored import read_about as read_about
+    from hmi_marl.demonstrations.stored import read_demonstrations as read_demonstrations
+    from hmi_marl.demonstrations.stored import read_observed as read_observed
 
 
 def write_demonstrations(
@@ -223,34 +224,3 @@ def _truth_rows(part: _Part, truth: Truth) -> pa.Table:
     traits = truth.traits[part.episodes].T
     rows |= {name: each[part.place] for name, each in zip(TRAIT_NAMES, traits, strict=True)}
     return pa.table(rows, schema=TRUTH_SCHEMA)
-
-
-def read_demonstrations(folder: Path) -> Demonstrations:
-    """Read a dataset, with its truth if there is one.
-
-    Raises:
-        FileNotFoundError: no dataset in ``folder``.
-        ValueError: see :func:`read_observed`; also a truth of another dataset.
-    """
-    return next(read_pieces(folder))
-
-
-def read_observed(folder: Path) -> Observed:
-    """Read the observed data alone, without opening the truth's file.
-
-    Raises:
-        FileNotFoundError: no dataset in ``folder``.
-        ValueError: another kind of file, another version of the format, a damaged file, or numbers
-            out of range; the message says which.
-    """
-    return ObservedFile(folder).read()
-
-
-def read_about(path: Path) -> dict[str, Any]:
-    """Read from one of the two files how it was made, without reading its rows.
-
-    Raises:
-        FileNotFoundError, ValueError: see :func:`read_observed`.
-    """
-    stamp: dict[str, Any] = StepFile(path, TRUTH_SCHEMA if path.name == TRUTH else None).stamp
-    return dict(stamp["about"])

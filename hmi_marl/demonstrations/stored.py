@@ -97,7 +97,9 @@ class ObservedFile(_EpisodeFile):
             ValueError: no such episodes, a damaged file, or numbers out of range; the message says
                 which.
         """
-        first, stop = self._range(first, stop)
+        return self._read(*self._range(first, stop))
+
+    def _read(self, first: int, stop: int) -> Observed:
         rows, arrays = self._arrays(first, stop, {"action": MISSING, "alert": 0})
         states = np.zeros((*rows.shape, self.layout.size), np.float32)
         names = self._file.states
@@ -191,7 +193,9 @@ class TruthFile(_EpisodeFile):
         Raises:
             ValueError: as :meth:`ObservedFile.read`.
         """
-        first, stop = self._range(first, stop)
+        return self._read(*self._range(first, stop))
+
+    def _read(self, first: int, stop: int) -> Truth:
         fill = {"distracted": 0, "accepted": 0, "counter": 0, "intended_action": MISSING}
         rows, arrays = self._arrays(first, stop, fill)
         begins, ends = int(self._index.first[first]), int(self._index.first[stop])
@@ -216,6 +220,37 @@ class TruthFile(_EpisodeFile):
             raise ValueError(f"{self._file.path}: {error}") from None
 
 
+def read_demonstrations(folder: Path) -> Demonstrations:
+    """Read a dataset, with its truth if there is one.
+
+    Raises:
+        FileNotFoundError: no dataset in ``folder``.
+        ValueError: see :func:`read_observed`; also a truth of another dataset.
+    """
+    return next(read_pieces(folder))
+
+
+def read_observed(folder: Path) -> Observed:
+    """Read the observed data alone, without opening the truth's file.
+
+    Raises:
+        FileNotFoundError: no dataset in ``folder``.
+        ValueError: another kind of file, another version of the format, a damaged file, or numbers
+            out of range; the message says which.
+    """
+    return ObservedFile(folder).read()
+
+
+def read_about(path: Path) -> dict[str, Any]:
+    """Read from one of the two files how it was made, without reading its rows.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`read_observed`.
+    """
+    stamp: dict[str, Any] = StepFile(path, TRUTH_SCHEMA if path.name == TRUTH else None).stamp
+    return dict(stamp["about"])
+
+
 def read_pieces(folder: Path, episodes: int | None = None) -> Iterator[Demonstrations]:
     """Yield all episodes of a folder in their order, up to so many at a time, with their truth.
 
@@ -228,11 +263,12 @@ def read_pieces(folder: Path, episodes: int | None = None) -> Iterator[Demonstra
             first piece, or where a damaged one is read.
     """
     observed, truth = ObservedFile(folder), None
-    for first, stop in _ranges(len(observed), len(observed) if episodes is None else episodes):
-        seen = observed.read(first, stop)
+    count = len(observed)
+    for first, stop in [(0, count)] if episodes is None else _ranges(count, episodes):
+        seen = observed._read(first, stop)
         if truth is None and (folder / TRUTH).is_file():
             truth = TruthFile(folder, observed)
-        yield _together(folder, seen, None if truth is None else truth.read(first, stop))
+        yield _together(folder, seen, None if truth is None else truth._read(first, stop))
 
 
 def _together(folder: Path, observed: Observed, truth: Truth | None) -> Demonstrations:

@@ -23,7 +23,7 @@ from hmi_marl.envs.config import DRIVER
 from hmi_marl.envs.drivers import PAPER_DRIVERS, Driver
 from hmi_marl.envs.streams import check_seed
 from hmi_marl.files import json_value
-from hmi_marl.ownership import check_free, owned
+from hmi_marl.ownership import owned
 from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict, judged_together
@@ -186,10 +186,9 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
         FileNotFoundError, ValueError: it lacks what it starts from; see :meth:`Experiment.check`
             and :meth:`Experiment.check_machine`.
     """
-    check_free(place.folder)
     experiment.check_machine()
-    experiment.check(place)
-    with owned(place.folder):
+    with owned(place.folder):  # which removes what it made if the check fails
+        experiment.check(place)
         return _conduct(experiment, place)
 
 

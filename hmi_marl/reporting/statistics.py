@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -166,9 +166,8 @@ def mean_share(shares: Sequence[Estimate]) -> Estimate:
     if over.count < 2:
         return over
     low, high = wilson_interval(over.mean, shares[0].count, _ONE_DEVIATION)
-    error = math.hypot(over.error, (high - low) / 2)
-    ends = t_interval(over.mean, error, over.count)
-    return Estimate(over.mean, max(ends[0], 0.0), min(ends[1], 1.0), error, over.count)
+    found = _with_luck(over, (high - low) / 2)
+    return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
 
 
 def mean_of_same(estimates: Sequence[Estimate]) -> Estimate:
@@ -181,7 +180,12 @@ def mean_of_same(estimates: Sequence[Estimate]) -> Estimate:
     if over.count < 2:
         return over
     half = float(np.mean([(each.high - each.low) / 2 for each in estimates]))
-    error = math.hypot(over.error, half / _z_quantile((1.0 + CONFIDENCE) / 2.0))
+    return _with_luck(over, half / _z_quantile((1.0 + CONFIDENCE) / 2.0))
+
+
+def _with_luck(over: Estimate, luck: float) -> Estimate:
+    """Add the standard error of what all seeds share to that of a mean over seeds."""
+    error = math.hypot(over.error, luck)
     low, high = t_interval(over.mean, error, over.count)
     return Estimate(over.mean, low, high, error, over.count)
 

@@ -109,6 +109,14 @@ class Network:
                 x = _ACTIVATIONS[self.config.activation](x)
         return x
 
+    def log_probabilities(self, inputs: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return log probabilities, shape (N, outputs), of logits for inputs (N, inputs).
+
+        Raises:
+            FloatingPointError: see :func:`below_zero`.
+        """
+        return log_softmax(self(inputs))
+
     def _remember(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         w, old = self._weights, self._memory
         if len(old) != len(x):

@@ -78,13 +78,3 @@ def situations(
         x[:, t] = recent.situation(states[:, t], alerts[:, t])
         recent.acted(actions[:, t])
     return x
-
-
-def standardise(
-    x: NDArray[np.float32], centre: NDArray[np.floating], scale: NDArray[np.floating]
-) -> NDArray[np.float32]:
-    """Replace the states s of situations (..., D + EXTRA) by (s - centre) / scale, both (D,)."""
-    out = x.astype(np.float32, copy=True)
-    out[..., : len(centre)] -= centre.astype(np.float32)
-    out[..., : len(centre)] /= scale.astype(np.float32)
-    return out

@@ -26,14 +26,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.network import (
-    Network,
-    NetworkConfig,
-    Weights,
-    log_softmax,
-    part_of,
-)
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations, standardise
+from hmi_marl.agents.learned.cards import part_shapes
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
+from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
 from hmi_marl.checks import Checked, Count, Units
 
 LEAST_LOG = -6.0
@@ -81,11 +76,11 @@ class EncoderConfig(Checked):
             "span_layer.weight": (self.span, self.features, self.step_features),
             "span_layer.bias": (self.features,),
         }
-        for part, network, sizes in (
-            ("head", self.head, (self.features + 1, 2 * latent)),
-            ("average", self.average, (state_size + EXTRA, ACTIONS)),
-        ):
-            shapes |= {f"{part}.{name}": shape for name, shape in network.shapes(*sizes).items()}
+        networks = {
+            "head": (self.features + 1, 2 * latent),
+            "average": (state_size + EXTRA, ACTIONS),
+        }
+        shapes |= part_shapes(self, networks)
         return {f"encoder.{name}": shape for name, shape in shapes.items()}
 
 
@@ -148,7 +143,7 @@ class Encoder:
         x = standardise(x, self._centre, self._scale)
         seen = x[:, :-EXTRA].astype(np.float64)
         state = np.maximum(seen @ w["state_layer.weight"].T + w["state_layer.bias"], 0.0)
-        read = [behaviour(x, actions, log_softmax(self._average(x))), state]
+        read = [behaviour(x, actions, self._average.log_probabilities(x)), state]
         features = np.concatenate(read, axis=1) @ w["step_layer.weight"].T + w["step_layer.bias"]
         return np.maximum(features, 0.0)
 
@@ -219,3 +214,13 @@ def behaviour(
     likely = np.maximum(log_average, LEAST_LOG)
     of_both = [(likely * which).sum(axis=1, keepdims=True) for which in (done, before)]
     return np.concatenate([extra, done, repeated * since, *of_both], axis=1, dtype=np.float64)
+
+
+def standardise(
+    x: NDArray[np.float32], centre: NDArray[np.floating], scale: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """Replace the states s of situations (..., D + EXTRA) by (s - centre) / scale, both (D,)."""
+    out = x.astype(np.float32, copy=True)
+    out[..., : len(centre)] -= centre.astype(np.float32)
+    out[..., : len(centre)] /= scale.astype(np.float32)
+    return out

@@ -15,15 +15,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, log_softmax, part_of
-from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, standardise
-from hmi_marl.agents.learned.trait_encoder import Encoder, EncoderConfig
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
+from hmi_marl.agents.learned.situations import ACTIONS, EXTRA
+from hmi_marl.agents.learned.trait_encoder import Encoder, EncoderConfig, Latent, standardise
 from hmi_marl.checks import Checked, Count, Share, Units
 
 PARTS = ("reward", "potential", "policy")
@@ -90,6 +90,26 @@ NAME = "traits.json"
 """File name of the card; the weights are in ``traits.safetensors`` next to it."""
 
 
+class Windows(Protocol):
+    """Windows of driving, E of at most T steps; see :meth:`Encoder.encode`."""
+
+    @property
+    def states(self) -> NDArray[np.float32]:
+        """Observed states, shape (E, T, D)."""
+
+    @property
+    def actions(self) -> NDArray[np.int64]:
+        """Applied actions v_t, shape (E, T)."""
+
+    @property
+    def alerts(self) -> NDArray[np.int64]:
+        """Alerts a^A_t, shape (E, T)."""
+
+    @property
+    def length(self) -> NDArray[np.int64]:
+        """Steps, shape (E,)."""
+
+
 class TraitModel:
     """Learned encoder, reward and trait-conditioned policy; weights as in ``card.shapes``.
 
@@ -111,9 +131,17 @@ class TraitModel:
         """Standardise the states of situations (..., D + EXTRA) by the demonstrations."""
         return standardise(x, self.weights["state.centre"], self.weights["state.scale"])
 
+    def encode(self, windows: Windows) -> NDArray[np.float64]:
+        """Encode each of E windows into sums over its steps; see :meth:`Encoder.encode`."""
+        return self.encoder.encode(windows.states, windows.actions, windows.alerts, windows.length)
+
+    def latents(self, sums: NDArray[np.float64], pools: NDArray[np.int64]) -> Latent:
+        """Return q(z | τ) of P pools, given :meth:`encode` of E windows and the pools (P, n)."""
+        return self.encoder.latent(sums[pools].sum(axis=1))
+
     def policy(self, x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return log π(a | s, z), shape (N, 5), in situations (N, D + EXTRA)."""
-        return log_softmax(self._networks["policy"](_with_z(self.standardise(x), z)))
+        return self._networks["policy"].log_probabilities(_with_z(self.standardise(x), z))
 
     def base_reward(
         self, x: NDArray[np.float32], actions: NDArray[np.int64], z: NDArray[np.float64]

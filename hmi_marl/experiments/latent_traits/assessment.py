@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.checks import Checked, Count, CountOrZero
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, held_out
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, Split, disjoint_pools
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.envs.streams import Seed
 from hmi_marl.exact.identify import Identification
@@ -30,7 +30,6 @@ from hmi_marl.experiments.latent_traits.imitation import (
     imitate,
     replay,
 )
-from hmi_marl.experiments.latent_traits.latents import disjoint_pools, encode, mean_latents
 from hmi_marl.experiments.latent_traits.probes import Separability, separability
 from hmi_marl.experiments.latent_traits.reward import RewardRanking, reward_ranking
 from hmi_marl.experiments.latent_traits.strangers import (
@@ -101,7 +100,7 @@ class Embedding:
     """Indices of ``names``, shape (P,)."""
     names: tuple[str, ...]
     sums: NDArray[np.float64] | None = None
-    """:func:`encode` of the held-out windows, to be used again."""
+    """Encoding of the held-out windows, to be used again."""
 
 
 @dataclass(frozen=True)
@@ -139,31 +138,6 @@ class Assessment:
         return json_value(content) | {"embedding": embedding, "traits": traits}
 
 
-@dataclass(frozen=True)
-class Split:
-    """Demonstrations as a model's run divided them."""
-
-    learned: Demonstrations
-    """Windows that it learned from."""
-    unseen: Demonstrations
-    """Windows that it held out."""
-
-    @classmethod
-    def of(cls, demonstrations: Demonstrations, share: float, most: int) -> Split:
-        """Split them as a run does that holds out ``share`` of each driver's windows, the last.
-
-        At most ``most`` windows of each driver are kept on either side.
-
-        Raises:
-            ValueError: nothing was held out.
-        """
-        out = held_out(demonstrations.observed.driver, share)
-        if not out.any():
-            raise ValueError("no window was held out of training, so there is nothing to judge by")
-        parts = (demonstrations.take(~out), demonstrations.take(out))
-        return cls(*(part.take(part.observed.number < most) for part in parts))
-
-
 def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
     """Choose from how many windows drivers are identified: ``WINDOWS``, and a model's own pool.
 
@@ -194,9 +168,10 @@ def pool_sizes(split: Split, pool: int, latent: int) -> tuple[int, ...]:
 def embed(model: TraitModel, split: Split) -> Embedding:
     """Embed held-out pools of the model's own size."""
     unseen = split.unseen.observed
-    sums, pools = encode(model, unseen), disjoint_pools(unseen.driver, model.card.pool)
-    means = mean_latents(model, sums, pools)
-    return Embedding(means, unseen.driver[pools[:, 0]], unseen.names, sums)
+    sums, pools = model.encode(unseen), disjoint_pools(unseen.driver, model.card.pool)
+    return Embedding(
+        model.latents(sums, pools).mean, unseen.driver[pools[:, 0]], unseen.names, sums
+    )
 
 
 def identify_drivers(
@@ -204,7 +179,6 @@ def identify_drivers(
     split: Split,
     identification: Identification | None = None,
     windows: Sequence[int] = WINDOWS,
-    embedding: Embedding | None = None,
 ) -> tuple[list[Identified], Embedding]:
     """Measure accuracy by windows seen, and embed held-out pools of the model's own size.
 
@@ -213,22 +187,21 @@ def identify_drivers(
         identification: the exact classifier's evidence of ``split.unseen``, candidates in the
             order of its names.
         windows: numbers of windows; see :func:`pool_sizes`.
-        embedding: that of :func:`embed`, if it is there already.
 
     Raises:
         ValueError: too few pools of some driver.
     """
     sides = split.learned, split.unseen
-    embedding = embedding or embed(model, split)
+    embedding = embed(model, split)
     assert embedding.sums is not None
-    sums = [encode(model, split.learned.observed), embedding.sums]
+    sums = [model.encode(split.learned.observed), embedding.sums]
     drivers = [side.observed.driver for side in sides]
     help_learned, help_unseen = (likes_help(side) for side in sides)
 
     rows = []
     for size in windows:
         pools = [disjoint_pools(driver, size) for driver in drivers]
-        z_fitted, z = (mean_latents(model, *side) for side in zip(sums, pools, strict=True))
+        z_fitted, z = (model.latents(*side).mean for side in zip(sums, pools, strict=True))
         fitted, judged = pools
         preferences = None
         if help_learned is not None and help_unseen is not None:
@@ -274,7 +247,6 @@ def assess(
     windows: Sequence[int],
     progress: Callable[[], Any] = tuple,
     whole: bool = True,
-    embedding: Embedding | None = None,
 ) -> Assessment:
     """Judge one model on the demonstrations that it learned from.
 
@@ -283,7 +255,7 @@ def assess(
         identification: the exact classifier's evidence of ``split.unseen``; None if there is none.
         population: drivers that it has not learned from, with the truth; None to leave that out.
         settings: sizes.
-        windows, embedding: see :func:`identify_drivers`.
+        windows: see :func:`identify_drivers`.
         progress: called ``PARTS`` times.
         whole: if not, only identification and traits, which are averaged over seeds.
 
@@ -292,7 +264,7 @@ def assess(
             environment.
     """
     unseen = split.unseen.observed
-    identified, embedding = identify_drivers(model, split, identification, windows, embedding)
+    identified, embedding = identify_drivers(model, split, identification, windows)
     progress()
     supervision, naming = supervision_of(model), []
     if np.bincount(unseen.driver[unseen.driver != MISSING]).min() >= 2 * model.card.pool:
@@ -310,9 +282,9 @@ def assess(
     pools = disjoint_pools(unseen.driver, model.card.pool)
     likelihood = action_likelihood(model, unseen, pools, identification)
     progress()
-    z = driver_latents(model, unseen)
     driving, ranking = [], []
     if unseen.seeds is not None:
+        z = driver_latents(model, unseen)
         driven = unseen.take(unseen.number < settings.episodes)
         driving = compare_driving(
             by_driver(replay(driven), driven.labels()),

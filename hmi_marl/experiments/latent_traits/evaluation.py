@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
-from hmi_marl.demonstrations.dataset import Demonstrations
+from hmi_marl.demonstrations.dataset import Demonstrations, Split
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Place
 from hmi_marl.experiments.latent_traits import assessment, ceiling
@@ -60,8 +60,8 @@ class TraitEvaluation(TraitReport):
     def run(self, place: Place) -> TraitResults:
         """Judge the runs on what they held out.
 
-        The figure of embeddings is written first, long before the rest. The first model of a
-        setting is judged in every respect, others by identification alone.
+        The first model of a setting is judged in every respect, others by identification and
+        traits alone.
 
         Raises:
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
@@ -74,10 +74,9 @@ class TraitEvaluation(TraitReport):
         pool = models[0].card.pool
         share = self._share(models)
         _check_seeds(self.runs, models)
-        split = assessment.Split.of(data, share, self.size.windows)
+        split = Split.of(data, share, self.size.windows)
         windows = assessment.pool_sizes(split, pool, max(model.card.latent for model in models))
         unknown = None if self.population is None else self._unknown(models, data, pool)
-        embeddings = [assessment.embed(model, split) for model in models]
         settings = [assessment.supervision_of(model) for model in models]
         found: dict[str, list[Assessment]] = {}
         parts = 1 + assessment.PARTS * len(models)
@@ -89,10 +88,10 @@ class TraitEvaluation(TraitReport):
             except ceiling.NoCeilingError as error:
                 bar.write(str(error), file=sys.stderr)
             bar.update()
-            for model, name, embedding in zip(models, settings, embeddings, strict=True):
+            for model, name in zip(models, settings, strict=True):
                 whole = name not in found
                 one = assessment.assess(
-                    model, split, exact, unknown, self.size, windows, bar.update, whole, embedding
+                    model, split, exact, unknown, self.size, windows, bar.update, whole
                 )
                 found.setdefault(name, []).append(one)
         ordered: dict[str, list[Assessment]] = {

@@ -9,6 +9,7 @@ from typing import Any
 from tqdm import tqdm
 
 from hmi_marl.checks import Count, Steps
+from hmi_marl.demonstrations.dataset import Split
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
@@ -188,7 +189,7 @@ class LatentTraits(TraitReport):
                 write_demonstrations(folder / name, collect(dataset, bar.update))
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
         share = replace(learn, supervision="none").held_out_share
-        split = assessment.Split.of(demonstrations, share, self.evaluation.windows)
+        split = Split.of(demonstrations, share, self.evaluation.windows)
         latent = max(settings.latent_size for settings in self.trainings(folder).values())
         assessment.pool_sizes(split, learn.pool, latent)
         strangers_pools(ObservedFile(folder / POPULATION).driver, learn.pool)

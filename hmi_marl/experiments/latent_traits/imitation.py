@@ -70,9 +70,7 @@ def pool_latents(model: TraitModel, observed: Observed, pools: ArrayLike) -> Lat
     """
     places, _ = checked_pools(observed, pools)
     used, where = np.unique(places, return_inverse=True)
-    some = observed.take(used)
-    sums = model.encoder.encode(some.states, some.actions, some.alerts, some.length)
-    return model.encoder.latent(sums[where.reshape(places.shape)].sum(axis=1))
+    return model.latents(model.encode(observed.take(used)), where.reshape(places.shape))
 
 
 def driver_latents(model: TraitModel, observed: Observed) -> dict[str, NDArray[np.float64]]:

@@ -60,7 +60,7 @@ class TraitResults:
         probes = [getattr(o.at_pool(size), of).linear_probe for o in self.assessments[setting]]
         if len(probes) == 1:
             return probes[0]
-        found = over_seeds([probe.mean for probe in probes])
+        found = statistics.mean([probe.mean for probe in probes])
         return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
 
     def by_seed(self, setting: str, size: int, of: str = "types") -> Estimate:
@@ -80,30 +80,29 @@ class TraitResults:
 
     def average_kl(self, setting: str, size: int) -> Estimate:
         """Average the KL between driver types over seeds."""
-        return over_seeds([o.at_pool(size).types.average_kl for o in self.assessments[setting]])
+        return statistics.mean(
+            [o.at_pool(size).types.average_kl for o in self.assessments[setting]]
+        )
 
     def trait_r2(self, setting: str, trait: str, probe: str) -> Estimate | None:
         """Average R² of a probe over seeds; 1 seed: interval over strangers; None if not judged."""
-        readings = [one.reading for one in self.assessments[setting] if one.reading is not None]
-        found = [getattr(reading.r2[trait], probe) for reading in readings]
+        found = self._r2(setting, trait, probe)
         if len(found) < 2:
             return found[0] if found else None
-        return over_seeds([each.mean for each in found])
+        return statistics.mean([each.mean for each in found])
 
     def trait_r2_by_seed(self, setting: str, trait: str, probe: str) -> Estimate:
         """Average the same over training seeds; without an interval for a single one."""
+        return statistics.mean_of_same(self._r2(setting, trait, probe))
+
+    def _r2(self, setting: str, trait: str, probe: str) -> list[Estimate]:
         readings = [one.reading for one in self.assessments[setting] if one.reading is not None]
-        return statistics.mean_of_same([getattr(reading.r2[trait], probe) for reading in readings])
+        return [getattr(reading.r2[trait], probe) for reading in readings]
 
     def named(self, setting: str, place: int) -> Estimate:
         """Average the share of types named from one labelled pool over seeds, by rows of naming."""
         found = [one.naming[place].named for one in self.assessments[setting]]
-        return found[0] if len(found) == 1 else over_seeds([each.mean for each in found])
-
-
-def over_seeds(values: Sequence[float]) -> Estimate:
-    """Return the mean with its t interval; for a single seed without one."""
-    return statistics.mean(values)
+        return found[0] if len(found) == 1 else statistics.mean([each.mean for each in found])
 
 
 class TraitReport(Experiment[TraitResults]):

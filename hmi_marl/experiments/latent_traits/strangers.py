@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.trait_encoder import Latent
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, disjoint_pools
 from hmi_marl.envs.drivers import TRAIT_NAMES
-from hmi_marl.experiments.latent_traits.latents import disjoint_pools, encode, latents
 from hmi_marl.experiments.latent_traits.probes import TraitR2, predict_traits, trait_r2
 from hmi_marl.reporting.statistics import Estimate, accuracy
 
@@ -92,7 +91,7 @@ def read_traits(
     if truth is None:
         raise ValueError("traits can be regressed only where the truth is known")
     pools, fits = strangers_pools(population.observed.driver, size)
-    z = latents(model, encode(model, population.observed), pools).mean
+    z = model.latents(model.encode(population.observed), pools).mean
     traits = truth.traits[pools[:, 0]]
     sides = z[fits], traits[fits], z[~fits]
     predicted = predict_traits(*sides, seed)
@@ -116,7 +115,7 @@ def name_types(
 
     Args:
         model: trait model, whose own pool is the size of the labelled ones.
-        sums: :func:`encode` of E windows.
+        sums: :meth:`TraitModel.encode` of E windows.
         driver: type of each window, shape (E,); -1 if not known.
         sizes: windows of the pools that are named.
         seed: draws the labelled pools.
@@ -141,10 +140,10 @@ def name_types(
         )
         rest = driver.copy()
         rest[labelled] = MISSING
-        prototypes = latents(model, sums, labelled)
+        prototypes = model.latents(sums, labelled)
         for size in sizes:
             pools = disjoint_pools(rest, size)
-            named = types[log_likelihoods(latents(model, sums, pools), prototypes).argmax(axis=1)]
+            named = types[log_likelihoods(model.latents(sums, pools), prototypes).argmax(axis=1)]
             right[size].append(named == driver[pools[:, 0]])
     # The draws judge the same windows, so they count once.
     return [

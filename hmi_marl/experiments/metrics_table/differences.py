@@ -1,6 +1,6 @@
 """Differences between HMIs with the same drivers, paired by episode.
 
-All cells of a table play the same episodes, so what they differ by is told far more exactly by the
+All cells of a table play the same episodes, so what they differ by is known far more exactly by the
 differences of each episode than by two means with intervals of their own.
 """
 

@@ -314,7 +314,7 @@ def _sweep(results: TaskResults) -> list[Verdict]:
 def _not_gamed(results: TaskResults) -> list[Verdict]:
     """Crashing early does not pay: no driver crashes more than the two-stage one.
 
-    Crash rates are paired by seed. Whether crashing would pay is told beside them.
+    Crash rates are paired by seed. Whether crashing would pay is added as the reason.
     """
     gaming, verdicts = gaming_of(results), []
     for protocol in results.plan.protocols:

@@ -19,7 +19,7 @@ from hmi_marl.people.record import TripRecord
 from hmi_marl.reporting.statistics import Estimate
 
 WIDTHS = (0.2, 0.1, 0.05)
-"""Widths of intervals for which the minutes needed are told."""
+"""Widths of intervals for which the minutes needed are given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def measure_person(
         name: of the driver made from it.
         trips: of this person in the driver's seat with the second task; see :func:`measurable`.
         policy: driver policy by which caution is measured; None leaves it out.
-        widths: of intervals, for which the minutes needed are told.
+        widths: of intervals, for which the minutes needed are given.
         seed: of the draws of tests and intervals.
 
     Raises:

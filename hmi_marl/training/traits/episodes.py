@@ -15,7 +15,8 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.situations import EXTRA, situations, standardise
+from hmi_marl.agents.learned.situations import EXTRA, situations
+from hmi_marl.agents.learned.trait_encoder import standardise
 from hmi_marl.demonstrations.dataset import MISSING, Observed
 from hmi_marl.demonstrations.stored import ObservedFile
 from hmi_marl.envs.observations import Layout

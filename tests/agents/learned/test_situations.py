@@ -11,8 +11,8 @@ from hmi_marl.agents.learned.situations import (
     LONG_AGO,
     Recent,
     situations,
-    standardise,
 )
+from hmi_marl.agents.learned.trait_encoder import standardise
 
 COLUMNS = 3
 seeds = st.integers(0, 2**32 - 1)

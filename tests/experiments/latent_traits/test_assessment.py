@@ -9,7 +9,7 @@ import pytest
 from trait_models import save_driver, untrained
 
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.demonstrations.dataset import Demonstrations
+from hmi_marl.demonstrations.dataset import Demonstrations, disjoint_pools
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
@@ -23,7 +23,6 @@ from hmi_marl.experiments.latent_traits.assessment import (
 )
 from hmi_marl.experiments.latent_traits.ceiling import NoCeilingError, evidence, exact_evidence
 from hmi_marl.experiments.latent_traits.imitation import by_driver, driving, replay
-from hmi_marl.experiments.latent_traits.latents import disjoint_pools
 from hmi_marl.experiments.latent_traits.strangers import read_traits
 from hmi_marl.files import json_value
 

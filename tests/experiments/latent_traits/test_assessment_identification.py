@@ -9,7 +9,7 @@ from trait_models import untrained
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.trait_encoder import BEHAVIOUR, EncoderConfig
 from hmi_marl.agents.learned.trait_model import TraitCard, TraitModel
-from hmi_marl.demonstrations.dataset import MISSING, Demonstrations
+from hmi_marl.demonstrations.dataset import MISSING, Demonstrations, disjoint_pools
 from hmi_marl.envs.drivers import DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.latent_traits import strangers
@@ -20,7 +20,6 @@ from hmi_marl.experiments.latent_traits.assessment import (
     pool_sizes,
 )
 from hmi_marl.experiments.latent_traits.ceiling import likes_help
-from hmi_marl.experiments.latent_traits.latents import disjoint_pools, encode, mean_latents
 from hmi_marl.experiments.latent_traits.strangers import read_traits, strangers_pools
 from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import share
@@ -96,7 +95,7 @@ def test_pools_share_no_window_and_have_one_driver(size: int) -> None:
 def test_a_pool_is_averaged_over_all_steps() -> None:
     data = driven({"lisa": 3, "marge": 2})
     model = speed_reader()
-    sums = encode(model, data.observed)
+    sums = model.encode(data.observed)
     speed, target = (
         data.observed.layout.scalar(data.observed.states, part)
         for part in ("speed", "target_speed")
@@ -105,7 +104,7 @@ def test_a_pool_is_averaged_over_all_steps() -> None:
     np.testing.assert_allclose(sums, np.concatenate([2 * z, np.full((5, 1), 2.0)], axis=1))
     pools = np.array([[0, 2], [3, 4]])
     expected = [(z[0] + z[2]) / 2, (z[3] + z[4]) / 2]
-    np.testing.assert_allclose(mean_latents(model, sums, pools), expected, rtol=1e-6)
+    np.testing.assert_allclose(model.latents(sums, pools).mean, expected, rtol=1e-6)
     np.testing.assert_array_equal(data.observed.driver, [0, 0, 0, 1, 1])
 
 
@@ -211,7 +210,7 @@ def test_drivers_who_lie_apart_are_told_apart() -> None:
     unseen = split.unseen.observed
     pools = disjoint_pools(unseen.driver, 2)
     model = speed_reader()
-    expected = mean_latents(model, encode(model, unseen), pools)
+    expected = model.latents(model.encode(unseen), pools).mean
     np.testing.assert_allclose(embedding.means, expected)
     np.testing.assert_array_equal(embedding.types, np.repeat([0, 1, 2], [5, 6, 5]))
     assert embedding.names == NAMES

@@ -29,7 +29,6 @@ from hmi_marl.experiments.latent_traits.report import (
     left_out,
     likelihood_table,
     naming_table,
-    over_seeds,
     ranking_table,
     trait_table,
 )
@@ -164,9 +163,9 @@ def text_of(found: TraitResults) -> str:
 
 def test_seeds_are_averaged() -> None:
     # Standard error 1, one degree of freedom: t = 12.7062.
-    found = over_seeds([2.0, 4.0])
+    found = statistics.mean([2.0, 4.0])
     assert (found.mean, found.low) == pytest.approx((3.0, 3.0 - 12.7062), abs=1e-4)
-    alone = over_seeds([5.0])
+    alone = statistics.mean([5.0])
     assert (alone.mean, alone.count) == (5.0, 1)
     assert math.isnan(alone.low), "one seed has no interval, not one of no width"
 
@@ -359,7 +358,7 @@ def test_the_exact_posterior_stands_beside_with_the_ratio() -> None:
 def test_r2_and_naming_are_averaged_over_seeds() -> None:
     found = results(self=[one("self"), one("self", reading=reading(beta=0.7, eta=0.0))])
     assert found.trait_r2("self", "beta", "network") == statistics.mean([0.625, 0.825])
-    assert found.named("self", 1) == over_seeds([0.99, 0.99])
+    assert found.named("self", 1) == statistics.mean([0.99, 0.99])
     assert trait_table(found).rows[0][2].startswith("0.47 [")  # (0.375 + 0.575) / 2
     assert [row[:4:2] for row in naming_table(found).rows] == [
         ["self-supervised", "90.0 [82.6, 94.5]"],

@@ -4,6 +4,7 @@ from demonstrations import LAYOUT
 from trait_models import untrained
 
 from hmi_marl.agents.learned.trait_encoder import Latent
+from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.experiments.latent_traits import strangers
 from hmi_marl.experiments.latent_traits.probes import predict_traits
 from hmi_marl.experiments.latent_traits.strangers import log_likelihoods, name_types
@@ -22,7 +23,7 @@ def told_by_place(monkeypatch, wrong=()):
         mean = z[pools].mean(axis=1)[:, None]
         return Latent(mean, np.ones_like(mean))
 
-    monkeypatch.setattr(strangers, "latents", latents)
+    monkeypatch.setattr(TraitModel, "latents", latents)
 
 
 def test_likelihoods_by_hand():
@@ -57,7 +58,7 @@ def test_labelled_windows_are_not_named(monkeypatch):
         asked.append(pools)
         return Latent(np.zeros((len(pools), 1)), np.ones((len(pools), 1)))
 
-    monkeypatch.setattr(strangers, "latents", latents)
+    monkeypatch.setattr(TraitModel, "latents", latents)
     name_types(MODEL, SUMS, DRIVER, (2,))
     assert len(asked) == 2 * strangers.DRAWS
     for labelled, named in zip(asked[::2], asked[1::2], strict=True):
