@@ -51,9 +51,8 @@ class TraitEvaluation(TraitReport):
         raise ValueError("an evaluation of trait models names the runs to evaluate")
 
     def check(self, place: Place) -> None:
-        """See :meth:`Experiment.check`; what the runs learned from is checked in the run."""
-        for run in self.runs:
-            load_traits(run)
+        """See :meth:`Experiment.check`; what the demonstrations hold is checked in the run."""
+        self._fitting_models()
         if self.driver_policy is not None:
             make_driver_policy(self.driver_policy, TeamConfig())
 
@@ -69,11 +68,9 @@ class TraitEvaluation(TraitReport):
         """
         from hmi_marl.demonstrations.parquet import read_demonstrations
 
-        models = [load_traits(run) for run in self.runs]
+        models, share = self._fitting_models()
         data = read_demonstrations(self.demonstrations)
         pool = models[0].card.pool
-        share = self._share(models)
-        _check_seeds(self.runs, models)
         split = Split.of(data, share, self.size.windows)
         windows = assessment.pool_sizes(split, pool, max(model.card.latent for model in models))
         unknown = None if self.population is None else self._unknown(models, data, pool)
@@ -105,9 +102,9 @@ class TraitEvaluation(TraitReport):
         """Read the population without drivers who have demonstrated.
 
         Raises:
-            FileNotFoundError, ValueError: it is not there, or not fit to judge by.
+            ValueError: it is not fit to judge by.
         """
-        from hmi_marl.demonstrations.parquet import OBSERVED, read_demonstrations
+        from hmi_marl.demonstrations.parquet import read_demonstrations
 
         assert self.population is not None
         unknown = assessment.unseen_drivers(read_demonstrations(self.population), data)
@@ -115,13 +112,27 @@ class TraitEvaluation(TraitReport):
             raise ValueError("traits can be regressed only where the truth is known")
         strangers_pools(unknown.observed.driver, pool)
         check_fits(models[0], unknown.observed)
-        digest = sha256_of(self.population / OBSERVED)
-        for run, model in zip(self.runs, models, strict=True):
-            if _learned_from(run, model)[1] == digest:
-                raise ValueError(
-                    f"{run} has learned from {self.population}; name a population that it has not"
-                )
         return unknown
+
+    def _fitting_models(self) -> tuple[list[TraitModel], float]:
+        """Load the models, and find the share of windows that they held out.
+
+        Raises:
+            FileNotFoundError, ValueError: a run or a folder of demonstrations is not there, or they
+                do not fit together.
+        """
+        models = [load_traits(run) for run in self.runs]
+        share = self._share(models)
+        _check_seeds(self.runs, models)
+        if self.population is not None:
+            digest = _digest(self.population)
+            for run, model in zip(self.runs, models, strict=True):
+                if _learned_from(run, model)[1] == digest:
+                    raise ValueError(
+                        f"{run} has learned from {self.population}; name a population that it has "
+                        "not"
+                    )
+        return models, share
 
     def _share(self, models: Sequence[TraitModel]) -> float:
         """Share of windows that the runs held out of the demonstrations, the same for all.
@@ -130,9 +141,7 @@ class TraitEvaluation(TraitReport):
             ValueError: they hold out or pool differently, or learned from other demonstrations, as
                 only self-supervised ones may.
         """
-        from hmi_marl.demonstrations.parquet import OBSERVED
-
-        digest, first = sha256_of(self.demonstrations / OBSERVED), None
+        digest, first = _digest(self.demonstrations), None
         for run, model in zip(self.runs, models, strict=True):
             held_out, learned = _learned_from(run, model)
             if learned == digest:
@@ -162,6 +171,14 @@ class TraitEvaluation(TraitReport):
     def settings(self) -> dict[str, Any]:
         """See :meth:`Experiment.settings`."""
         return dict(vars(self.size))
+
+
+def _digest(demonstrations: Path) -> str:
+    """Return the checksum of demonstrations, once their file can be opened."""
+    from hmi_marl.demonstrations.step_file import StepFile
+    from hmi_marl.demonstrations.stored import OBSERVED
+
+    return sha256_of(StepFile(demonstrations / OBSERVED).path)
 
 
 def _check_seeds(runs: Sequence[Path], models: Sequence[TraitModel]) -> None:

@@ -16,6 +16,7 @@ from hmi_marl.demonstrations.parquet import (
     write_demonstrations,
 )
 from hmi_marl.demonstrations.recording import CollectSettings, collect
+from hmi_marl.demonstrations.step_file import StepFile
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import part_seed
 from hmi_marl.experiments.experiment import Place, conduct
@@ -316,6 +317,24 @@ def test_what_cannot_be_judged_together_is_told(tmp_path: Path, data: Path) -> N
         assess_runs([good], data, tmp_path, None, SMALL)
 
 
+def test_runs_that_do_not_fit_are_refused_before_any_row_is_read(
+    tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, other = a_run(tmp_path / "good", data), record(tmp_path / "other", "rule")
+    learned, copied = a_run(tmp_path / "learned", other, "self"), a_run(tmp_path / "from", other)
+    monkeypatch.setattr(StepFile, "_group", None)
+    for runs, population, told in (
+        ([good, good], None, "have the same seed"),
+        ([copied], None, "from other demonstrations than"),
+        ([learned], other, "name a population that it has not"),
+        ([good], tmp_path / "nowhere", "no demonstrations at"),
+    ):
+        out = tmp_path / "out"
+        with pytest.raises((ValueError, FileNotFoundError), match=told):
+            write_report(out, runs, data, population)
+        assert not out.exists()
+
+
 def test_too_little_to_judge_by_is_told_before_anything_is_judged(
     tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -334,7 +353,7 @@ def test_too_little_to_judge_by_is_told_before_anything_is_judged(
     with pytest.raises(ValueError, match="4 drivers or more with 2 windows each"):
         assess_runs([run], data, few, None, SMALL)
     with pytest.raises(ValueError, match="all drivers of the population have demonstrated"):
-        assess_runs([run], data, data, None, SMALL)
+        assess_runs([run], data, record(tmp_path / "again", "rule"), None, SMALL)
     coarse = made_up([5] * 8, driver=[0, 1, 2, 3] * 2, names=("a", "b", "c", "d"))
     write_demonstrations(tmp_path / "coarse", coarse)
     with pytest.raises(ValueError, match="use the scene that it was trained on"):

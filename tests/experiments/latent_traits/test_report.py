@@ -398,6 +398,7 @@ def test_no_population_no_rows() -> None:
 
 def report_of(found: TraitResults, folder: Path, monkeypatch: pytest.MonkeyPatch, **place: Any):
     """Report of these results, as an experiment writes it."""
+    monkeypatch.setattr(TraitEvaluation, "check", lambda self, place: None)
     monkeypatch.setattr(TraitEvaluation, "run", lambda self, place: found)
     settings = {"windows": "<5>"}
     monkeypatch.setattr(TraitEvaluation, "settings", lambda self: settings)
