@@ -20,7 +20,8 @@ from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.episodes import Episodes, play_named
-from hmi_marl.experiments.experiment import Agent, Experiment, Place, spec
+from hmi_marl.experiments.experiment import Agent, Place, spec
+from hmi_marl.experiments.training_seeds import SeededExperiment, learned_part
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
@@ -51,7 +52,7 @@ class DriverRow:
 
 
 @dataclass(frozen=True)
-class AttentiveDrivers(Experiment[list[DriverRow]]):
+class AttentiveDrivers(SeededExperiment[list[DriverRow]]):
     """Learn to drive without distraction: speed, crashes and headway by steps.
 
     Raises:
@@ -67,7 +68,9 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
     num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
-    """Seed of the training."""
+    """Seed of the first training, from which the others are mixed."""
+    seeds: Count = 5
+    """Trainings of the policy."""
 
     name = "driver"
     files = "driver.table"  # driver.json is the card of the policy
@@ -82,7 +85,7 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
     @classmethod
     def quick(cls) -> AttentiveDrivers:
         """Make a coarse version that takes minutes."""
-        return cls(steps=1_500_000, snapshots=3, episodes=400)
+        return cls(steps=1_500_000, snapshots=3, episodes=400, seeds=1)
 
     def job(self, folder: Path) -> Job:
         """Training of one policy for both drivers."""
@@ -96,37 +99,40 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
         )
         return Job(settings, folder)
 
-    def run(self, place: Place) -> list[DriverRow]:
-        """Learn, and let both drivers drive with the policy of each snapshot."""
-        place.train([self.job(place.folder)])
+    def learn(self, each: Sequence[tuple[AttentiveDrivers, Place]], place: Place) -> None:
+        """Learn a policy for both drivers."""
+        place.train([alone.job(where.folder) for alone, where in each])
+
+    def play(self, place: Place) -> list[DriverRow]:
+        """Let both drivers drive with the policy of each snapshot."""
         return [
             row
             for steps, policy in place.each(snapshots(place.folder), "snapshots")
             for row in assess(policy, steps, self.episodes)
         ]
 
-    def numbers(self, results: list[DriverRow]) -> dict[str, Any]:
+    def numbers_of(self, results: list[DriverRow]) -> dict[str, Any]:
         """JSON content."""
         return {"rows": json_value(results)}
 
-    def judge(self, results: list[DriverRow]) -> list[Verdict]:
+    def judge_of(self, results: list[DriverRow]) -> list[Verdict]:
         """Judge the drivers after all learning."""
         confident, cautious = results[-2:]
         fast = []
         for row in (confident, cautious):
             least = criteria.LEAST_SPEED_RETURN[row.driver]
-            part = Part.mean("speed return", row.speed_return, EPISODES, above=least, seeds=1)
+            part = learned_part("speed return", row.speed_return, self.seeds, above=least)
             fast.append(Verdict(f"{row.driver}: speed return of at least {least:.0f}", (part,)))
         most, crashes = criteria.MOST_CRASHES, confident.crash_rate
-        few = Part.share("crash rate", crashes, EPISODES, below=most, seeds=1, form="z.2%")
-        keeps = headway_part(cautious.headway_ratio)
+        few = learned_part("crash rate", crashes, self.seeds, share=True, below=most, form="z.2%")
+        keeps = headway_part(cautious.headway_ratio, self.seeds)
         return [
             *fast,
             Verdict(f"confident: crashes under {100 * most:.0f} %", (few,)),
             Verdict(f"cautious: keep {criteria.LEAST_HEADWAY_RATIO} times the headway", (keeps,)),
         ]
 
-    def blocks(self, results: list[DriverRow]) -> Sequence[Block]:
+    def blocks_of(self, results: list[DriverRow]) -> Sequence[Block]:
         """Table of both drivers at every snapshot."""
         columns: dict[str, Callable[[DriverRow], str]] = {
             "million steps": lambda row: f"{row.steps / 1e6:.2f}",
@@ -146,10 +152,12 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
         return [Agent("attentive-driver", find_policy(place.folder, DRIVER), what)]
 
 
-def headway_part(ratio: Estimate) -> Part:
+def headway_part(ratio: Estimate, seeds: int = 1) -> Part:
     """State that the cautious driver keeps more headway than the confident one."""
     least = criteria.LEAST_HEADWAY_RATIO
     what = "headway, times the confident driver's"
+    if seeds > 1:
+        return learned_part(what, ratio, seeds, above=least, form="z.2f")
     return Part.ratio(what, ratio, EPISODES, above=least, seeds=1, form="z.2f")
 
 

@@ -73,7 +73,7 @@ class Place:
 
     def note_training(self, runs: Iterable[Path]) -> None:
         """Note how long each training took in all, however often it was cut off."""
-        trained = seconds_of(runs)
+        trained = seconds_of(runs, self.folder)
         self.watch.seconds |= {f"training {name}": spent for name, spent in trained.items()}
 
     @contextmanager

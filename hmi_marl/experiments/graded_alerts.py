@@ -21,12 +21,13 @@ from hmi_marl.envs.streams import Seed
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.criteria import GRADED_OPTIMUM_SHARE
 from hmi_marl.experiments.episodes import exact_settings, play_named
-from hmi_marl.experiments.experiment import Agent, Experiment, Place
+from hmi_marl.experiments.experiment import Agent, Place
+from hmi_marl.experiments.training_seeds import SeededExperiment, learned_part
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -119,11 +120,10 @@ class GradedRow:
         start = 0.0 if self.optimum > 0 else self.silent
         return start + GRADED_OPTIMUM_SHARE * (self.optimum - start)
 
-    @property
-    def part(self) -> Part:
+    def part(self, seeds: int = 1) -> Part:
         """State that enough was learned."""
         what = f"{self.case.describe()} (optimum {self.optimum:.1f})"
-        return Part.mean(what, self.learned, EPISODES, above=self.least, seeds=1, form="z.1f")
+        return learned_part(what, self.learned, seeds, above=self.least, form="z.1f")
 
     def as_json(self) -> dict[str, Any]:
         """JSON content."""
@@ -135,7 +135,7 @@ class GradedRow:
 
 
 @dataclass(frozen=True)
-class GradedAlerts(Experiment[list[GradedRow]]):
+class GradedAlerts(SeededExperiment[list[GradedRow]]):
     """Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.
 
     Raises:
@@ -149,7 +149,9 @@ class GradedAlerts(Experiment[list[GradedRow]]):
     num_teams: Count = 128
     """Teams that train side by side."""
     seed: Seed = 0
-    """Seed of all training."""
+    """Seed of the first training, from which the others are mixed."""
+    seeds: Count = 5
+    """Trainings of each HMI."""
 
     name = "graded"
     title = "Graded alerts, and alert fatigue"
@@ -162,7 +164,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
     @classmethod
     def quick(cls) -> GradedAlerts:
         """Make a coarse version of a minute, too short to reach the optimum everywhere."""
-        return cls(hmi_steps=200_000, episodes=200)
+        return cls(hmi_steps=200_000, episodes=200, seeds=1)
 
     def training(self, case: Case) -> TwoStage:
         """Settings by which the HMI of a case learns."""
@@ -191,9 +193,18 @@ class GradedAlerts(Experiment[list[GradedRow]]):
         """JSON content of the settings and the cases."""
         return super().settings() | {"cases": json_value(CASES)}
 
-    def run(self, place: Place) -> list[GradedRow]:
-        """Learn an HMI for each case, and play it and the optimum in the same episodes."""
-        place.train([Job(self.training(case), place.folder / case.name) for case in CASES])
+    def learn(self, each: Sequence[tuple[GradedAlerts, Place]], place: Place) -> None:
+        """Learn an HMI for each case."""
+        place.train(
+            [
+                Job(alone.training(case), where.folder / case.name)
+                for alone, where in each
+                for case in CASES
+            ]
+        )
+
+    def play(self, place: Place) -> list[GradedRow]:
+        """Play each case's HMI and the optimum in the same episodes."""
         return [self.assess(case, place.folder) for case in place.each(CASES, "cases")]
 
     def assess(self, case: Case, folder: Path) -> GradedRow:
@@ -218,21 +229,21 @@ class GradedAlerts(Experiment[list[GradedRow]]):
             optimal_alerts=tuple(best.rate_by_strength.sum(axis=1).tolist()),
         )
 
-    def numbers(self, results: list[GradedRow]) -> dict[str, Any]:
+    def numbers_of(self, results: list[GradedRow]) -> dict[str, Any]:
         """JSON content."""
         return {"rows": [row.as_json() for row in results]}
 
-    def judge(self, results: list[GradedRow]) -> list[Verdict]:
+    def judge_of(self, results: list[GradedRow]) -> list[Verdict]:
         """Judge each learned HMI by the exact optimum."""
         return [
             Verdict(
                 f"{row.case.describe()}: {100 * GRADED_OPTIMUM_SHARE:.0f} % of the exact optimum",
-                (row.part,),
+                (row.part(self.seeds),),
             )
             for row in results
         ]
 
-    def blocks(self, results: list[GradedRow]) -> Sequence[Block]:
+    def blocks_of(self, results: list[GradedRow]) -> Sequence[Block]:
         """Table of every case."""
         columns: dict[str, Callable[[GradedRow], str]] = {
             "driver, strengths": lambda row: row.case.describe(),

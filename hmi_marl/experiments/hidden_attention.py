@@ -24,16 +24,16 @@ from hmi_marl.experiments.experiment import (
     HIDDEN_RUN,
     MODELS,
     Agent,
-    Experiment,
     Place,
     driver_job,
 )
 from hmi_marl.experiments.signalling import revealing_share
+from hmi_marl.experiments.training_seeds import SeededExperiment, learned_part
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
@@ -75,8 +75,7 @@ class HiddenRow:
         """Exact gain from knowing the driver, per episode."""
         return self.exact_own - self.exact_average
 
-    @property
-    def as_good(self) -> Part:
+    def as_good(self, seeds: int = 1) -> Part:
         """State that the learned HMI does as well as the Bayes filter, within a margin.
 
         The filter's rule is the optimum if steps reveal d independently, so a learned HMI can earn
@@ -84,13 +83,11 @@ class HiddenRow:
         """
         most = BAYES_MARGIN * abs(self.attention_return[BAYES_OWN].mean)
         what = "learned less Bayes filter"
-        return Part.mean(
-            what, self.learned_minus_bayes, EPISODES, paired=True, above=-most, seeds=1
-        )
+        return learned_part(what, self.learned_minus_bayes, seeds, paired=True, above=-most)
 
 
 @dataclass(frozen=True)
-class HiddenAttention(Experiment[list[HiddenRow]]):
+class HiddenAttention(SeededExperiment[list[HiddenRow]]):
     """Compare learned HMIs that do not see attention with Bayes filters, by driver.
 
     Raises:
@@ -108,7 +105,9 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
     num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
-    """Seed of all training."""
+    """Seed of the first training, from which the others are mixed."""
+    seeds: Count = 5
+    """Trainings of the HMIs; the driver policy is the same for all."""
 
     name = HIDDEN_EXPERIMENT
     title = "Attention hidden: what knowing the driver is worth"
@@ -123,7 +122,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
     @classmethod
     def quick(cls) -> HiddenAttention:
         """Make a coarse version that takes minutes."""
-        return cls(hmi_steps=400_000, episodes=400)
+        return cls(hmi_steps=400_000, episodes=400, seeds=1)
 
     def driver_job(self, folder: Path) -> Job:
         """Training of one driver policy over the four drivers and the average one."""
@@ -150,9 +149,14 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             for model in MODELS
         ]
 
-    def run(self, place: Place) -> list[HiddenRow]:
-        """Learn the HMIs, and play every driver with every HMI."""
-        place.train(self.hmi_jobs(place.folder, place.driver_run))
+    def learn(self, each: Sequence[tuple[HiddenAttention, Place]], place: Place) -> None:
+        """Learn the HMIs."""
+        place.train(
+            [job for alone, where in each for job in alone.hmi_jobs(where.folder, where.driver_run)]
+        )
+
+    def play(self, place: Place) -> list[HiddenRow]:
+        """Play every driver with every HMI."""
         return [self._play(model, place) for model in place.each(MODELS, "drivers")]
 
     def _play(self, model: str, place: Place) -> HiddenRow:
@@ -186,22 +190,22 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
             exact_average=rule_return(average_rule, model, team.weights),
         )
 
-    def numbers(self, results: list[HiddenRow]) -> dict[str, Any]:
+    def numbers_of(self, results: list[HiddenRow]) -> dict[str, Any]:
         """JSON content."""
         return {"rows": [json_value(row) | {"exact_worth": row.exact_worth} for row in results]}
 
-    def judge(self, results: list[HiddenRow]) -> list[Verdict]:
+    def judge_of(self, results: list[HiddenRow]) -> list[Verdict]:
         """Judge each learned HMI by the Bayes filter."""
         return [
             Verdict(
                 f"{row.driver}: learned HMI as good as the Bayes filter, within "
                 f"{100 * BAYES_MARGIN:.0f} %",
-                (row.as_good,),
+                (row.as_good(self.seeds),),
             )
             for row in results
         ]
 
-    def blocks(self, results: list[HiddenRow]) -> Sequence[Block]:
+    def blocks_of(self, results: list[HiddenRow]) -> Sequence[Block]:
         """Tables of returns and of paired differences."""
         returns = [
             [row.driver, f"{100 * row.revealing:.1f} %"]

@@ -144,7 +144,7 @@ class Stopwatch:
 
     @contextmanager
     def timing(self, part: str) -> Iterator[None]:
-        """Time the work done within."""
+        """Time the work done within; times of one part add up."""
         began = time.monotonic()
         yield
-        self.seconds[part] = time.monotonic() - began
+        self.seconds[part] = self.seconds.get(part, 0.0) + time.monotonic() - began

@@ -2,8 +2,9 @@
 
 A check returns a verdict without its text, which the claim gives. Differences between HMIs are
 paired by episode, since all cells of the table play the same ones. The thresholds are in
-:mod:`hmi_marl.experiments.criteria`, the rule in :mod:`hmi_marl.reporting.verdicts`. Driver and
-HMIs were trained once, so that these verdicts are of the agents that a run has learned.
+:mod:`hmi_marl.experiments.criteria`, the rule in :mod:`hmi_marl.reporting.verdicts`. Where driver
+and HMIs were trained several times, verdicts are over these training seeds; trained once, they are
+of the agents that a run has learned.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from hmi_marl.experiments import criteria
 from hmi_marl.experiments.attentive_drivers import headway_part
 from hmi_marl.experiments.hidden_attention import BAYES_AVERAGE
 from hmi_marl.experiments.metrics_table.differences import ALL, AVERAGE, NONE, OWN
+from hmi_marl.experiments.training_seeds import learned_part
 from hmi_marl.paper import audit
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 
 Results = Mapping[str, Mapping[str, Any]]
 """Numbers of each experiment, by its name."""
@@ -66,9 +68,16 @@ def _less(results: Results, variant: str, rows: tuple[str, str], metric: str, wh
     return -Estimate.from_json(found[f"{other} - {one}"][metric][who])
 
 
-def _paired(what: str, estimate: Estimate, **more: Any) -> Part:
-    more = {"form": "+z.1f"} | more
-    return Part.mean(what, estimate, EPISODES, paired=True, seeds=1, **more)
+def seeds_of(results: Results, experiment: str) -> int:
+    """Return the number of training seeds of an experiment."""
+    return int(results[experiment].get("training_seeds", 1))
+
+
+def _paired(
+    results: Results, what: str, estimate: Estimate, experiment: str = "table", **more: Any
+) -> Part:
+    more = {"form": "+z.1f", "paired": True, **more}
+    return learned_part(what, estimate, seeds_of(results, experiment), **more)
 
 
 def gain(
@@ -84,7 +93,7 @@ def gain(
     what = f"{by}, {rows[0]} less {rows[1]}, {VARIANTS[variant]}:"
     margin = criteria.NO_DIFFERENCE * rival
     estimate = _less(results, variant, rows, metric, who)
-    return _paired(what, estimate, above=0.0, margin=margin)
+    return _paired(results, what, estimate, above=0.0, margin=margin)
 
 
 def personalised_beats(rival: str, metric: str) -> Check:
@@ -140,7 +149,8 @@ def bart_is_distracted_most(results: Results) -> Verdict:
         margin = criteria.NO_DIFFERENCE * abs(_mean(results, "printed", row, DISTRACTION, "bart"))
         for other in (driver for driver in PAPER_DRIVERS if driver != "bart"):
             estimate = Estimate.from_json(between[other]["bart"])
-            parts.append(_paired(f"{row}: {other} less bart", estimate, above=0.0, margin=margin))
+            what = f"{row}: {other} less bart"
+            parts.append(_paired(results, what, estimate, above=0.0, margin=margin))
     exact = {
         driver: float(_cell(results, "printed", NONE, driver)["exact_distraction_return"])
         for driver in PAPER_DRIVERS
@@ -162,7 +172,7 @@ def average_hmi_helps(results: Results) -> Verdict:
         parts += [
             gain(results, "printed", (AVERAGE, NONE), DISTRACTION, driver),
             gain(results, "printed", (OWN, NONE), DISTRACTION, driver),
-            _paired(what, share, above=least, form="z.1%"),
+            _paired(results, what, share, above=least, form="z.1%"),
         ]
     return _found(*parts)
 
@@ -178,7 +188,7 @@ def average_costs_speed(results: Results) -> Verdict:
     margin = criteria.NO_DIFFERENCE * abs(_mean(results, "printed", OWN, SPEED, "homer"))
     return _found(
         *(gain(results, "printed", (OWN, AVERAGE), SPEED, who) for who in ("marge", "homer")),
-        _paired("homer loses more", Estimate.from_json(more), above=0.0, margin=margin),
+        _paired(results, "homer loses more", Estimate.from_json(more), above=0.0, margin=margin),
     )
 
 
@@ -189,21 +199,27 @@ def no_help_costs_speed(results: Results) -> Verdict:
     most = criteria.NO_DIFFERENCE * abs(_mean(results, "printed", OWN, SPEED, "lisa"))
     return _found(
         *(gain(results, "printed", (OWN, NONE), SPEED, driver) for driver in slower),
-        _paired("lisa, NoHMI less own, η as printed:", lisa, above=-most),
+        _paired(results, "lisa, NoHMI less own, η as printed:", lisa, above=-most),
     )
 
 
 def receptive_drivers(results: Results) -> Verdict:
     """Compare the share of distraction that the own HMI spares, with η as printed."""
     spared = _differences(results, "printed")["spared"]
-    asked: dict[str, dict[str, float]] = {
+    asked: dict[str, dict[str, Any]] = {
         driver: {"below": criteria.MOST_SPARED_BY_IGNORING}
         if driver in ("lisa", "bart")
         else {"above": criteria.LEAST_SPARED_BY_HEEDING}
         for driver in PAPER_DRIVERS
     }
     parts = [
-        _paired(f"{driver} is spared", Estimate.from_json(spared[driver]), form="z.1%", **ends)
+        _paired(
+            results,
+            f"{driver} is spared",
+            Estimate.from_json(spared[driver]),
+            form="z.1%",
+            **ends,
+        )
         for driver, ends in asked.items()
     ]
     return _found(*parts)
@@ -225,7 +241,7 @@ def personal_rewards(results: Results) -> Verdict:
         estimate = Estimate.from_json(row["own_minus_bayes_average"])
         margin = criteria.NO_DIFFERENCE * abs(row["attention_return"][BAYES_AVERAGE]["mean"])
         what = f"{row['driver']}, attention hidden, learned own less exact rule for the average:"
-        parts.append(_paired(what, estimate, above=0.0, margin=margin))
+        parts.append(_paired(results, what, estimate, "hidden", above=0.0, margin=margin))
 
     def told(of: Callable[[Mapping[str, Any]], float]) -> str:
         return ", ".join(f"{row['driver']} {of(row):+.1f}" for row in rows)
@@ -247,18 +263,18 @@ def caution_keeps_distance(results: Results) -> Verdict:
     confident, cautious = results["driver"]["rows"][-2:]
     reason = f"median time headway {cautious['time_headway']:.2f} s against "
     reason += f"{confident['time_headway']:.2f} s"
-    return _found(headway_part(Estimate.from_json(cautious["headway_ratio"])), reason=reason)
+    ratio = Estimate.from_json(cautious["headway_ratio"])
+    return _found(headway_part(ratio, seeds_of(results, "driver")), reason=reason)
 
 
 def graded_alerts(results: Results) -> Verdict:
     """Check that HMIs with several strengths of alert learn the exact optimum."""
     parts = [
-        Part.mean(
+        learned_part(
             f"{row['case']['name']} (optimum {row['optimum']:.1f})",
             Estimate.from_json(row["learned"]),
-            EPISODES,
+            seeds_of(results, "graded"),
             above=row["least"],
-            seeds=1,
             form="z.1f",
         )
         for row in results["graded"]["rows"]

@@ -22,7 +22,7 @@ def driving(who, speed, crashes, headway):
 
 def test_what_is_asked_of_trained_drivers_is_held_against_them():
     def judged(*rows):
-        return [verdict.outcome for verdict in AttentiveDrivers().judge(list(rows))]
+        return [verdict.outcome for verdict in AttentiveDrivers(seeds=1).judge_of(list(rows))]
 
     good = judged(driving(CONFIDENT, 462, 0.03, 1.0), driving(CAUTIOUS, 407, 0.1, 1.24))
     assert good == ["supported"] * 4
@@ -34,7 +34,7 @@ def test_what_is_asked_of_trained_drivers_is_held_against_them():
 
 def test_missed_claims_are_told():
     rows = [driving(CONFIDENT, 458, 0.03, 1.0), driving(CAUTIOUS, 410, 0.1, 1.5)]
-    text = Verdicts(AttentiveDrivers().judge(rows)).as_text()
+    text = Verdicts(AttentiveDrivers(seeds=1).judge_of(rows)).as_text()
     assert "not supported  confident: speed return of at least 460" in text
     assert "supported      cautious: keep 1.2 times the headway" in text
     assert "headway, times the confident driver's 1.50 [1.48, 1.52] (> 1.20?)" in text
@@ -43,6 +43,7 @@ def test_missed_claims_are_told():
 @pytest.mark.usefixtures("trained_here")
 def test_the_command_looks_at_drivers_on_the_way(tmp_path, capsys):
     size = ["--num-teams", "16", "--steps", "3200", "--snapshots", "2", "--episodes", "4"]
+    size += ["--seeds", "1"]
     assert main(["reproduce", "driver", *size, "--out", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / "driver.table.json").read_text())["rows"]
     assert [(row["driver"], row["steps"]) for row in rows] == [

@@ -16,7 +16,7 @@ from hmi_marl.training.ppo.run import train
 
 WEARY = Case("weary", "average", (0.5, 1.0), (20, 5, 1.0))
 FRESH = Case("fresh", "homer", (0.5, 1.0))
-TINY = GradedAlerts(hmi_steps=1, episodes=100, num_teams=8)
+TINY = GradedAlerts(hmi_steps=1, episodes=100, num_teams=8, seeds=1)
 
 
 def row(learned, optimum, silent):
@@ -29,18 +29,18 @@ def test_share_and_shortfall_by_hand():
     assert good.shortfall == pytest.approx(0.02)
     assert good.share == pytest.approx(380 / 400)
     assert good.least == pytest.approx(970.0)
-    assert good.part.outcome() is Outcome.SUPPORTED
+    assert good.part().outcome() is Outcome.SUPPORTED
     short = row(learned=960.0, optimum=1000.0, silent=-600.0)
-    assert short.part.outcome() is Outcome.NOT_SUPPORTED
+    assert short.part().outcome() is Outcome.NOT_SUPPORTED
     near = row(learned=970.5, optimum=1000.0, silent=-600.0)
-    assert near.part.outcome() is Outcome.UNDETERMINED
+    assert near.part().outcome() is Outcome.UNDETERMINED
     # A loss: 3 % of -100 would be 3, but what counts is the gain over silence, 497 of 500.
     loss = row(learned=-103.0, optimum=-100.0, silent=-600.0)
     assert (loss.shortfall, loss.share) == (pytest.approx(0.03), pytest.approx(0.994))
     assert loss.least == pytest.approx(-115.0)
-    assert loss.part.outcome() is Outcome.SUPPORTED
+    assert loss.part().outcome() is Outcome.SUPPORTED
     more = row(learned=-120.0, optimum=-100.0, silent=-600.0)
-    assert more.part.outcome() is Outcome.NOT_SUPPORTED
+    assert more.part().outcome() is Outcome.NOT_SUPPORTED
     told = good.as_json()
     assert told["case"]["strengths"] == [0.5, 1.0]
     assert told["learned"]["mean"] == 980.0
@@ -49,10 +49,10 @@ def test_share_and_shortfall_by_hand():
 
 def test_the_text_tells_every_case_and_whether_it_holds():
     rows = [row(980.0, 1000.0, 600.0), row(900.0, 1000.0, 600.0)]
-    text = as_text(TINY.blocks(rows))
+    text = as_text(TINY.blocks_of(rows))
     assert text.count("homer, 0.5 1") == 2
     assert text.count("970.0") == 2  # the least return that is asked for
-    assert [verdict.holds for verdict in TINY.judge(rows)] == [True, False]
+    assert [verdict.holds for verdict in TINY.judge_of(rows)] == [True, False]
     assert WEARY.describe() == "average, 0.5 1, fatigue 20 5 1"
 
 
@@ -96,7 +96,7 @@ def test_a_case_is_assessed_beside_what_is_exact(tmp_path):
 @pytest.mark.usefixtures("trained_here")
 def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("hmi_marl.experiments.graded_alerts.CASES", (FRESH,))
-    size = ["--hmi-steps", "1", "--episodes", "4", "--num-teams", "8"]
+    size = ["--hmi-steps", "1", "--episodes", "4", "--num-teams", "8", "--seeds", "2"]
     arguments = ["reproduce", "graded", *size, "--workers", "1", "--out", str(tmp_path)]
     assert main(arguments) == 0
     first = capsys.readouterr().out
@@ -106,7 +106,12 @@ def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, cap
     assert told["optimum"] == pytest.approx(
         oracle.solve_alerts("homer", strengths=(0.5, 1.0)).total_return
     )
+    assert content["training_seeds"] == 2
+    own = [seed["rows"][0]["learned"]["mean"] for seed in content["by_seed"]]
+    assert told["learned"]["mean"] == pytest.approx(np.mean(own))
     learned = (tmp_path / "fresh" / "vehicle_ai.safetensors").read_bytes()
+    assert (tmp_path / "seed-1" / "fresh" / "vehicle_ai.safetensors").read_bytes() != learned
+    assert {"training fresh", "training seed-1/fresh"} <= set(content["seconds"])
     written = (tmp_path / "fresh" / "vehicle_ai.safetensors").stat().st_mtime_ns
     assert main(arguments) == 0
     again, times = capsys.readouterr().out, "Time of each part"
@@ -122,4 +127,4 @@ def test_the_command_learns_writes_prints_and_goes_on(tmp_path, monkeypatch, cap
 def test_a_learned_hmi_reaches_97_percent_of_the_optimum(case, tmp_path):
     settings = GradedAlerts()
     train(settings.training(case), tmp_path / case.name, quiet=True)
-    assert settings.assess(case, tmp_path).part.outcome() is Outcome.SUPPORTED
+    assert settings.assess(case, tmp_path).part().outcome() is Outcome.SUPPORTED

@@ -35,15 +35,15 @@ def test_a_learned_hmi_is_as_good_within_a_hundredth_of_the_filter():
         (row(-2.3), not_supported),
         (row(-2.3, bayes=1000.0), supported),
     ):
-        (verdict,) = HiddenAttention().judge([found])
+        (verdict,) = HiddenAttention(seeds=1).judge_of([found])
         assert verdict.outcome is outcome
 
 
 def test_the_exact_worth_of_knowing_the_driver_comes_before_the_learned_one():
-    text = as_text(HiddenAttention().blocks([row(-1.7)]))
+    text = as_text(HiddenAttention(seeds=1).blocks_of([row(-1.7)]))
     assert text.index("exact worth of knowing") < text.index("own - AvgHMI, learned")
     assert "+175.0" in text
-    assert HiddenAttention().numbers([row(-1.7)])["rows"][0]["exact_worth"] == 175.0
+    assert HiddenAttention(seeds=1).numbers_of([row(-1.7)])["rows"][0]["exact_worth"] == 175.0
 
 
 def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):
@@ -59,7 +59,8 @@ def test_the_command_compares_learned_hmis_with_bayes_filters(given, tmp_path, c
     for owner, name in ((experiment, "TwoStage"), (module, "TwoStage"), (module, "TeamConfig")):
         monkeypatch.setattr(owner, name, partial(getattr(owner, name), duration=2.0))
     size = ["--hmi-steps", "1", "--driver-steps", "1", "--rnn-hidden-dim", "4", "--episodes", "4"]
-    command = ["reproduce", "hidden", *size, "--num-teams", "16", "--workers", "1"]
+    size += ["--num-teams", "16", "--seeds", "1"]
+    command = ["reproduce", "hidden", *size, "--workers", "1"]
     if given:
         made = [
             "train",

@@ -96,19 +96,24 @@ COMMANDS = (
     _command(
         "reproduce table",
         TRAIN,
-        "--driver-steps 1600 --hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
+        "--driver-steps 1600 --hmi-steps 1600 --episodes 2 --num-teams 16 --seeds 1 --workers 1",
     ),
-    _command("reproduce driver", TRAIN, "--steps 1600 --snapshots 1 --episodes 2 --num-teams 16"),
+    _command(
+        "reproduce driver",
+        TRAIN,
+        "--steps 1600 --snapshots 1 --episodes 2 --num-teams 16 --seeds 1",
+    ),
     _command(
         "reproduce hidden",
         TRAIN,
-        "--driver-run trained:driver --hmi-steps 3200 --episodes 2 --num-teams 32 --workers 1",
+        "--driver-run trained:driver --hmi-steps 3200 --episodes 2 --num-teams 32 --seeds 1 "
+        "--workers 1",
     ),
     _command(
         "reproduce adapt",
         TRAIN,
-        "--drives 300 --updates 1 --hmi-steps 3200 --rnn-hidden-dim 2 --num-teams 32 --workers 1 "
-        + _prefixed("evaluation", _JUDGED),
+        "--drives 300 --updates 1 --hmi-steps 3200 --rnn-hidden-dim 2 --num-teams 32 --seeds 1 "
+        "--workers 1 " + _prefixed("evaluation", _JUDGED),
     ),
     _command(
         "reproduce traits",
@@ -119,7 +124,7 @@ COMMANDS = (
     _command(
         "reproduce graded",
         TRAIN,
-        "--hmi-steps 1600 --episodes 2 --num-teams 16 --workers 1",
+        "--hmi-steps 1600 --episodes 2 --num-teams 16 --seeds 1 --workers 1",
     ),
     _command(
         "reproduce map",

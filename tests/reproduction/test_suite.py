@@ -48,12 +48,12 @@ if __name__ == "__main__":
     learn = TraitSettings(pool=1, num_teams=2, ppo=PPOSettings(num_mini_batches=1), steps=1,
                           imitation_updates=1, average_updates=1, encoder_updates=1, device="cpu")
     suite = [
-        MetricsTable(1, 1, 4, 16),
-        AttentiveDrivers(1, 1, 8, 16),
-        HiddenAttention(1, 1, 4, 4, 16),
-        Adaptation(320, 1, 1, 4, 16, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
+        MetricsTable(1, 1, 4, 16, seeds=1),
+        AttentiveDrivers(1, 1, 8, 16, seeds=2),
+        HiddenAttention(1, 1, 4, 4, 16, seeds=1),
+        Adaptation(320, 1, 1, 4, 16, seeds=1, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
         LatentTraits(1, 2000, 4, learn, evaluation=AssessSettings(10, 1, 2)),
-        GradedAlerts(1, 4, 16),
+        GradedAlerts(1, 4, 16, seeds=1),
     ]
     folder = Path(sys.argv[1])
     records = run_suite(suite, folder, shared_driver(suite, folder), 2, "hmi-marl reproduce")

@@ -54,7 +54,7 @@ TARGETS = {
     ),
     "reproduce": (
         "reproduce hidden --driver-run ../driver --hmi-steps 16 --episodes 4 --num-teams 16 "
-        "--rnn-hidden-dim 4 --workers 2"
+        "--rnn-hidden-dim 4 --seeds 2 --workers 2"
     ),
 }
 """Commands by name; each gets --out."""

@@ -46,9 +46,9 @@ from hmi_marl.experiments.experiment import (
     HIDDEN_RUN,
     MODELS,
     Agent,
-    Experiment,
     Place,
 )
+from hmi_marl.experiments.training_seeds import SeededExperiment, learned_part
 from hmi_marl.files import json_value
 from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.statistics import Estimate
@@ -69,7 +69,7 @@ NOTE = (
     "the wheel, and may exceed 100 % by chance; where there is no clear gap, no share is given. "
     "HMIs marked Bayes use the exact evidence of the chain instead of the learned encoder. "
     "Verdicts are on the HMI of expected value with the learned encoder. Intervals are over "
-    "drivers; encoder and HMIs were trained once, so that the variance of training is left out."
+    "drivers and, where encoder and HMI were trained several times, over these trainings."
 )
 DRIVES = "drivers"
 """Unit of replication: drivers of the population, or drives of one type."""
@@ -77,28 +77,25 @@ LEARNED_ADAPTIVE = CHOOSING, CONDITIONED, EXPECTED
 SHARE_COLUMNS = [f"after {when}" for when in WHEN]
 
 
-def closed_parts(who: str, found: Closed, least: float) -> tuple[Part, Part]:
+def closed_parts(who: str, found: Closed, least: float, seeds: int = 1) -> tuple[Part, Part]:
     """State that there is a gap to close, and that at least this share of it is closed."""
-    about: dict[str, Any] = {"paired": True, "seeds": 1}
-    return (
-        Part.mean(f"{who}: gap per trip", found.gap, DRIVES, above=0.0, **about),
-        Part.mean(
-            f"{who}: share of it closed", found.share, DRIVES, above=least, form="z.1%", **about
-        ),
-    )
+    # The gap is one between exact rules, which no training touches.
+    gap = Part.mean(f"{who}: gap per trip", found.gap, DRIVES, above=0.0, paired=True)
+    about: dict[str, Any] = {"paired": True, "above": least, "form": "z.1%"}
+    return gap, learned_part(f"{who}: share of it closed", found.share, seeds, DRIVES, **about)
 
 
-class _Judged(Experiment[list[Result]]):
+class _Judged(SeededExperiment[list[Result]]):
     """Report of an evaluation of adaptive HMIs."""
 
     name = "adapt"
     title = "The right help for the driver at the wheel"
 
-    def numbers(self, results: list[Result]) -> Mapping[str, Any]:
-        """See :meth:`Experiment.numbers`."""
+    def numbers_of(self, results: list[Result]) -> Mapping[str, Any]:
+        """See :meth:`SeededExperiment.numbers_of`."""
         return {"results": json_value(results)}
 
-    def judge(self, results: list[Result]) -> list[Verdict]:
+    def judge_of(self, results: list[Result]) -> list[Verdict]:
         """Judge the HMI of expected value with the learned encoder."""
         by_group = {result.group: result for result in results}
         targets = [
@@ -110,27 +107,26 @@ class _Judged(Experiment[list[Result]]):
         verdicts = []
         for group, when, least in targets:
             claim = f"{group}: {100 * least:.0f} % of the gap closed after {when}"
-            parts = closed_parts(group, by_group[group].shares[EXPECTED][when], least)
+            found = by_group[group].shares[EXPECTED][when]
+            parts = closed_parts(group, found, least, self.seeds)
             verdicts.append(Verdict(claim, parts))
         for result in results:
             if result.after_change:
                 most = criteria.MOST_REGRET
                 claim = f"{result.group}: within {100 * most:.0f} % of knowing after 20 s"
                 regret = result.after_change[EXPECTED]
-                part = Part.mean(
-                    "regret", regret, DRIVES, paired=True, below=most, seeds=1, form="z.2%"
-                )
+                about: dict[str, Any] = {"paired": True, "below": most, "form": "z.2%"}
+                part = learned_part("regret", regret, self.seeds, DRIVES, **about)
             else:
                 most = criteria.FIRST_SECONDS_LOSS
                 claim = f"{result.group}: first 5 s worse than AvgHMI by less than {most:g}"
                 gain = result.first_seconds[EXPECTED]
-                part = Part.mean(
-                    "gain over AvgHMI", gain, DRIVES, paired=True, above=-most, seeds=1
-                )
+                about = {"paired": True, "above": -most}
+                part = learned_part("gain over AvgHMI", gain, self.seeds, DRIVES, **about)
             verdicts.append(Verdict(claim, (part,)))
         return verdicts
 
-    def blocks(self, results: list[Result]) -> list[Block]:
+    def blocks_of(self, results: list[Result]) -> list[Block]:
         """Show the figure and all tables."""
         return [Text(NOTE), figure(results), *tables(results)]
 
@@ -146,6 +142,7 @@ class AdaptEvaluation(_Judged):
     """Size of the evaluation."""
     trained: Trained = field(default_factory=Trained)
     """Trained models and policies."""
+    seed, seeds = 0, 1
 
     @classmethod
     def quick(cls) -> AdaptEvaluation:
@@ -160,8 +157,11 @@ class AdaptEvaluation(_Judged):
         for model in MODELS:
             self.trained.hidden_hmi(model, TEAM)
 
-    def run(self, place: Place) -> list[Result]:
-        """See :meth:`Experiment.run`."""
+    def learn(self, each: Sequence[tuple[AdaptEvaluation, Place]], place: Place) -> None:
+        """Learn nothing: it evaluates what is trained."""
+
+    def play(self, place: Place) -> list[Result]:
+        """See :meth:`SeededExperiment.play`."""
         plays = evaluation.tasks(self.size, str(place.driver_run), self.trained)
         with place.playing(len(plays), "plays") as progress:
             return evaluation.evaluate(plays, place.workers, progress)
@@ -190,7 +190,10 @@ class Adaptation(_Judged):
     num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
-    """Seed of all training."""
+    """Seed of the first training, from which the others are mixed."""
+    seeds: Count = 5
+    """Trainings of encoder and HMI; the driver policy and the HMIs for known drivers are the same
+    for all."""
     evaluation: AdaptSettings = field(default_factory=AdaptSettings)
     """Size of the evaluation."""
     hidden: str = ""
@@ -208,7 +211,7 @@ class Adaptation(_Judged):
     @classmethod
     def quick(cls) -> Adaptation:
         """See :meth:`Experiment.quick`."""
-        return cls(drives=2000, updates=300, hmi_steps=400_000, evaluation=QUICK)
+        return cls(drives=2000, updates=300, hmi_steps=400_000, seeds=1, evaluation=QUICK)
 
     def encoder(self, driver_run: Path) -> EvidenceSettings:
         """Return the settings of the encoder's training."""
@@ -229,19 +232,30 @@ class Adaptation(_Judged):
         for model in MODELS:
             trained.hidden_hmi(model, TEAM)
 
-    def run(self, place: Place) -> list[Result]:
-        """See :meth:`Experiment.run`."""
+    def by_seed(self, place: Place) -> list[tuple[Adaptation, Place]]:
+        """See :meth:`SeededExperiment.by_seed`."""
+        hidden = self._hidden(place)
+        return [(replace(alone, hidden=hidden), where) for alone, where in super().by_seed(place)]
+
+    def learn(self, each: Sequence[tuple[Adaptation, Place]], place: Place) -> None:
+        """Learn the encoders, then the HMIs that read their z."""
         need_training()
+        encoders, hmis, runs = [], [], []
+        for alone, where in each:
+            evidence, conditioned = where.folder / EVIDENCE_RUN, where.folder / CONDITIONED_RUN
+            encoder, hmi = alone.encoder(where.driver_run), alone.conditioned(where.driver_run)
+            encoders.append(evidence_task(encoder, evidence, place.command_line))
+            hmis.append(conditioned_task(hmi, evidence, conditioned, place.command_line))
+            runs += [evidence, conditioned]
+        for tasks in (encoders, hmis):
+            side_by_side(tasks, place.workers, place.cluster)
+        place.note_training(runs)
+
+    def play(self, place: Place) -> list[Result]:
+        """See :meth:`SeededExperiment.play`."""
         evidence, conditioned = place.folder / EVIDENCE_RUN, place.folder / CONDITIONED_RUN
-        encoder, hmi = self.encoder(place.driver_run), self.conditioned(place.driver_run)
-        for task in (
-            evidence_task(encoder, evidence, place.command_line),
-            conditioned_task(hmi, evidence, conditioned, place.command_line),
-        ):
-            side_by_side([task], 1, place.cluster)
-        place.note_training((evidence, conditioned))
         trained = Trained(str(evidence), str(conditioned), self._hidden(place))
-        return AdaptEvaluation(self.evaluation, trained).run(place)
+        return AdaptEvaluation(self.evaluation, trained).play(place)
 
     def inputs(self, place: Place) -> list[Path]:
         """See :meth:`Experiment.inputs`."""

@@ -18,7 +18,7 @@ from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.streams import Seed
 from hmi_marl.experiments.criteria import EXACT_TOLERANCE
 from hmi_marl.experiments.episodes import EVALUATION_SEED
-from hmi_marl.experiments.experiment import DRIVER_RUN, Agent, Experiment, Place, driver_job, spec
+from hmi_marl.experiments.experiment import DRIVER_RUN, Agent, Place, driver_job, spec
 from hmi_marl.experiments.metrics_table.differences import (
     ALL,
     AVERAGE,
@@ -48,6 +48,7 @@ from hmi_marl.experiments.metrics_table.table import (
     make_table,
     play_table,
 )
+from hmi_marl.experiments.training_seeds import SeededExperiment
 from hmi_marl.paper.audit import HORIZONS
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
 from hmi_marl.reporting.statistics import Estimate, number
@@ -56,7 +57,8 @@ from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
 
 CAPTION = (
-    "Each entry: mean over the episodes with its 95 % interval; the exact expectation for the "
+    "Each entry: mean with its 95 % interval, over training seeds and the episodes that they share "
+    "(over episodes alone where there is one seed); the exact expectation for the "
     "alert rule that is optimal for the driver the HMI was trained for, and the range that any "
     "alert policy can reach, both over as many steps as the episodes had; the paper's figure, "
     "which is out of reach where no alert policy comes to it in "
@@ -66,7 +68,7 @@ CAPTION = (
 
 
 @dataclass(frozen=True)
-class MetricsTable(Experiment[list[PaperTable]]):
+class MetricsTable(SeededExperiment[list[PaperTable]]):
     """Learn every policy of the paper's table of HMIs and drivers, and make the table.
 
     Raises:
@@ -82,7 +84,9 @@ class MetricsTable(Experiment[list[PaperTable]]):
     num_teams: Count = 512
     """Teams that train side by side."""
     seed: Seed = 0
-    """Seed of all training."""
+    """Seed of the first training, from which the others are mixed."""
+    seeds: Count = 5
+    """Trainings of driver and HMIs, one after the other."""
 
     name = "table"
     title = "HMIs and drivers"
@@ -97,7 +101,7 @@ class MetricsTable(Experiment[list[PaperTable]]):
     @classmethod
     def quick(cls) -> MetricsTable:
         """Make a coarse version that takes minutes."""
-        return cls(driver_steps=1_000_000, hmi_steps=300_000, episodes=400)
+        return cls(driver_steps=1_000_000, hmi_steps=300_000, episodes=400, seeds=1)
 
     def driver_job(self, folder: Path) -> Job:
         """Training of one driver policy over all drivers of both tables."""
@@ -125,10 +129,13 @@ class MetricsTable(Experiment[list[PaperTable]]):
             for run, driver in wanted.items()
         ]
 
-    def run(self, place: Place) -> list[PaperTable]:
-        """Learn the driver and the HMIs, and play every cell of both tables."""
-        place.train([self.driver_job(place.folder)])
-        place.train(self.hmi_jobs(place.folder))
+    def learn(self, each: Sequence[tuple[MetricsTable, Place]], place: Place) -> None:
+        """Learn the drivers, and the HMIs that drive with them."""
+        place.train([alone.driver_job(where.folder) for alone, where in each])
+        place.train([job for alone, where in each for job in alone.hmi_jobs(where.folder)])
+
+    def play(self, place: Place) -> list[PaperTable]:
+        """Play every cell of both tables."""
         rows = [len(v.drivers) + len((AVERAGE, NONE)) for v in VARIANTS]
         cells = 1 + sum(n * len(v.drivers) for n, v in zip(rows, VARIANTS, strict=True))
         with place.playing(cells * self.episodes, "episodes") as progress:
@@ -170,25 +177,27 @@ class MetricsTable(Experiment[list[PaperTable]]):
             ),
         )
 
-    def numbers(self, results: list[PaperTable]) -> dict[str, Any]:
+    def numbers_of(self, results: list[PaperTable]) -> dict[str, Any]:
         """JSON content."""
         return numbers(results)
 
-    def judge(self, results: list[PaperTable]) -> list[Verdict]:
+    def judge_of(self, results: list[PaperTable]) -> list[Verdict]:
         """Judge the distraction returns and the own HMIs by their exact values."""
         within = f"within {100 * EXACT_TOLERANCE:.0f} %"
         found = []
         for table in results:
             title, own = table.variant.title, table.with_own_hmi()
-            cells = tuple(exact_part(*place, cell) for place, cell in table.cells.items())
-            optima = tuple(optimum_part(driver, cell) for driver, cell in own.items())
+            cells = tuple(
+                exact_part(*place, cell, self.seeds) for place, cell in table.cells.items()
+            )
+            optima = tuple(optimum_part(driver, cell, self.seeds) for driver, cell in own.items())
             found += [
                 Verdict(f"distraction returns are the exact ones {within}, {title}", cells),
                 Verdict(f"own HMIs reach the exact optimum {within}, {title}", optima),
             ]
         return found
 
-    def blocks(self, results: list[PaperTable]) -> Sequence[Block]:
+    def blocks_of(self, results: list[PaperTable]) -> Sequence[Block]:
         """Figure, and tables of each variant."""
         shown: list[Block] = [
             Text(CAPTION),

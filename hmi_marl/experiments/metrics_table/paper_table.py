@@ -19,12 +19,13 @@ from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.metrics_table.differences import AVERAGE, NONE, OWN, Differences
 from hmi_marl.experiments.metrics_table.table import Cell
+from hmi_marl.experiments.training_seeds import learned_part
 from hmi_marl.files import json_value
 from hmi_marl.paper.audit import reachable_in_the_paper
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
 from hmi_marl.reporting.blocks import COLOURS, canvas, png
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import EPISODES, Part
+from hmi_marl.reporting.verdicts import Part
 
 METRICS = (
     ("distraction_return", "Distraction return", DISTRACTION_RETURNS),
@@ -88,30 +89,29 @@ class PaperTable:
         return "own" if hmi == driver else None
 
 
-def exact_part(hmi: str, driver: str, cell: Cell) -> Part:
+def exact_part(hmi: str, driver: str, cell: Cell, seeds: int = 1) -> Part:
     """State that a cell's distraction return is the exact one over as many steps, within 2 %."""
     most = criteria.EXACT_TOLERANCE * abs(cell.exact_distraction_return_same_steps or 0.0)
-    return Part.mean(
+    # Without an HMI the driver policy alone was learned, which does not touch the chain.
+    return learned_part(
         f"{driver} with the HMI for {hmi}, less exact",
         cell.distraction_minus_exact,
-        EPISODES,
+        seeds if seeds > 1 else int(cell.learned),
         paired=True,
         above=-most,
         below=most,
-        seeds=int(cell.learned),
     )
 
 
-def optimum_part(driver: str, cell: Cell) -> Part:
+def optimum_part(driver: str, cell: Cell, seeds: int = 1) -> Part:
     """State that an own HMI misses less than 2 % of the exact optimum of attention."""
     most = criteria.EXACT_TOLERANCE * abs(cell.optimal_attention_return_same_steps)
-    return Part.mean(
+    return learned_part(
         f"{driver}, less the optimum",
         cell.attention_minus_optimum,
-        EPISODES,
+        seeds,
         paired=True,
         above=-most,
-        seeds=1,
     )
 
 

@@ -50,9 +50,17 @@ def read_curve(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def seconds_of(runs: Iterable[Path]) -> dict[str, float]:
-    """Seconds that each run took in all, interruptions included, by its folder's name."""
-    return {run.name: _seconds(run) for run in runs}
+def seconds_of(runs: Iterable[Path], folder: Path) -> dict[str, float]:
+    """Seconds that each run took in all, interruptions included, by its path in a folder.
+
+    A run elsewhere, and one in the folder itself, goes by its name.
+    """
+    return {_path_in(folder, run): _seconds(run) for run in runs}
+
+
+def _path_in(folder: Path, run: Path) -> str:
+    inside = run != folder and run.is_relative_to(folder)
+    return run.relative_to(folder).as_posix() if inside else run.name
 
 
 def _seconds(run: Path) -> float:

@@ -88,7 +88,7 @@ CLAIMS = [
 
 
 def verdicts(every):
-    return {verdict.claim: verdict.holds for verdict in AdaptEvaluation().judge(every)}
+    return {verdict.claim: verdict.holds for verdict in AdaptEvaluation().judge_of(every)}
 
 
 def test_what_is_asked_of_it():
@@ -112,7 +112,7 @@ def test_what_is_asked_of_it():
 def test_what_is_missed_is_reported(change, missed):
     found = verdicts(results(**change))
     assert [claim for claim, holds in found.items() if not holds] == [missed]
-    text = as_text([Verdicts(AdaptEvaluation().judge(results(**change)))])
+    text = as_text([Verdicts(AdaptEvaluation().judge_of(results(**change)))])
     assert f"not supported  {missed}" in text
 
 
@@ -123,7 +123,7 @@ def test_what_the_intervals_leave_open_is_undetermined():
         {"change": changing("bart", regret=0.105)},
         {"lisa": without_gap("lisa")},
     ):
-        judged = AdaptEvaluation().judge(results(**change))
+        judged = AdaptEvaluation().judge_of(results(**change))
         left = {one.outcome for one in judged if not one.holds}
         assert left == {Outcome.UNDETERMINED}
 
@@ -149,12 +149,12 @@ def test_where_there_is_no_gap_no_share_is_given():
     lisa = next(row for row in shares if row[:2] == ["lisa", EXPECTED])
     assert lisa[4] == "95.0 [85.0, 105.0]"
     assert "marge: first 5 s worse than AvgHMI by less than 3" in verdicts(every)
-    content = json.dumps(AdaptEvaluation().numbers(every), allow_nan=False)
+    content = json.dumps(AdaptEvaluation().numbers_of(every), allow_nan=False)
     assert json.loads(content)["results"][-1]["shares"][EXPECTED]["10 s"]["share"]["mean"] is None
 
 
 def test_a_verdict_without_a_gap_gives_no_percentage():
-    judged = AdaptEvaluation().judge(results(lisa=without_gap("lisa")))
+    judged = AdaptEvaluation().judge_of(results(lisa=without_gap("lisa")))
     told = [verdict.summary for verdict in judged if verdict.claim.startswith("lisa: 9")]
     assert len(told) == 2
     assert all("share of it closed unknown" in text for text in told)
@@ -176,7 +176,7 @@ def test_the_figure_is_a_picture_that_shows_its_numbers():
 
 
 def test_a_report_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(AdaptEvaluation, "run", lambda self, place: results())
+    monkeypatch.setattr(AdaptEvaluation, "play", lambda self, place: results())
     monkeypatch.setattr(AdaptEvaluation, "check", lambda self, place: None)
     monkeypatch.setattr(AdaptEvaluation, "settings", lambda self: {"drivers": 40})
     watch = Stopwatch()

@@ -92,10 +92,13 @@ def test_a_curve_is_rows_of_numbers(tmp_path: Path, content: str, message: str) 
 
 def test_a_curve_without_durations_is_refused(tmp_path: Path) -> None:
     (tmp_path / "curve.json").write_text('[{"seconds": 1.5}]')
-    assert seconds_of([tmp_path]) == {tmp_path.name: 1.5}
+    assert seconds_of([tmp_path], tmp_path) == {tmp_path.name: 1.5}
+    assert seconds_of([tmp_path], tmp_path / "elsewhere") == {tmp_path.name: 1.5}
+    inside = f"{tmp_path.parent.name}/{tmp_path.name}"
+    assert seconds_of([tmp_path], tmp_path.parent.parent) == {inside: 1.5}
     (tmp_path / "curve.json").write_text('[{"seconds": "long"}]')
     with pytest.raises(ValueError, match=r"curve\.json .* its last row has no seconds"):
-        seconds_of([tmp_path])
+        seconds_of([tmp_path], tmp_path)
 
 
 @pytest.mark.parametrize("content", ["[]", "{}", '{"settings": 3}'])
