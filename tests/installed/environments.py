@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -114,19 +113,37 @@ def clean(variables: os._Environ[str]) -> dict[str, str]:
     return {name: value for name, value in variables.items() if not name.startswith(prefixes)}
 
 
-@contextmanager
-def installed(spec: Spec, interpreter: Path, wheel: Path, folder: Path) -> Iterator[Environment]:
-    """Make an environment with the wheel and a spec's extras; remove it in the end."""
+def make(spec: Spec, interpreter: Path, wheel: Path, folder: Path) -> Environment:
+    """Make an environment with the wheel and a spec's extras."""
     environment = Environment(folder)
-    try:
-        (folder / "home").mkdir(parents=True)
-        _call([interpreter, "-m", "venv", folder / "venv"])
-        extras = f"[{','.join(sorted(spec.extras))}]" if spec.extras else ""
-        wanted = ["-c", ROOT / "constraints.txt", f"{wheel}{extras}"]
-        _call([environment.bin / "python", *_PIP, "install", *wanted])
-        yield environment
-    finally:
-        shutil.rmtree(folder)  # with torch it is a gigabyte and more
+    (folder / "home").mkdir(parents=True)
+    _call([interpreter, "-m", "venv", folder / "venv"])
+    return _install(spec, wheel, environment)
+
+
+def grow(spec: Spec, base: Environment, wheel: Path, folder: Path) -> Environment:
+    """Make an environment out of another that nothing ran in, by installing what it lacks.
+
+    Files of the other are linked, not copied: pip and Python replace files, and write into none.
+    """
+    environment = Environment(folder)
+    (folder / "home").mkdir(parents=True)
+    shutil.copytree(base.folder / "venv", folder / "venv", symlinks=True, copy_function=os.link)
+    for script in environment.bin.iterdir():  # which name the Python that runs them
+        if not script.is_symlink() and bytes(base.bin) in (text := script.read_bytes()):
+            mode = script.stat().st_mode
+            script.unlink()
+            script.write_bytes(text.replace(bytes(base.bin), bytes(environment.bin)))
+            script.chmod(mode)
+    return _install(spec, wheel, environment)
+
+
+def _install(spec: Spec, wheel: Path, environment: Environment) -> Environment:
+    extras = f"[{','.join(sorted(spec.extras))}]" if spec.extras else ""
+    wanted = ["-c", ROOT / "constraints.txt", f"{wheel}{extras}"]
+    # What is imported is compiled then; all that is installed would take longer than the rest.
+    _call([environment.bin / "python", *_PIP, "install", "--no-compile", *wanted])
+    return environment
 
 
 class MissingPythonError(RuntimeError):
@@ -134,11 +151,14 @@ class MissingPythonError(RuntimeError):
 
 
 class Environments:
-    """One environment at a time, made when it is first asked for and kept until another is."""
+    """One environment at a time, made when it is first asked for and kept until another is.
+
+    Those of this Python grow out of one with core, or with core and the extra train.
+    """
 
     def __init__(self, wheel: Path, folder: Path) -> None:
         self._wheel, self._folder = wheel, folder
-        self._open = ExitStack()
+        self._bases: dict[frozenset[str], Environment] = {}
         self._spec: Spec | None = None
         self._made: Environment | RuntimeError | None = None
 
@@ -150,10 +170,10 @@ class Environments:
             RuntimeError: it cannot be installed. Both are raised again without another try.
         """
         if spec != self._spec:
-            self.close()
+            self._remove()
             self._spec = spec
             try:
-                self._made = self._open.enter_context(self._make(spec))
+                self._made = self._make(spec)
             except RuntimeError as error:
                 self._made = error
         if not isinstance(self._made, Environment):
@@ -162,17 +182,39 @@ class Environments:
 
     def close(self) -> None:
         """Remove what is there."""
-        self._spec = self._made = None
-        self._open.close()
+        self._remove()
+        self._bases.clear()
+        shutil.rmtree(self._folder)
 
-    def _make(self, spec: Spec) -> AbstractContextManager[Environment]:
+    def _remove(self) -> None:
+        if self._spec is not None:  # with torch it is a gigabyte and more
+            shutil.rmtree(self._folder / self._spec.name, ignore_errors=True)
+        self._spec = self._made = None
+
+    def _make(self, spec: Spec) -> Environment:
         interpreter = find_python(spec.python)
         if interpreter is None:
             raise MissingPythonError(
                 f"there is no Python {spec.python}: put python{spec.python} on the PATH, or name "
                 f"it in {PYTHONS}"
             )
-        return installed(spec, interpreter, self._wheel, self._folder / spec.name)
+        folder = self._folder / spec.name
+        if spec.python != HERE:
+            return make(spec, interpreter, self._wheel, folder)
+        known = frozenset({"train"}) if "train" in spec.extras else frozenset()
+        return grow(spec, self._base(known, interpreter), self._wheel, folder)
+
+    def _base(self, extras: frozenset[str], interpreter: Path) -> Environment:
+        """An environment that nothing is ever run in but the compilation of the world."""
+        if extras not in self._bases:
+            spec, folder = Spec(extras), self._folder / f"base-{'-'.join(extras)}"
+            if extras:
+                base = grow(spec, self._base(frozenset(), interpreter), self._wheel, folder)
+            else:
+                base = make(spec, interpreter, self._wheel, folder)
+                _compile(base)
+            self._bases[extras] = base
+        return self._bases[extras]
 
 
 def build_wheel(folder: Path) -> Path:
@@ -218,3 +260,11 @@ def _call(command: Sequence[str | Path]) -> None:
     run = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
     if run.returncode:
         raise RuntimeError(f"{' '.join(map(str, command))} failed:\n{run.stdout}{run.stderr}")
+
+
+def _compile(environment: Environment) -> None:
+    """Compile the batched world, which all environments that grow out of this one find then."""
+    table = "table --world batched --hmis NoHMI --drivers homer --episodes 2 --duration 2"
+    run = environment.hmi_marl(table.split(), environment.folder)
+    if run.returncode:
+        raise RuntimeError(f"the batched world cannot be compiled:\n{run.stderr}")
