@@ -201,7 +201,27 @@ def _no_difference(results: TaskResults, changes: Sequence[Compared]) -> list[Ve
         f"{100 * criteria.EXACT_TOLERANCE:g} % of the optimum"
     )
     parts = (_within(c.protocol, c.difference.estimate, most) for c in found)
-    return [Verdict(claim, tuple(parts))]
+    reasons = [_why(results, c) for c in found if not c.difference.estimate.agrees(0.0, 0.0)]
+    return [Verdict(claim, tuple(parts), "; ".join(reasons))]
+
+
+def _why(results: TaskResults, change: Compared) -> str:
+    """Split a difference in attention return into the lengths of episodes and the HMI's part.
+
+    The exact optimum of a pair depends on how long its episodes are, that is on its driver's
+    crashes; what the HMI earns less than that optimum is its own.
+    """
+    best = [
+        results.by_driver(results.own(arm), optimum).mean(axis=1)
+        for arm in (change.protocol, TWO_STAGE)
+    ]
+    count = min(map(len, best))
+    lengths = float((best[0][:count] - best[1][:count]).mean())
+    whole = change.difference.estimate.mean
+    return (
+        f"{change.protocol}: of {whole:+.1f}, {lengths:+.1f} is the exact optimum over the lengths "
+        f"of its own episodes, {whole - lengths:+.1f} the HMI"
+    )
 
 
 def way_to_optimum(results: TaskResults, protocol: str) -> Estimate:

@@ -294,6 +294,25 @@ def test_the_optimum_is_near_or_it_is_not():
     assert far[claim] is Outcome.NOT_SUPPORTED
 
 
+def test_a_difference_is_split_into_lengths_of_episodes_and_the_hmi():
+    def earns(pair):
+        return OPTIMUM - 10.0 * (arm_of(pair.driver) == "two-stage") + number_of(pair.driver)
+
+    made = comparison(SEEN, earns)
+    results = made.tasks["seen"]
+    for pair in results.own("simultaneous"):  # its episodes are longer, so more can be earned
+        scores = results.played[pair].scores
+        for driver, found in scores.items():
+            known = replace(found.references, optimum=OPTIMUM + 7.0)
+            scores[driver] = replace(found, references=known)
+    (same,) = (verdict for verdict in judge(made) if "no protocol differs" in verdict.claim)
+    told = "simultaneous: of +10.0, +7.0 is the exact optimum over the lengths of its own episodes"
+    assert same.reason == f"{told}, +3.0 the HMI"
+    alike = comparison(SEEN, lambda pair: OPTIMUM + number_of(pair.driver))
+    (same,) = (verdict for verdict in judge(alike) if "no protocol differs" in verdict.claim)
+    assert same.reason == ""
+
+
 def test_noise_supports_no_equality_and_no_threshold():
     rng = np.random.default_rng(1)
     luck = {}
