@@ -20,6 +20,7 @@ drivers of the same inflation, so that nothing but the chain tells them apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,7 +74,7 @@ def evidence_by_source(
     need_plain(config.alerts, "evidence_by_source()")
     candidates = check_candidates(drivers)
     ends = [COUNT("steps", each) for each in steps]
-    if not ends or any(low >= high for low, high in zip(ends, ends[1:], strict=False)):
+    if not ends or any(low >= high for low, high in pairwise(ends)):
         raise ValueError(f"steps are one or more rising numbers, not {list(steps)}")
     seeds, actions, alerts, length = check_windows(config, seeds, actions, alerts, length)
     within = np.arange(actions.shape[1]) < length[:, None]

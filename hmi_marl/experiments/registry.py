@@ -73,7 +73,7 @@ EXPERIMENTS.register(
 EXPERIMENTS.register(
     "identify",
     "Compare who drives, by exact Bayes, with a control driver who reads inflation alone.",
-    Where("hmi_marl.experiments.identification:DriverIdentification"),
+    Where("hmi_marl.experiments.identification.experiment:DriverIdentification"),
 )
 EXPERIMENTS.register(
     "graded",
