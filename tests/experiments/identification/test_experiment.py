@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from trait_models import save_driver
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TRAIT_NAMES
 from hmi_marl.exact.evidence_by_source import SOURCES
+from hmi_marl.exact.importance import Sampling
 from hmi_marl.experiments.experiment import Place
 from hmi_marl.experiments.identification.experiment import CONTROL_RUN, DriverIdentification
 from hmi_marl.experiments.identification.report import (
@@ -18,7 +20,11 @@ from hmi_marl.experiments.identification.report import (
     in_short,
 )
 from hmi_marl.experiments.identification.scoring import POOL, SECONDS, NamedRow, Read
-from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, TraitScore
+from hmi_marl.experiments.latent_traits.posterior import (
+    PosteriorRow,
+    TraitScore,
+    evaluate_posteriors,
+)
 from hmi_marl.experiments.metrics_table.experiment import MetricsTable
 from hmi_marl.reporting.blocks import Verdicts, as_text
 from hmi_marl.reporting.statistics import Estimate, share
@@ -94,6 +100,8 @@ def test_the_command_learns_the_control_and_compares(
 ) -> None:
     here: Any = lambda function, tasks, workers: (function(*task) for task in tasks)  # noqa: E731
     monkeypatch.setattr("hmi_marl.experiments.identification.experiment.calls", here)
+    few = partial(evaluate_posteriors, sampling=Sampling(groups=16, most_rounds=4, effective=5))
+    monkeypatch.setattr("hmi_marl.experiments.identification.scoring.evaluate_posteriors", few)
     save_driver(tmp_path / "driver")
     size = ["--driver-steps", "1600", "--num-teams", "16", "--windows", str(POOL)]
     size += ["--strangers", "3", "--episodes", "4", "--workers", "1"]
