@@ -79,11 +79,10 @@ class IdentificationReport(Experiment[IdentificationResults]):
                 WINDOWS,
                 paired=True,
                 above=0.0,
-                margin=criteria.NO_MORE_ACCURATE,
                 seeds=1,
                 form="+.1%",
             )
-            claim = f"the reaction to β, α and η tells: {_READ[source]}, {seconds:g} s"
+            claim = f"the reaction to β, α and η names more: {_READ[source]}, {seconds:g} s"
             verdicts.append(Verdict(claim, (part,)))
         least, left = criteria.APART, results.row("hidden", _WHOLE).control
         claim = f"without it {100 * least:.0f} % are named: {_READ['hidden']}, {_WHOLE:g} s"
