@@ -38,9 +38,9 @@ def untrained(
     return TraitModel(card, weights | {"state.scale": np.ones(card.state_size, np.float32)})
 
 
-def save_driver(folder: Path, seed: int = 0) -> Path:
-    """A driver that reads the traits."""
-    card = make_card("driver", TeamConfig(), NetworkConfig((8,)), knows_traits=True)
+def save_driver(folder: Path, seed: int = 0, knows_traits: bool | tuple[str, ...] = True) -> Path:
+    """A driver that reads the traits, or some of them."""
+    card = make_card("driver", TeamConfig(), NetworkConfig((8,)), knows_traits)
     rng = np.random.default_rng(seed)
     weights = {
         name: 0.4 * rng.standard_normal(shape).astype(np.float32)

@@ -42,7 +42,8 @@ Ask for a part by name: `env.unwrapped.layout("vehicle_ai")["distracted"]` is it
 
 `driver` (52): `lidar` 16 x (distance, relative radial speed) as perceived with inflated
 obstacles, `speed`, `target_speed`, `heading`, `lateral`, `lane` (one-hot), `position`,
-`applied_action` (one-hot v_{t-1}), `alerted` (a^A_{t-1}), `time`, `traits` (β, α, η, inflation).
+`applied_action` (one-hot v_{t-1}), `alerted` (a^A_{t-1}), `time`, `traits` (β, α, η, inflation),
+whose columns are also named `beta`, `alpha`, `eta` and `inflation`.
 
 `vehicle_ai` (65): the same with true sizes in `lidar`, and `intended_action` (one-hot; with
 sequential moves a^H_t, with simultaneous moves a^H_{t-1}), `previous_intended_action` (a^H_{t-1}),

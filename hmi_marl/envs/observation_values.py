@@ -57,14 +57,15 @@ def first_columns(
     Args:
         layout: of an agent's observation, or of the team's state.
         agent: whose layout it is; a driver's lidar is the perceived one.
-        names: parts to write; all by default. The other columns are left as they are.
+        names: parts to write; all by default. The other columns are left as they are. The name of
+            a single column stands for its whole part.
 
     Raises:
         KeyError: the layout has no such part.
     """
     names = layout.slices if names is None else names
     first = np.full(len(PARTS), -1)
-    for name in names:
+    for name in map(layout.part_with, names):
         first[PARTS.index(_known_as(name, agent))] = layout[name].start
     return first
 

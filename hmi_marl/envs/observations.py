@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from gymnasium import spaces
@@ -21,6 +22,8 @@ from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES, Traits
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.worlds.base import VEHICLE_ACTIONS
 
+COLUMN_NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType({"traits": TRAIT_NAMES})
+"""Names of the columns of a part that can also be read one by one, by the name of the part."""
 FASTEST = 40.0
 """Speed above which highway-env brakes every vehicle [m/s]; scales all speeds."""
 
@@ -38,7 +41,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Layout:
-    """The named parts of an observation, in the order of its columns."""
+    """The named parts of an observation, in the order of its columns.
+
+    Columns of a part in :data:`COLUMN_NAMES` also have names of their own: ``layout["inflation"]``
+    is the last column of ``layout["traits"]``.
+    """
 
     parts: tuple[Part, ...]
 
@@ -52,20 +59,37 @@ class Layout:
         }
 
     @cached_property
+    def named(self) -> Mapping[str, slice]:
+        """Columns of each part, and single columns that have names of their own, by name."""
+        single = {
+            name: slice(self.slices[part].start + k, self.slices[part].start + k + 1)
+            for part, names in COLUMN_NAMES.items()
+            if part in self.slices
+            for k, name in enumerate(names)
+        }
+        return single | dict(self.slices)
+
+    @cached_property
     def size(self) -> int:
         """Number of columns."""
         return sum(part.size for part in self.parts)
 
     def __contains__(self, name: object) -> bool:
-        return name in self.slices
+        return name in self.named
 
     def __getitem__(self, name: str) -> slice:
-        if name not in self.slices:
+        if name not in self.named:
             raise KeyError(f"no part {name!r} in this observation; it has {', '.join(self.slices)}")
-        return self.slices[name]
+        return self.named[name]
+
+    def part_with(self, name: str) -> str:
+        """Name of the part that has a column of this name; a part's own name stays as it is."""
+        if name in self.slices:
+            return name
+        return next((part for part, names in COLUMN_NAMES.items() if name in names), name)
 
     def columns(self, names: Iterable[str]) -> NDArray[np.int64]:
-        """Indices of the named parts' columns, one part after the other."""
+        """Indices of the columns of the named parts, or single columns, in the order of names."""
         every = np.arange(self.size)
         return np.concatenate([every[self[name]] for name in names])
 

@@ -144,10 +144,8 @@ def identify(
     need_plain(config.alerts, "identify()")
     candidates = check_candidates(drivers)
     seeds, actions, alerts, length = check_windows(config, seeds, actions, alerts, length)
-    at_once = max(1, _ROWS // len(candidates))
     evidence = [np.zeros((0, len(candidates)))]
-    for start in range(0, len(seeds), at_once):
-        part = slice(start, start + at_once)
+    for part in parts_of(len(seeds), len(candidates)):
         data = seeds[part], actions[part], alerts[part], length[part]
         bayes = BayesFilter(candidates, config.alert_window, len(seeds[part]))
         for t, chances in enumerate(replay_intents(config, policy, candidates, *data)):
@@ -155,6 +153,13 @@ def identify(
             bayes.update(chances, actions[part, t], alerts[part, t], active=active)
         evidence.append(bayes.log_evidence)
     return Identification(candidates, np.concatenate(evidence))
+
+
+def parts_of(windows: int, candidates: int) -> Iterator[slice]:
+    """Cut windows into parts that are played again side by side with all candidates."""
+    at_once = max(1, _ROWS // candidates)
+    for start in range(0, windows, at_once):
+        yield slice(start, start + at_once)
 
 
 def replay_intents(

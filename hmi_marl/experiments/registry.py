@@ -71,6 +71,11 @@ EXPERIMENTS.register(
     Where("hmi_marl.experiments.latent_traits.experiment:LatentTraits", _TRAITS),
 )
 EXPERIMENTS.register(
+    "identify",
+    "Compare who drives, by exact Bayes, with a control driver who reads inflation alone.",
+    Where("hmi_marl.experiments.identification.experiment:DriverIdentification"),
+)
+EXPERIMENTS.register(
     "graded",
     "Compare learned HMIs with the exact optimum: graded alerts, alert fatigue.",
     Where("hmi_marl.experiments.graded_alerts:GradedAlerts"),

@@ -269,6 +269,17 @@ BAD: dict[str, dict[str, list[str]]] = {
         "rnn-hidden-dim": ["0"],
         "quick": [*QUICK, "--hmi-steps 7"],
     },
+    "reproduce identify": {
+        **MACHINE,
+        **RAY,
+        **OUT,
+        **SIZES,
+        "driver-run": ["/no/such", "nope"],
+        "driver-steps": ["0"],
+        "windows": ["7"],
+        "strangers": ["2"],
+        "quick": [*QUICK, "--windows 9"],
+    },
     "reproduce adapt": {
         **MACHINE,
         **RAY,

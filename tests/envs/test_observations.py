@@ -28,6 +28,29 @@ def test_parts_lie_one_after_another():
         TINY["c"]
 
 
+def test_traits_are_also_named_one_by_one():
+    layout = driver_layout(TeamConfig())
+    last = layout.size - 1  # traits come last
+    assert layout["traits"] == slice(last - 3, last + 1)
+    assert layout["beta"] == slice(last - 3, last - 2)
+    assert layout["inflation"] == slice(last, last + 1)
+    assert layout.columns(["inflation", "eta"]).tolist() == [last, last - 1]
+    assert list(layout.slices) == [part.name for part in layout.parts]  # no parts of their own
+    assert layout.part_with("eta") == "traits"
+    assert layout.part_with("speed") == "speed"
+    hidden = driver_layout(TeamConfig(observe_traits=False))
+    assert "inflation" not in hidden
+    with pytest.raises(KeyError, match="no part 'inflation' in this observation; it has lidar"):
+        hidden["inflation"]
+
+
+def test_a_part_that_has_the_name_of_a_column_comes_first():
+    layout = Layout((Part("traits", 4, 0.0, 1.0, ""), Part("eta", 2, 0.0, 1.0, "")))
+    assert layout["eta"] == slice(4, 6)
+    assert layout["alpha"] == slice(1, 2)
+    assert layout.part_with("eta") == "eta"
+
+
 def test_one_hot_there_and_back():
     index = np.array([2, -1, 0])
     assert one_hot(index, 3).tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 0]]

@@ -16,6 +16,8 @@ from hmi_marl.reproduction.suite import Record, full_suite, shared_driver
 
 RENEWED = {"table", "driver", "hidden", "adapt", "traits", "graded"}
 """Experiments that have been run again since, with other settings; docs/results.md says so."""
+ADDED = {"identify"}
+"""Experiments that have been added since; docs/results.md has their numbers."""
 SHIPPED = Path(__file__).parents[2] / "docs" / "report"
 
 
@@ -53,8 +55,8 @@ def test_the_shipped_report_is_of_a_full_run(shipped: dict) -> None:
     settings = {one.name: one.settings() for one in suite}
     now = json.loads(json.dumps(settings))
     changed = {name for name in now if shipped["settings"].get(name) != now[name]}
-    assert changed == RENEWED
-    assert list(shipped["stages"]) == [one.name for one in suite]
+    assert changed == RENEWED | ADDED
+    assert list(shipped["stages"]) == [one.name for one in suite if one.name not in ADDED]
     for name in (NUMBERS, PAGE):
         assert not re.search(r"/(home|root|tmp|work)/", (SHIPPED / name).read_text("utf-8"))
 

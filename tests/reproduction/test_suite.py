@@ -36,6 +36,7 @@ from hmi_marl.experiments.adaptation.experiment import Adaptation, AdaptSettings
 from hmi_marl.experiments.attentive_drivers import AttentiveDrivers
 from hmi_marl.experiments.graded_alerts import GradedAlerts
 from hmi_marl.experiments.hidden_attention import HiddenAttention
+from hmi_marl.experiments.identification.experiment import DriverIdentification
 from hmi_marl.experiments.metrics_table.experiment import MetricsTable
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.experiment import LatentTraits
@@ -53,6 +54,7 @@ if __name__ == "__main__":
         HiddenAttention(1, 1, 4, 4, 16, seeds=1),
         Adaptation(320, 1, 1, 4, 16, seeds=1, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
         LatentTraits(1, 2000, 4, learn, evaluation=AssessSettings(10, 1, 2)),
+        DriverIdentification(1, 8, 3, 4, 16),
         GradedAlerts(1, 4, 16, seeds=1),
     ]
     folder = Path(sys.argv[1])

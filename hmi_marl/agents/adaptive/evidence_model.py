@@ -41,8 +41,8 @@ from hmi_marl.files import sha256
 READS = ("intended_action", "previous_intended_action", "applied_action")
 """Parts of the vehicle AI's observation that an encoder reads by default: intended and applied
 actions. Lidar and speed would improve the estimate of inflation and worsen those of β, α and η."""
-HIDDEN = ("traits", "distracted", "accepted", "counter", "fatigue")
-"""Observation parts hidden from driver inference."""
+HIDDEN = ("traits", *TRAIT_NAMES, "distracted", "accepted", "counter", "fatigue")
+"""Observation parts, and columns with names of their own, hidden from driver inference."""
 _ACTIONS = len(VEHICLE_ACTIONS)
 _SINCE = LONG_AGO + 1
 DERIVED = _ACTIONS + 3 * _SINCE

@@ -25,12 +25,12 @@ from hmi_marl.agents.memory import Draws
 from hmi_marl.checks import Checked, UnitsOrZero, check_choice
 from hmi_marl.envs.alerts import FULL, Strengths
 from hmi_marl.envs.config import AGENTS, DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.observations import Layout, driver_layout, vehicle_ai_layout
+from hmi_marl.envs.observations import COLUMN_NAMES, Layout, driver_layout, vehicle_ai_layout
 from hmi_marl.envs.streams import Stream
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.intent_network import FeedForward
 
-INTENT = "intended_action"
+INTENT, TRAITS = "intended_action", "traits"
 CONTEXT_OF = "context_of"
 """Key in a card's training: digest of the model that z comes from."""
 INTENTS = len(VEHICLE_ACTIONS)
@@ -113,7 +113,8 @@ class PolicyCard(Checked):
         """Return the card of a vehicle AI conditioned on z of this size instead of the traits."""
         if self.seat == DRIVER:
             return self
-        reads = tuple((name, columns) for name, columns in self.reads if name != "traits")
+        traits = (TRAITS, *COLUMN_NAMES[TRAITS])
+        reads = tuple((name, columns) for name, columns in self.reads if name not in traits)
         return replace(self, reads=reads, context=size)
 
     def columns(self, layout: Layout) -> NDArray[np.int64]:
@@ -141,23 +142,37 @@ def make_card(
     seat: str,
     config: TeamConfig,
     network: NetworkConfig,
-    knows_traits: bool,
+    knows_traits: bool | Sequence[str],
     context: int = 0,
     by_intent: bool = False,
     sequential: bool = True,
 ) -> PolicyCard:
-    """Make the card of a policy that reads its seat's observation, with or without the traits."""
-    left_out = set() if knows_traits else {"traits"}
-    if by_intent:
-        left_out.add(INTENT)
-    parts = seat_layout(seat, config).parts
-    reads = tuple((part.name, part.size) for part in parts if part.name not in left_out)
+    """Make the card of a policy that reads its seat's observation.
+
+    Args:
+        seat, config: the seat, and settings of the teams.
+        network: sizes of the network.
+        knows_traits: whether it reads the driver's traits, or the names of those that it reads.
+        context, by_intent, sequential: see :class:`PolicyCard`.
+
+    Raises:
+        ValueError: no such trait.
+    """
+    names = (TRAITS,) if knows_traits is True else tuple(knows_traits or ())
+    for name in names:
+        check_choice("a policy reads", name, (TRAITS, *COLUMN_NAMES[TRAITS]))
+    reads: list[tuple[str, int]] = []
+    for part in seat_layout(seat, config).parts:
+        if part.name == TRAITS:
+            reads += [(name, part.size if name == TRAITS else 1) for name in names]
+        elif not (by_intent and part.name == INTENT):
+            reads.append((part.name, part.size))
     strengths = config.alert_strengths if seat == VEHICLE_AI else FULL
-    return PolicyCard(seat, reads, network, context, by_intent, sequential, strengths)
+    return PolicyCard(seat, tuple(reads), network, context, by_intent, sequential, strengths)
 
 
 _HINTS = {
-    "traits": " (observe_traits=False hides it)",
+    **dict.fromkeys((TRAITS, *COLUMN_NAMES[TRAITS]), " (observe_traits=False hides it)"),
     "distracted": " (ai_sees_attention=False hides it)",
     "fatigue": " (only with fatigue=, and unless ai_sees_attention=False hides it)",
 }

@@ -288,7 +288,9 @@ class PosteriorEvaluation(Experiment[list[PosteriorRow]]):
             Text(
                 "The mean of the exact posterior is the estimate with the smallest squared error "
                 "from the same driving, over drivers drawn evenly from the whole population. "
-                "Intervals: 95 %, over drivers."
+                "Intervals: 95 %, over drivers. Where the policy is known, its reaction to the "
+                "traits that it reads counts: collect with `trained:driver-inflation` for a driver "
+                "who reads inflation alone."
             )
         ]
         for case in self.cases:

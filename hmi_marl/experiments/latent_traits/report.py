@@ -171,7 +171,8 @@ class TraitReport(Experiment[TraitResults]):
         note = (
             f"On held-out windows; pools of {results.pool}; {seeds} seed(s). Bayes is the exact "
             "classifier of the same windows, which no encoder can beat. Accuracies and KL are "
-            "means over seeds, the rest is of the first."
+            "means over seeds, the rest is of the first. A driver policy that reads all traits "
+            "also reacts to them: `hmi-marl reproduce identify` shows how much that tells."
         )
         tables = (
             identity_table(results),

@@ -64,7 +64,7 @@ class PPOSettings(Checked):
 
 
 Critic = Literal["team", "own"]
-Condition = Literal["traits", "hidden"]
+Condition = Literal["traits", "inflation", "hidden"]
 
 LEARNED = "learned"
 """Partner of a phase: the other seat's policy as this run has learned it so far."""
@@ -193,7 +193,8 @@ class TrainSettings(Checked, TeamSettings):
     More shards allow more processes, and take a little longer in one. On GPUs each process has one
     part."""
     condition: Condition = "traits"
-    """Whether the policies observe the driver's traits, or not ("hidden")."""
+    """Traits of the driver that the policies read: all of them, the inflation alone, or none
+    ("hidden")."""
     sequential: bool = True
     """Sequential moves: the driver moves first and the vehicle AI sees a^H_t. Otherwise both move
     at the same time and the vehicle AI sees a^H_{t-1}."""
@@ -264,7 +265,7 @@ class TrainSettings(Checked, TeamSettings):
         """Card of the policy that learns in a seat, with all inputs that it may read."""
         units = self.rnn_hidden_dim if seat == VEHICLE_AI else 0
         network = replace(self.network, rnn_hidden_dim=units)
-        knows = self.condition == "traits"
+        knows = ("inflation",) if self.condition == "inflation" else self.condition == "traits"
         moves = {"by_intent": by_intent, "sequential": self.sequential}
         card = make_card(seat, team, network, knows, **moves)
         if seat != VEHICLE_AI or not self.hmi_reads:

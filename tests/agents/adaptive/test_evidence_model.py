@@ -309,7 +309,7 @@ def test_teams_of_another_scene_are_refused():
     LearnedEvidence(untrained_evidence(names=("speed",)), FOUR, other)  # which reads no lidar
     with pytest.raises(ValueError, match=r"reads other columns .* use the scene that"):
         LearnedEvidence(model, FOUR, other)
-    for hidden in ("traits", "distracted"):
+    for hidden in ("traits", "eta", "inflation", "distracted"):
         with pytest.raises(ValueError, match=f"may not read '{hidden}': driver inference hides it"):
             EvidenceCard.for_team(TeamConfig(), ("speed", hidden), **SMALL)
 

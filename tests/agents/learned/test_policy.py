@@ -3,14 +3,23 @@ import numpy as np
 import pytest
 
 from hmi_marl import Scene, merge_v0
+from hmi_marl.agents.catalogue import make_hmi
 from hmi_marl.agents.learned.network import NetworkConfig
-from hmi_marl.agents.learned.policy import FORMAT, LearnedPolicy, PolicyCard, make_card
+from hmi_marl.agents.learned.policy import (
+    FORMAT,
+    LearnedPolicy,
+    PolicyCard,
+    load_policy,
+    make_card,
+)
 from hmi_marl.agents.partners import make_vec
 from hmi_marl.envs.alerts import Fatigue
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.observations import driver_layout, vehicle_ai_layout
 from hmi_marl.envs.single import MergeDriver, MergeHMI
 from hmi_marl.envs.streams import Stream, uniform
+from hmi_marl.envs.teaming import Teaming
 
 SMALL = {"scene": Scene(vehicles=2), "duration": 1.0}
 CONFIG = TeamConfig()
@@ -153,6 +162,76 @@ def test_what_a_card_leaves_out():
     assert set(names[False, False]) == everything - {"traits"}
     assert set(names[True, True]) == everything - {"intended_action"}
     assert set(names[False, True]) == everything - {"traits", "intended_action"}
+
+
+@pytest.mark.parametrize("seat", ["driver", "vehicle_ai"])
+def test_a_policy_may_read_some_traits_alone(seat):
+    layouts = {"driver": driver_layout, "vehicle_ai": vehicle_ai_layout}
+    layout, whole = layouts[seat](CONFIG), make_card(seat, CONFIG, TINY, True)
+    card = make_card(seat, CONFIG, TINY, ("inflation",))
+    assert card.reads == (*whole.reads[:-1], ("inflation", 1))
+    assert card.columns(layout).tolist() == [*whole.columns(layout)[:-4], layout.size - 1]
+    assert make_card(seat, CONFIG, TINY, ("traits",)) == whole
+    assert make_card(seat, CONFIG, TINY, ()) == make_card(seat, CONFIG, TINY, False)
+    assert make_card(seat, CONFIG, TINY, ("eta", "beta")).inputs == whole.inputs - 2
+    with pytest.raises(ValueError, match=r"a policy reads .*inflation.*'courage'"):
+        make_card(seat, CONFIG, TINY, ("courage",))
+    unseen = TeamConfig(observe_traits=False)
+    with pytest.raises(ValueError, match=r"reads 'inflation', .*\(observe_traits=False hides it"):
+        card.columns(layouts[seat](unseen))
+    assert "inflation" not in dict(make_card(seat, unseen, TINY, ("inflation",)).reads)
+
+
+def test_single_traits_give_way_to_a_context_too():
+    card = make_card("vehicle_ai", CONFIG, TINY, ("inflation",)).with_context(3)
+    assert card == make_card("vehicle_ai", CONFIG, TINY, False, context=3)
+
+
+@pytest.mark.parametrize("place", ["trained:driver-inflation", None])
+def test_a_driver_who_reads_inflation_alone_does_not_depend_on_other_traits(place):
+    """Actions over random observations; None is a policy of random weights."""
+    if place is None:
+        control = policy_for("driver", knows_traits=("inflation",), greedy=False)
+    else:
+        control = load_policy(place, "driver", CONFIG, greedy=False)
+    layout, rng = driver_layout(CONFIG), np.random.default_rng(3)
+    low, high = layout.bounds
+    seeds = np.arange(500, dtype=np.uint64)
+    seen = rng.uniform(low, high, (500, layout.size)).astype(np.float32)
+    control.reset(seeds)
+    before, acted = control.probabilities(seen), control.act(seen)
+    others = seen.copy()
+    for name in ("beta", "alpha", "eta"):
+        others[:, layout[name]] = rng.uniform(0, 1, (500, 1))
+    control.reset(seeds)
+    np.testing.assert_array_equal(control.probabilities(others), before)
+    np.testing.assert_array_equal(control.act(others), acted)
+    others[:, layout["inflation"]] = 1.0 - others[:, layout["inflation"]]
+    assert (control.probabilities(others) != before).any(axis=1).mean() > 0.9
+    trained = load_policy("trained:driver", "driver", CONFIG)
+    others = seen.copy()
+    others[:, layout["beta"]] = 1.0 - others[:, layout["beta"]]
+    assert (trained.probabilities(others) != trained.probabilities(seen)).any(axis=1).mean() > 0.9
+
+
+@pytest.mark.parametrize("driver", ["homer", "lisa"])
+def test_what_a_policy_reads_of_the_traits_is_the_same_in_every_environment(driver):
+    team = TeamConfig(driver=driver, **SMALL)
+    policy = policy_for("driver", team, knows_traits=("inflation",))
+    column = policy.card.columns(driver_layout(team))[-1]
+    inflation = DRIVERS[driver].inflation / 20
+    single = MergeDriver(make_hmi("never", team), team)
+    assert single.reset(seed=1)[0][column] == np.float32(inflation)
+    vector = make_vec(3, "team", threads=1, **vars(team))
+    assert vector.get_observations()["driver"][:, column].tolist() == [np.float32(inflation)] * 3
+    # A partner is shown the parts that it reads, and of the traits all of them.
+    teams = Teaming(team, 2, "batched")
+    teams.reset(SEEDS[:2])
+    shown = teams.observe("driver", policy.reads)
+    np.testing.assert_array_equal(shown, teams.observe("driver"))
+    traits = teams.observe("driver", ["inflation"])
+    assert traits[:, driver_layout(team)["traits"]].any()
+    assert not np.delete(traits, driver_layout(team).columns(["traits"]), axis=1).any()
 
 
 def test_a_context_takes_the_place_of_the_vehicle_ais_traits():

@@ -145,10 +145,15 @@ def test_more_rounds_than_steps_still_learn_something():
 
 @pytest.mark.parametrize("protocol", [TwoStage, Joint, Simultaneous, Alternating, FineTune])
 def test_what_policies_are_to_know_of_the_driver(protocol):
-    for condition, knows in (("traits", True), ("hidden", False)):
+    for condition, known in (
+        ("traits", {"traits"}),
+        ("inflation", {"inflation"}),
+        ("hidden", set()),
+    ):
         for phase in protocol(condition=condition).phases():
             assert phase.team.observe_traits  # of the environment nothing changes
-            assert ["traits" in names(card) for card in phase.cards] == [knows] * len(phase.cards)
+            read = [names(card) & {"traits", "inflation"} for card in phase.cards]
+            assert read == [known] * len(phase.cards)
 
 
 @pytest.mark.parametrize("protocol", [TwoStage, Joint, Simultaneous, Alternating, FineTune])
