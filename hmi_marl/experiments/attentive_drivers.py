@@ -138,7 +138,7 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
                 row.headway_ratio.shown(".2f") if row.headway_ratio.count else ""
             ),
         }
-        return [Table.of("As they learn", results, columns)]
+        return [Table.of("As they learn", results, columns, sources=["/rows"])]
 
     def agents(self, place: Place) -> list[Agent]:
         """Policy of the drivers without distraction."""

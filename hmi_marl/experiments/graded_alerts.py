@@ -244,7 +244,8 @@ class GradedAlerts(Experiment[list[GradedRow]]):
             "shortfall": lambda row: f"{100 * row.shortfall:.1f} %",
             "least": lambda row: f"{row.least:.1f}",
         }
-        return [Text(CAPTION), Table.of("Attention returns", results, columns)]
+        table = Table.of("Attention returns", results, columns, sources=["/rows"])
+        return [Text(CAPTION), table]
 
     def agents(self, place: Place) -> list[Agent]:
         """HMI of every case."""

@@ -226,11 +226,13 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
                     *results[0].attention_return,
                 ],
                 returns,
+                sources=["/rows"],
             ),
             Table.of(
                 "Paired differences per episode, and the exact worth of knowing the driver",
                 results,
                 differences,
+                sources=["/rows"],
             ),
         ]
 

@@ -14,8 +14,8 @@ from hmi_marl.reporting.blocks import (
     as_html,
     as_text,
     block_from,
-    png,
 )
+from hmi_marl.reporting.drawing import png
 from hmi_marl.reporting.verdicts import Part, Verdict
 
 TWO = Part.exact("a - b", 2.0, above=1.0)

@@ -4,7 +4,8 @@ import pytest
 from browsing import Reader, browser, chromium, walk
 from pages import DOCS
 
-from hmi_marl.reporting.blocks import Clip, Figure, Heading, Table, Text, Verdicts, canvas, png
+from hmi_marl.reporting.blocks import Clip, Figure, Heading, Table, Text, Verdicts
+from hmi_marl.reporting.drawing import canvas, png
 from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.verdicts import Part, Verdict
 

@@ -327,13 +327,13 @@ def tables(results: Sequence[Result]) -> list[Table]:
     change_title = (
         "Regret from 20 to 40 s after a change of driver, of what the knowing HMI earns [%]"
     )
-    head = ["driver", "HMI", *SHARE_COLUMNS]
+    head, source = ["driver", "HMI", *SHARE_COLUMNS], {"sources": ["/results"]}
     return [
-        Table.of(worth_title, steady, worth),
-        Table(shares_title, [*head, "regret per trip, last"], shares),
-        Table(learned_title, [*head, "gap per trip"], learned),
-        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first),
-        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change),
+        Table.of(worth_title, steady, worth, **source),
+        Table(shares_title, [*head, "regret per trip, last"], shares, **source),
+        Table(learned_title, [*head, "gap per trip"], learned, **source),
+        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first, **source),
+        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change, **source),
     ]
 
 

@@ -23,7 +23,8 @@ from hmi_marl.experiments.latent_traits.trait_figures import reading_figure
 from hmi_marl.files import json_value
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.blocks import Block, Figure, Table, Text, png
+from hmi_marl.reporting.blocks import Block, Figure, Table, Text
+from hmi_marl.reporting.drawing import png
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import SEEDS, Part, Verdict
 

@@ -9,7 +9,8 @@ import numpy as np
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.latent_traits.figures import TITLES, two_axes
 from hmi_marl.experiments.latent_traits.strangers import TraitReading
-from hmi_marl.reporting.blocks import COLOURS, Figure, canvas, png
+from hmi_marl.reporting.blocks import Figure
+from hmi_marl.reporting.drawing import COLOURS, canvas, ink, png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -39,7 +40,7 @@ def draw_reading(reading: TraitReading) -> Drawing:
         axes = below[column]
         ends = [float(np.min(true)), float(np.max(true))]
         axes.scatter(true, predicted, s=7, alpha=0.5, color=COLOURS[0], linewidths=0)
-        axes.plot(ends, ends, color="#222", linewidth=1.0)
+        axes.plot(ends, ends, color=ink(), linewidth=1.0)
         axes.set_xlabel(f"true {_SYMBOLS[name]}")
         axes.set_ylabel("read from z" if column == 0 else "")
         axes.set_title(f"R² {reading.r2[name].network.mean:.2f}", fontsize=10)

@@ -22,7 +22,7 @@ from hmi_marl.experiments.metrics_table.table import Cell
 from hmi_marl.files import json_value
 from hmi_marl.paper.audit import reachable_in_the_paper
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
-from hmi_marl.reporting.blocks import COLOURS, canvas, png
+from hmi_marl.reporting.drawing import COLOURS, canvas, ink, png
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import EPISODES, Part
 
@@ -230,7 +230,8 @@ def paper_figure(tables: Sequence[PaperTable]) -> bytes:
                 axes.bar(at, means, width * 0.92, color=COLOURS[k % len(COLOURS)], label=name)
                 if metric == "distraction_return":
                     exact = [cell.exact_distraction_return_same_steps for cell in cells]
-                    axes.plot(at, exact, "k_", markersize=8, label="exact" if k == 0 else None)
+                    label = "exact" if k == 0 else None
+                    axes.plot(at, exact, "_", color=ink(), markersize=8, label=label)
                 rows = [table.paper_row(hmi, driver) for driver in table.columns]
                 shown = [
                     (x, printed[row][driver])

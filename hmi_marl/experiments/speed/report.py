@@ -13,7 +13,8 @@ from hmi_marl.experiments.speed.bench import (
     BenchConfig,
     Measured,
 )
-from hmi_marl.reporting.blocks import COLOURS, Block, Figure, Table, canvas, png
+from hmi_marl.reporting.blocks import Block, Figure, Table
+from hmi_marl.reporting.drawing import COLOURS, canvas, png
 from hmi_marl.reporting.report import Report
 
 
