@@ -27,7 +27,7 @@ from hmi_marl.typed_json import read_as
 T = TypeVar("T")
 Picture = bytes | Callable[[], bytes]
 """PNG or GIF, or a function that draws one."""
-OUTCOME_CLASSES = {
+OUTCOME_CLASSES: Mapping[Outcome, str] = {
     Outcome.SUPPORTED: "good",
     Outcome.UNDETERMINED: "half",
     Outcome.NOT_SUPPORTED: "bad",
@@ -50,6 +50,10 @@ class Block(ABC):
     @abstractmethod
     def as_html(self) -> str:
         """Render for a page."""
+
+    def cited_html(self, cited: Citation) -> str:
+        """Render for a page, with its sources."""
+        return f"{self.as_html()}\n{cited.as_html(self.sources)}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
         """JSON content, from which :func:`block_from` reads it again."""
@@ -299,11 +303,22 @@ class Verdicts(Block):
 
     def as_html(self) -> str:
         """Render for a page, outcomes coloured, with all parts of each verdict to be unfolded."""
+        return self._html([""] * len(self.verdicts))
+
+    def cited_html(self, cited: Citation) -> str:
+        """Render for a page, with the place of each verdict in the JSON file."""
+        places = [
+            cited.as_html([f"{source}/{k}" for source in self.sources])
+            for k in range(len(self.verdicts))
+        ]
+        return self._html(places)
+
+    def _html(self, places: Sequence[str]) -> str:
         counts = Counter(verdict.outcome for verdict in self.verdicts)
         summary = ", ".join(
             f"{counts[outcome]} {outcome}" for outcome in Outcome if counts[outcome]
         )
-        rows = "".join(_verdict_row(verdict) for verdict in self.verdicts)
+        rows = "".join(map(_verdict_row, self.verdicts, places))
         note = f" {in_html(self.note)}" if self.note else ""
         return (
             f"<h3>{in_html(self.title)}</h3>\n<p>{in_html(summary)}.{note}</p>\n"
@@ -312,7 +327,7 @@ class Verdicts(Block):
         )
 
 
-def _verdict_row(verdict: Verdict) -> str:
+def _verdict_row(verdict: Verdict, place: str) -> str:
     where = f"<br><span class='small'>{in_html(verdict.where)}</span>" if verdict.where else ""
     basis = f"<br><span class='small'>{in_html(verdict.basis)}</span>" if verdict.basis else ""
     parts = ""
@@ -326,7 +341,7 @@ def _verdict_row(verdict: Verdict) -> str:
     outcome = verdict.outcome
     return (
         f"<tr><td>{in_html(verdict.claim)}{where}</td>"
-        f"<td>{in_html(verdict.summary)}{basis}{parts}</td>"
+        f"<td>{in_html(verdict.summary)}{basis}{parts}{place}</td>"
         f"<td class='{OUTCOME_CLASSES[outcome]}'>{outcome}</td></tr>"
     )
 
@@ -352,10 +367,7 @@ def as_text(blocks: Iterable[Block]) -> str:
 
 def as_html(blocks: Iterable[Block], cited: Citation | None = None) -> str:
     """Render blocks as HTML, one below the other, each with its sources if these are ``cited``."""
-    parts = []
-    for block in blocks:
-        parts += [block.as_html(), cited.as_html(block.sources) if cited else ""]
-    return "\n".join(part for part in parts if part)
+    return "\n".join(block.cited_html(cited) if cited else block.as_html() for block in blocks)
 
 
 def _lines(note: str) -> list[str]:

@@ -103,13 +103,14 @@ def contents(blocks: Iterable[Block]) -> str:
 
 
 def listed_settings(settings: Mapping[str, Any]) -> str:
-    """Write settings in a line, those of a group as GROUP.NAME."""
-    return ", ".join(f"{name} = {value}" for name, value in _flat(settings))
+    """Write settings in a line; see :func:`flat`."""
+    return ", ".join(f"{name} = {value}" for name, value in flat(settings))
 
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield settings and their values, those of a group as GROUP.NAME."""
     for name, value in settings.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+            yield from flat(value, f"{prefix}{name}.")
         else:
             yield prefix + name, value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ class Page:
     blocks: Sequence[Block]
     cited: Citation
     """What the sources of its blocks refer to."""
+    repeatable: bool = True
+    """Whether the same settings make the same page; durations do not, and are not in the text."""
 
     @property
     def address(self) -> str:
@@ -52,6 +54,8 @@ class PagedReport:
     """Command that makes it again."""
     settings: Mapping[str, Any]
     """All settings, for the JSON."""
+    more: Mapping[str, Any] = field(default_factory=dict)
+    """Content of further JSON files, by their names."""
 
     def __post_init__(self) -> None:
         names = [page.address for page in self.pages]
@@ -64,7 +68,7 @@ class PagedReport:
     def text(self) -> str:
         """Text for a terminal, page after page."""
         parts = []
-        for page in self.pages:
+        for page in (page for page in self.pages if page.repeatable):
             title = f"{page.title}\n{'#' * len(page.title)}"
             parts += [title, as_text(page.blocks)]
         return "\n\n".join(part for part in parts if part)
@@ -89,7 +93,8 @@ class PagedReport:
     def write(self, folder: Path) -> Path:
         """Write text and numbers, then the pages, the first one last; return its path."""
         write_text(folder / f"{self.name}.txt", self.text + "\n")
-        write_json(folder / f"{self.name}.json", self.content)
+        for name, content in {f"{self.name}.json": self.content, **self.more}.items():
+            write_json(folder / name, content)
         for page in reversed(self.pages):
             write_text(folder / page.address, self.html(page))
         return folder / PAGE

@@ -104,7 +104,7 @@ def _print(text: str) -> None:
 
 def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> list[Record]:
     folder = shared.folder
-    timings = _read_timings(folder / TIMINGS)
+    timings = read_timings(folder / TIMINGS)
     for experiment in suite:
         before = _read(_record_of(experiment, folder))
         if before is not None:
@@ -178,7 +178,7 @@ def _read(path: Path) -> dict[str, Any] | None:
         raise ValueError(f"{path} is damaged ({error}); remove it, to have it made again") from None
 
 
-def _read_timings(path: Path) -> dict[str, Any]:
+def read_timings(path: Path) -> dict[str, Any]:
     """Durations by experiment so far, or nothing if there are none yet."""
     try:
         content = read_json(path)

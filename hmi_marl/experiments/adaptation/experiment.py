@@ -327,13 +327,13 @@ def tables(results: Sequence[Result]) -> list[Table]:
     change_title = (
         "Regret from 20 to 40 s after a change of driver, of what the knowing HMI earns [%]"
     )
-    head, source = ["driver", "HMI", *SHARE_COLUMNS], {"sources": ["/results"]}
+    head, sources = ["driver", "HMI", *SHARE_COLUMNS], ["/results"]
     return [
-        Table.of(worth_title, steady, worth, **source),
-        Table(shares_title, [*head, "regret per trip, last"], shares, **source),
-        Table(learned_title, [*head, "gap per trip"], learned, **source),
-        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first, **source),
-        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change, **source),
+        Table.of(worth_title, steady, worth, sources=sources),
+        Table(shares_title, [*head, "regret per trip, last"], shares, sources=sources),
+        Table(learned_title, [*head, "gap per trip"], learned, sources=sources),
+        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first, sources=sources),
+        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change, sources=sources),
     ]
 
 

@@ -88,7 +88,7 @@ def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Drawing:
     return figure
 
 
-def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
+def embeddings_figure(embeddings: Mapping[str, Embedding], sources: Sequence[str] = ()) -> Figure:
     """Draw the paper's figure: a panel for each setting, with the average KL of its vectors."""
     panels = [
         EmbeddingPanel(
@@ -96,7 +96,9 @@ def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
         )
         for name, one in embeddings.items()
     ]
-    return Figure("embeddings", "embeddings by driver", lambda: png(draw_embeddings(panels)))
+    return Figure(
+        "embeddings", "embeddings by driver", lambda: png(draw_embeddings(panels)), sources=sources
+    )
 
 
 def draw_accuracy(

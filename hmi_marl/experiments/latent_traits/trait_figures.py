@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
 _SYMBOLS = {"beta": "β", "alpha": "α", "eta": "η", "inflation": "inflation"}
 
 
-def reading_figure(setting: str, reading: TraitReading) -> Figure:
+def reading_figure(setting: str, reading: TraitReading, sources: Sequence[str] = ()) -> Figure:
     """Draw :func:`draw_reading` for a setting."""
     title = f"traits of strangers, {TITLES[setting]}"
-    return Figure(f"strangers-{setting}", title, lambda: png(draw_reading(reading)))
+    return Figure(
+        f"strangers-{setting}", title, lambda: png(draw_reading(reading)), sources=sources
+    )
 
 
 def draw_reading(reading: TraitReading) -> Drawing:

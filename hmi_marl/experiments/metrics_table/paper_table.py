@@ -199,20 +199,17 @@ def numbers(tables: Sequence[PaperTable]) -> dict[str, Any]:
 
 
 def _cells(table: PaperTable) -> list[dict[str, Any]]:
-    return [
-        cell.as_json()
-        | {
-            "hmi": hmi,
-            "driver": driver,
-            "attention_shortfall": shortfall(cell),
-            "paper": {
-                metric: printed[row][driver] if row else None
-                for metric, _, printed in METRICS
-                for row in (table.paper_row(hmi, driver),)
-            },
+    drivers, found = {driver.name: driver for driver in table.variant.drivers}, []
+    for (hmi, driver), cell in table.cells.items():
+        row = table.paper_row(hmi, driver)
+        paper = {metric: printed[row][driver] if row else None for metric, _, printed in METRICS}
+        compared = {
+            metric: None if value is None else paper_compared(cell, drivers[driver], metric, value)
+            for metric, value in paper.items()
         }
-        for (hmi, driver), cell in table.cells.items()
-    ]
+        about = {"hmi": hmi, "driver": driver, "attention_shortfall": shortfall(cell)}
+        found.append(cell.as_json() | about | {"paper": paper, "paper_compared": compared})
+    return found
 
 
 def paper_figure(tables: Sequence[PaperTable]) -> bytes:
