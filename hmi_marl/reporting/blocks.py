@@ -208,7 +208,7 @@ class Figure(Block):
 
     def as_html(self) -> str:
         """Render for a page, with the pictures inside it; wide ones scroll on a narrow screen."""
-        kind = "figure" if self.drawn_narrow is None else "figure narrow"
+        kind = "drawn" if self.drawn_narrow is None else "drawn narrow"
         return f'<div class="{kind}">{self.picture()}</div>'
 
     def picture(self) -> str:

@@ -31,7 +31,7 @@ _STYLE = (
  nav [aria-current] { color: var(--ink); font-weight: 600; }
  h1 { font-size: 1.6rem; line-height: 1.25; margin: 1rem 0 .75rem; }
  h2 { font-size: 1.25rem; margin-top: 2.5rem; } h3 { font-size: 1.05rem; margin-top: 1.75rem; }
- .wide, .figure { overflow-x: auto; }
+ .wide, .drawn { overflow-x: auto; }
  table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums;
          overflow-wrap: normal; }
  th, td { padding: .35rem .6rem; border-bottom: 1px solid var(--line); text-align: left;
@@ -58,7 +58,7 @@ _STYLE = (
  @media (max-width: 40rem) {
    body { margin: 1rem auto; } th, td { padding: .3rem .35rem; font-size: .8rem; }
    tr > :first-child { max-width: 45vw; }
-   .figure:not(.narrow) img { max-width: none; width: 44rem; }
+   .drawn:not(.narrow) img { max-width: none; width: 44rem; }
    .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; }
    .stack, .stack tbody, .stack tr, .stack td { display: block; }
    .stack tr:first-child { display: none; } .stack td { border: 0; font-size: .9rem; }

@@ -39,7 +39,7 @@ def test_everything_is_reproduced_by_default(words, asked, capsys) -> None:
     command_line = " ".join(["hmi-marl", *words, "--workers", "2"])
     out = Path("runs/reproduce/all")
     assert asked == [(full_suite(), out, 2, command_line, "hmi-marl reproduce")]
-    assert f"the page: {out.resolve().as_uri()}/index.html" in capsys.readouterr().out
+    assert f"the page: {out.resolve().as_uri()}/report/index.html" in capsys.readouterr().out
 
 
 def test_the_report_tells_nothing_that_does_not_change_results(asked, tmp_path: Path) -> None:

@@ -17,23 +17,23 @@ from hmi_marl.experiments.latent_traits import report as trait_report
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
+from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, TraitScore
 from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, average_kl
-from hmi_marl.experiments.latent_traits.report import (
-    TraitResults,
+from hmi_marl.experiments.latent_traits.report import left_out
+from hmi_marl.experiments.latent_traits.results import TraitResults
+from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
+from hmi_marl.experiments.latent_traits.strangers import Naming, TraitReading
+from hmi_marl.experiments.latent_traits.tables import (
     accuracy_figure,
     driving_table,
-    embeddings_figure,
     identity_table,
-    left_out,
     likelihood_table,
     naming_table,
     ranking_table,
     trait_table,
 )
-from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
-from hmi_marl.experiments.latent_traits.strangers import Naming, TraitReading
 from hmi_marl.experiments.latent_traits.trait_figures import draw_reading
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import as_text
