@@ -189,7 +189,7 @@ def latent_traits(traits: Mapping[str, Any]) -> Exhibit:
         "Latent traits: who is at the wheel",
         value,
         f"{value.percent()} %",
-        f"Drivers named right from z of {size} windows of 20 s, learned with labels of drivers. "
+        f"Drivers named right from z of {size} windows, learned with labels of drivers. "
         f"The exact classifier names {number(exact)} %, a guess {100 * chance:.0f} %.",
         {"windows": size, "exact": exact, "chance": 100 * chance},
         (

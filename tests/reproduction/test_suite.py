@@ -46,7 +46,8 @@ from hmi_marl.training.traits.settings import TraitSettings
 
 if __name__ == "__main__":
     learn = TraitSettings(pool=1, latent=2, num_teams=2, ppo=PPOSettings(num_mini_batches=1),
-                          steps=1, imitation_updates=1, average_updates=1, encoder_updates=1, device="cpu")
+                          steps=1, imitation_updates=1, average_updates=1, encoder_updates=1,
+                          device="cpu")
     suite = [
         MetricsTable(1, 1, 4, 16),
         AttentiveDrivers(1, 1, 8, 16),
