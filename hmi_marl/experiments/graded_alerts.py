@@ -153,6 +153,7 @@ class GradedAlerts(Experiment[list[GradedRow]]):
 
     name = "graded"
     title = "Graded alerts, and alert fatigue"
+    short = "Graded alerts"
     paper = (
         "The paper's alert is one bit, which it says can be extended to any discrete signal "
         "(Sec. IV). Below an alert has one of several strengths, and alerts that pile up may lose "

@@ -112,6 +112,7 @@ class HiddenAttention(Experiment[list[HiddenRow]]):
 
     name = HIDDEN_EXPERIMENT
     title = "Attention hidden: what knowing the driver is worth"
+    short = "Attention hidden"
     paper = (
         "The paper's claim is that an HMI for the driver at the wheel does better than one for the "
         "average driver; its HMIs see distraction. Ours below do not: they infer it from what the "

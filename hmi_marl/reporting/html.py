@@ -22,14 +22,14 @@ _STYLE = (
            --good: #6cc58a; --bad: #ff8a80; --half: #e0b050; }} }}
 """
     + """
- body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 1.5rem auto;
+ body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 1rem auto;
         padding: 0 1rem; color: var(--ink); background: var(--paper); overflow-wrap: break-word; }
  nav { display: flex; flex-wrap: wrap; gap: .2rem 1rem; padding-bottom: .5rem; font-size: .9rem;
        border-bottom: 1px solid var(--line); }
  nav a { color: var(--quiet); text-decoration: none; }
  nav a:hover { text-decoration: underline; }
  nav [aria-current] { color: var(--ink); font-weight: 600; }
- h1 { font-size: 1.6rem; line-height: 1.25; margin: 1rem 0 .75rem; }
+ h1 { font-size: 1.6rem; line-height: 1.25; margin: .9rem 0 .6rem; }
  h2 { font-size: 1.25rem; margin-top: 2.5rem; } h3 { font-size: 1.05rem; margin-top: 1.75rem; }
  .wide, .drawn { overflow-x: auto; }
  table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums;
@@ -49,10 +49,12 @@ _STYLE = (
  .tally { display: flex; flex-wrap: wrap; gap: .25rem 2rem; align-items: baseline; }
  .tally b { font-size: 1.5rem; }
  .cards { display: grid; grid-template-columns: repeat(3, 1fr); gap: 1rem; }
- .card { border: 1px solid var(--line); border-radius: 6px; padding: .75rem; min-width: 0; }
+ .card { border: 1px solid var(--line); border-radius: 6px; padding: .75rem .75rem 0;
+         min-width: 0; }
  .card h2 { font-size: 1rem; margin: 0 0 .4rem; line-height: 1.3; } .card p { margin: .4rem 0; }
  .card .value { font-size: 1.3rem; font-weight: 600; font-variant-numeric: tabular-nums; }
- .card p { font-size: .9rem; line-height: 1.4; } .card .source { font-size: .7rem; }
+ .card p { font-size: .9rem; line-height: 1.4; }
+ .card .source { font-size: .7rem; margin-bottom: .75rem; }
  .card img { display: block; width: 100%; }
  @media (max-width: 60rem) { .cards { grid-template-columns: 1fr; } .card { max-width: 32rem; } }
  @media (max-width: 40rem) {
@@ -61,8 +63,10 @@ _STYLE = (
    .drawn:not(.narrow) img { max-width: none; width: 44rem; }
    .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; }
    .stack, .stack tbody, .stack tr, .stack td { display: block; }
+   .stack tr { display: flex; flex-direction: column; padding: .5rem 0;
+     border-bottom: 1px solid var(--line); }
    .stack tr:first-child { display: none; } .stack td { border: 0; font-size: .9rem; }
-   .stack tr { border-bottom: 1px solid var(--line); padding: .5rem 0; }
+   .stack td:last-child { order: 1; } .stack td:nth-child(2) { order: 2; }
    .stack tr > :first-child { position: static; max-width: none; font-weight: 600; } }
 """
 )

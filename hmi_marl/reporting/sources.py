@@ -55,17 +55,20 @@ class Citation:
     """Address of more about the command; empty for none."""
 
     def as_html(self, sources: Sequence[str]) -> str:
-        """Render the line below a block, with a link to each place; nothing without sources."""
+        """Render the line below a block, with a link to each place; nothing without sources.
+
+        The file is named once.
+        """
         if not sources:
             return ""
         command = f"<code>{in_html(self.command)}</code>"
         if self.about:
             command = f'<a href="{in_html(self.about)}">{command}</a>'
-        return f'<p class="source">{command} → {", ".join(map(self._link, sources))}</p>'
+        links = [self._link(source, self.file) for source in sources[:1]]
+        links += [self._link(source) for source in sources[1:]]
+        return f'<p class="source">{command} → {", ".join(links)}</p>'
 
-    def _link(self, source: str) -> str:
+    def _link(self, source: str, name: str = "") -> str:
         place = self.within + source
         address = f"{self.file}#{quote(place, safe='/~')}"
-        return (
-            f'<a href="{in_html(address)}"><code>{in_html(self.file)}#{in_html(place)}</code></a>'
-        )
+        return f'<a href="{in_html(address)}"><code>{in_html(f"{name}#{place}")}</code></a>'

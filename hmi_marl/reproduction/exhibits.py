@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Results = Mapping[str, Mapping[str, Any]]
 """Numbers of each experiment, by its name."""
-_SIZE, _DPI = (3.5, 2.1), 180
+_SIZE, _DPI = (3.5, 1.9), 180
 _METRIC = "distraction_return"
 _BY_DRIVER = "id"
 """Setting of latent traits that is shown."""
@@ -82,17 +82,17 @@ def personalisation(table: Mapping[str, Any]) -> Exhibit:
     value = Estimate.from_json(table["differences"]["printed"]["between_rows"][rows][_METRIC][ALL])
     cells = {(cell["hmi"], cell["driver"]): cell for cell in table["tables"]["printed"]}
     exact = [_of(cells, OWN, d)[_EXACT] - _of(cells, AVERAGE, d)[_EXACT] for d in PAPER_DRIVERS]
-    printed = [mean_over_drivers(DISTRACTION_RETURNS[row]) for row in ("own", AVERAGE)]
-    numbers = {"exact": float(np.mean(exact)), "paper": printed[0] - printed[1]}
+    own, average = (mean_over_drivers(DISTRACTION_RETURNS[row]) for row in ("own", AVERAGE))
+    gain, paper = float(np.mean(exact)), own - average
     return Exhibit(
         "table",
         "HMIs and drivers: what personalisation is worth",
         value,
         value.shown("+z.1f"),
         "Distraction return per trip that HMIs made for the driver gain over AvgHMI, attention "
-        f"seen, mean of four drivers. By exact values of the best rules {numbers['exact']:+z.1f}, "
-        f"in the paper {numbers['paper']:+z.1f}.",
-        numbers,
+        f"seen, mean of four drivers; by the exact values of the best rules {gain:+z.1f}, in the "
+        f"paper {paper:+z.1f}.",
+        {"exact": gain, "paper": paper},
         (pointer("stages", "table", *place),),
         "bars of the distraction return by driver, with the own HMI, AvgHMI and no HMI",
         lambda: _draw_table(cells),
@@ -135,13 +135,10 @@ def hidden_attention(hidden: Mapping[str, Any]) -> Exhibit:
         value,
         value.shown("+z.1f"),
         f"Attention return per trip that a Bayes filter gains by knowing that {names[0]} drives, "
-        f"over assuming the average driver. Exactly {most['exact_worth']:+z.1f}, and least for "
-        f"{names[1]}: {least['exact_worth']:+z.1f}.",
+        f"over assuming the average driver; exactly {most['exact_worth']:+z.1f}, and least for "
+        f"{names[1]}, {least['exact_worth']:+z.1f}.",
         {"exact": most["exact_worth"], "least": least["exact_worth"]},
-        (
-            pointer("stages", "hidden", "rows", place, "bayes_own_minus_average"),
-            pointer("stages", "hidden", "rows"),
-        ),
+        (pointer("stages", "hidden", "rows", place, "bayes_own_minus_average"),),
         "worth of knowing the driver, by driver: exact, of Bayes filters, and learned",
         lambda: _draw_hidden(listed),
     )
@@ -183,26 +180,22 @@ def latent_traits(traits: Mapping[str, Any]) -> Exhibit:
     row = next(each for each in identified if each["windows"] == size)
     ceiling, chance = row["ceilings"], row["types"]["chance"]
     exact = None if ceiling is None else 100 * ceiling["identity"]["mean"]
-    place = ("stages", "traits", "supervisions", _BY_DRIVER)
     return Exhibit(
         "traits",
         "Latent traits: who is at the wheel",
         value,
         f"{value.percent()} %",
-        f"Drivers named right from z of {size} windows, learned with labels of drivers. "
-        f"The exact classifier names {number(exact)} %, a guess {100 * chance:.0f} %.",
+        f"Drivers named right from z of {size} windows, learned with labels of drivers; the exact "
+        f"classifier names {number(exact)} %, a guess {100 * chance:.0f} %.",
         {"windows": size, "exact": exact, "chance": 100 * chance},
-        (
-            pointer(*place, "accuracy"),
-            pointer(*place, "seeds", 0, "identified", identified.index(row)),
-        ),
+        (pointer("stages", "traits", "supervisions", _BY_DRIVER, "accuracy"),),
         "share of drivers named right by windows seen, by way of learning, and exactly",
         lambda: _draw_traits(settings),
     )
 
 
 def _draw_traits(settings: Mapping[str, Mapping[str, Any]]) -> bytes:
-    with _small("named right [%]") as (axes, done):
+    with _small("named right [%]", 3) as (axes, done):
         for k, (name, setting) in enumerate(settings.items()):
             found = [(row["windows"], row["accuracy"]["mean"]) for row in setting["by_windows"]]
             windows, shares = np.array(found).T
@@ -223,7 +216,7 @@ def _draw_traits(settings: Mapping[str, Mapping[str, Any]]) -> bytes:
 
 
 @contextmanager
-def _small(title: str) -> Iterator[tuple[Axes, Callable[[], bytes]]]:
+def _small(title: str, columns: int = 4) -> Iterator[tuple[Axes, Callable[[], bytes]]]:
     """Draw within on the axes of a small figure; the function then gives its PNG."""
     from matplotlib import rc_context
 
@@ -237,7 +230,7 @@ def _small(title: str) -> Iterator[tuple[Axes, Callable[[], bytes]]]:
 
         def done() -> bytes:
             handles = axes.get_legend_handles_labels()
-            drawing.legend(*handles, loc="outside lower center", ncols=5, frameon=False)
+            drawing.legend(*handles, loc="outside lower center", ncols=columns, frameon=False)
             return png(drawing, _DPI)
 
         yield axes, done

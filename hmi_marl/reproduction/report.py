@@ -152,5 +152,5 @@ def _stage_page(record: Record, judged: Judged, command_line: str) -> Page:
         for block in record.blocks
     ]
     cited = _citation(experiment.name, command_line)
-    paper = Text(experiment.paper)
-    return Page(experiment.name, experiment.name, experiment.title, [paper, *blocks], cited)
+    short, paper = experiment.short or experiment.title, Text(experiment.paper)
+    return Page(experiment.name, short, experiment.title, [paper, *blocks], cited)

@@ -93,6 +93,7 @@ class _Judged(Experiment[list[Result]]):
 
     name = "adapt"
     title = "The right help for the driver at the wheel"
+    short = "Adaptation"
 
     def numbers(self, results: list[Result]) -> Mapping[str, Any]:
         """See :meth:`Experiment.numbers`."""
