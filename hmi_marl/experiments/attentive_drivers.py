@@ -72,7 +72,7 @@ class AttentiveDrivers(Experiment[list[DriverRow]]):
     name = "driver"
     files = "driver.table"  # driver.json is the card of the policy
     title = "Drivers without distraction"
-    short = "Attentive drivers"
+    short = "Headway"
     paper = (
         "The paper models caution as perceiving others larger than they are (Sec. VI), which is to "
         "make a driver leave more headway, and prints no figures for it. Below is one policy for a "

@@ -22,9 +22,9 @@ _STYLE = (
            --good: #6cc58a; --bad: #ff8a80; --half: #e0b050; }} }}
 """
     + """
- body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 1rem auto;
+ body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: .75rem auto;
         padding: 0 1rem; color: var(--ink); background: var(--paper); overflow-wrap: break-word; }
- nav { display: flex; flex-wrap: wrap; gap: .2rem 1rem; padding-bottom: .5rem; font-size: .9rem;
+ nav { display: flex; flex-wrap: wrap; gap: .2rem .85rem; padding-bottom: .5rem; font-size: .85rem;
        border-bottom: 1px solid var(--line); }
  nav a { color: var(--quiet); text-decoration: none; }
  nav a:hover { text-decoration: underline; }
@@ -47,11 +47,11 @@ _STYLE = (
  .good { color: var(--good); } .bad { color: var(--bad); } .half { color: var(--half); }
  .good, .bad, .half { font-weight: 600; }
  .tally { display: flex; flex-wrap: wrap; gap: .25rem 2rem; align-items: baseline; }
- .tally b { font-size: 1.5rem; }
+ .tally b { font-size: 1.4rem; } .tally + .source { margin: .1rem 0 .8rem; }
  .cards { display: grid; grid-template-columns: repeat(3, 1fr); gap: 1rem; }
  .card { border: 1px solid var(--line); border-radius: 6px; padding: .75rem .75rem 0;
          min-width: 0; }
- .card h2 { font-size: 1rem; margin: 0 0 .4rem; line-height: 1.3; } .card p { margin: .4rem 0; }
+ .card h2 { font-size: 1rem; margin: 0 0 .4rem; line-height: 1.3; } .card p { margin: .25rem 0; }
  .card .value { font-size: 1.3rem; font-weight: 600; font-variant-numeric: tabular-nums; }
  .card p { font-size: .9rem; line-height: 1.4; }
  .card .source { font-size: .7rem; margin-bottom: .75rem; }
@@ -60,7 +60,7 @@ _STYLE = (
  @media (max-width: 40rem) {
    body { margin: 1rem auto; } th, td { padding: .3rem .35rem; font-size: .8rem; }
    tr > :first-child { max-width: 45vw; }
-   .drawn:not(.narrow) img { max-width: none; width: 44rem; }
+   .drawn:not(.narrow) img { max-width: none; max-height: 22rem; }
    .clip { aspect-ratio: 470 / 228; object-fit: cover; object-position: 0 0; }
    .stack, .stack tbody, .stack tr, .stack td { display: block; }
    .stack tr { display: flex; flex-direction: column; padding: .5rem 0;

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Results = Mapping[str, Mapping[str, Any]]
 """Numbers of each experiment, by its name."""
-_SIZE, _DPI = (3.5, 1.9), 180
+_SIZE, _DPI = (3.5, 1.8), 180
 _METRIC = "distraction_return"
 _BY_DRIVER = "id"
 """Setting of latent traits that is shown."""

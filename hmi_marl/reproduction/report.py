@@ -85,7 +85,6 @@ def full_report(
         "stages": _stages(results, judged),
     }
     whole = Citation(command_line, NUMBERS, about="made.html#command")
-    oracle = Citation("hmi-marl oracle", NUMBERS)
     outcomes = Counter(verdict.outcome for verdict in judged.claims)
     tally = {outcome: outcomes[outcome] for outcome in Outcome}
     cards = [
@@ -105,6 +104,7 @@ def full_report(
         items,
     ]
     known: list[Block] = [
+        Text("`hmi-marl oracle` prints the exact values of any driver, and the audit."),
         Heading("Exact optimum and ceilings", "exact"),
         *exact_blocks(exact, results),
         Heading("What the paper's table cannot be", "audit"),
@@ -116,9 +116,9 @@ def full_report(
         Page("index", "Summary", "The paper, made again", summary, whole),
         Page("claims", "Claims", "The paper's claims, with verdicts", claims, whole),
         *(_stage_page(record, judged, command_line) for record in records),
-        Page("exact", "Exact values", "What is known exactly", known, oracle),
-        Page("made", "How it was made", "How it was made", how, whole),
-        Page("times", "Durations", "Durations", time_blocks(timings or {}), times, False),
+        Page("exact", "Exact values", "What is known exactly", known, whole),
+        Page("made", "Method", "How it was made", how, whole),
+        Page("times", "Times", "Durations", time_blocks(timings or {}), times, False),
     ]
     settings = {record.experiment.name: record.experiment.settings() for record in records}
     return PagedReport(NAME, pages, numbers, command_line, settings, {TIMINGS: timings or {}})
