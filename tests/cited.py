@@ -1,7 +1,7 @@
 """Numbers that a report shows, against the places of its JSON file that it names as their sources.
 
 Every number of a table's entries and of a card must be found, rounded as it is shown, at one of the
-sources: as it is, in percent or in millions. Verdicts must be at theirs as a whole.
+sources: as it is, in percent, thousands or millions. Verdicts must be at theirs as a whole.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hmi_marl.reporting.sources import resolve
 
 _NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?")
 _FORMS = (".0f", ".1f", ".2f", ".3f", ".4f", ".3g", ".4g", "g")
-_SCALES = (1.0, 100.0, 1e-6)
+_SCALES = (1.0, 100.0, 1e-3, 1e-6)
 
 
 def numbers_in(text: str) -> set[str]:

@@ -66,7 +66,7 @@ def make_report(
         *remarks,
         *((Heading("One episode"), clip) if clip else ()),
         Heading("Drivers and HMIs"),
-        Figure("table", "bars of each metric by driver and HMI", wide, narrow),
+        Figure("table", "bars of each metric by driver and HMI", wide, narrow, sources=["/cells"]),
         Text(described),
         *metric_tables(config, cells),
     ]
@@ -114,6 +114,7 @@ def metric_tables(config: TableConfig, cells: Sequence[Cell]) -> list[Table]:
                 ]
                 for hmi in config.hmis
             ],
+            sources=["/cells"],
         )
         for metric, title, form in METRICS
     ]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cited import missing
 from foreign_texts import FOREIGN
 
 from hmi_marl.envs.drivers import TRAIT_NAMES
@@ -423,6 +424,11 @@ def test_the_text_holds_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "nan" not in text
     missed = report_of(seeds({"none": [one(hits=30)]}), tmp_path, monkeypatch).text
     assert "not supported  unsupervised" in missed
+
+
+def test_every_number_is_where_its_source_says() -> None:
+    for found in (ALL, seeds(THREE, 2), results(none=[one(best=None, driving=[], reading=None)])):
+        assert not missing(REPORT.blocks(found), REPORT.numbers(found))
 
 
 def test_what_was_left_out_is_told_and_nothing_else() -> None:

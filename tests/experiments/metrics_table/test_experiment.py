@@ -5,11 +5,12 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from cited import missing
 
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, get_driver
 from hmi_marl.experiments import experiment
-from hmi_marl.experiments.experiment import spec
+from hmi_marl.experiments.experiment import Place, spec
 from hmi_marl.experiments.metrics_table import experiment as module
 from hmi_marl.experiments.metrics_table.experiment import MetricsTable
 from hmi_marl.experiments.metrics_table.paper_table import (
@@ -189,6 +190,9 @@ def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys, monkeyp
         assert whole["mean"] == pytest.approx(next(rows) - next(rows))
     shortfalls = content["attention_shortfall_of_own_hmis"]
     assert list(shortfalls["printed"]) == ["lisa", "marge", "bart", "homer", "average"]
+    record = replace(MetricsTable(), driver_steps=1, hmi_steps=1, episodes=4, num_teams=16)
+    results = record.run(Place(out, out))
+    assert not missing(record.blocks(results), content)
     page = (out / "index.html").read_text()
     assert "<img" in page
     assert "http" not in page.replace("http-equiv", "")
