@@ -101,7 +101,7 @@ def alone() -> tuple[TableConfig, list[Cell]]:
 
 
 def clip(caption: str = "") -> Clip:
-    return Clip("clip", caption, CLIP)
+    return Clip("clip", caption, CLIP, ["/clip"])
 
 
 def png_size(content: bytes) -> tuple[int, int]:
@@ -149,12 +149,17 @@ def test_the_page_needs_nothing_besides_itself(
     path = report.write_report(tmp_path, config, cells, COMMAND, clip())
     html = path.read_text("utf-8")
     page = Page(html)
-    assert len(page.links) == 3
-    assert all(link.startswith("data:image/") for link in page.links)
+    pictures = [link for link in page.links if link.startswith("data:image/")]
+    assert len(pictures) == 5  # the clip, and the figure by width and for dark pages
+    assert {link for link in page.links if link not in pictures} == {
+        "table.json#/cells",
+        "table.json#/clip",
+    }
     assert not {"script", "link", "iframe"} & set(page.tags)
     assert "@import" not in html
     assert "url(" not in html
-    narrow, wide = embedded(page, "png")
+    dark_narrow, narrow, dark, wide = embedded(page, "png")
+    assert len({dark_narrow, narrow, dark, wide}) == 4
     assert wide == (tmp_path / "table.png").read_bytes()
     assert png_size(narrow)[0] < png_size(narrow)[1], "panels stand one below the other"
     assert embedded(page, "gif") == [CLIP]
