@@ -3,12 +3,12 @@ import re
 from pathlib import Path
 
 import pytest
+import simulated_pages
 from cited import missing, missing_in
-from simulated_reports import report
+from simulated_pages import COMMAND
 
 from hmi_marl.cli import parse
 from hmi_marl.experiments.experiment import with_seed
-from hmi_marl.experiments.hidden_attention import BAYES_OWN, LEARNED_OWN
 from hmi_marl.reporting.blocks import Figure, Table, Text, Verdicts
 from hmi_marl.reporting.cards import Cards, Tally
 from hmi_marl.reporting.pages import PagedReport
@@ -28,26 +28,6 @@ SHIPPED = Path(__file__).parents[2] / "docs" / "report"
 @pytest.fixture(scope="module")
 def shipped() -> dict:
     return json.loads((SHIPPED / NUMBERS).read_text("utf-8"))
-
-
-@pytest.fixture(scope="module")
-def numbers() -> dict:
-    """Numbers that a run of today would have, made up."""
-    stages = report({"id apart": 1.0}, spread=1.0)
-    for row in stages["hidden"]["rows"]:
-        row |= {"exact_own": 900.0, "exact_average": 890.0}
-        row["attention_return"] |= {hmi: {"mean": 895.0} for hmi in (BAYES_OWN, LEARNED_OWN)}
-    for setting in stages["traits"]["supervisions"].values():
-        setting["average_kl"] = {"mean": 10.0}
-        rows = [row for seed in setting["seeds"] for row in seed["identified"]]
-        for row in rows:
-            row["ceilings"]["preference"] = row["ceilings"]["identity"]
-        setting["accuracy"] = rows[-1]["types"]["linear_probe"]
-        setting["by_windows"] = [
-            {"windows": row["windows"], "accuracy": row["types"]["linear_probe"]}
-            for row in setting["seeds"][0]["identified"]
-        ]
-    return stages
 
 
 def test_the_shipped_verdicts_are_what_the_shipped_numbers_support(shipped: dict) -> None:
@@ -78,15 +58,13 @@ SHOWN = (
 
 
 @pytest.fixture(scope="module")
-def records(numbers: dict) -> list[Record]:
-    suite = [one for one in full_suite() if one.name in numbers]
-    return [Record(one, {**numbers[one.name], "extra": [1, 7]}, SHOWN) for one in suite]
+def records() -> list[Record]:
+    return simulated_pages.records(SHOWN)
 
 
 @pytest.fixture(scope="module")
 def made(records: list[Record]) -> PagedReport:
-    timings = {"table": {"this time": 61.4, "playing": 12.0}}
-    return full_report(records, "hmi-marl reproduce --seed 3", timings)
+    return full_report(records, COMMAND, {"table": {"this time": 61.4, "playing": 12.0}})
 
 
 def test_pages_need_nothing_and_lead_to_each_other(
@@ -123,7 +101,7 @@ def test_all_but_durations_is_the_same_again(
     made: PagedReport, records: list[Record], tmp_path: Path
 ) -> None:
     made.write(tmp_path / "one")
-    again = full_report(records, "hmi-marl reproduce --seed 3", {"table": {"this time": 99.0}})
+    again = full_report(records, COMMAND, {"table": {"this time": 99.0}})
     again.write(tmp_path / "again")
     one, other = (
         {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()}
@@ -188,25 +166,22 @@ def test_commands_of_pages_are_understood(made: PagedReport) -> None:
         assert parse(page.cited.command.split()[1:])
 
 
-def test_verdicts_of_experiments_are_corrected_with_those_on_claims(
-    numbers: dict, tmp_path: Path
-) -> None:
+def test_verdicts_of_experiments_are_corrected_with_those_on_claims() -> None:
     near = Part.mean("x", Estimate(2.1, 0.0, 0.0, 1.0, 10_000), EPISODES, above=0.0, seeds=1)
     own = Verdict("a criterion", (near,))
     assert own.holds, "alone"
-    suite = [one for one in full_suite() if one.name in numbers]
     records = [
-        Record(one, {**numbers[one.name], "verdicts": [own.as_json()]}, (Verdicts([own]),))
-        for one in suite
+        Record(each.experiment, {**each.numbers, "verdicts": [own.as_json()]}, each.blocks)
+        for each in simulated_pages.records([Verdicts([own])])
     ]
     made = full_report(records, "hmi-marl reproduce")
     blocks = [block for page in made.pages for block in page.blocks]
     shown = [block for block in blocks if isinstance(block, Verdicts)]
-    assert len(shown) == 1 + len(suite)
+    assert len(shown) == 1 + len(records)
     corrections = {one.correction for block in shown for one in block.verdicts}
     assert len(corrections) == 1
     assert not any(one.holds for block in shown[1:] for one in block.verdicts)
-    stage = made.numbers["stages"][suite[0].name]
+    stage = made.numbers["stages"][records[0].experiment.name]
     assert stage["verdicts"][0]["outcome"] == "undetermined"
 
 

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from browsing import browser, chromium, walk
 from stages import Counting
 
 from hmi_marl.experiments.experiment import Place, learned_in
@@ -27,11 +28,14 @@ def audited_once(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "audit", AUDIT)
 
 
+TESTS = Path(__file__).parents[1]
 AUDIT, EXACT_VALUES = cache(report.audit), cache(report.exact_values)
 ONE, OTHER = Counting("one"), Counting("other", 2)
 TINY = """
 import sys
 from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from cited import missing_in
 from hmi_marl.experiments.adaptation.experiment import Adaptation, AdaptSettings
 from hmi_marl.experiments.attentive_drivers import AttentiveDrivers
 from hmi_marl.experiments.graded_alerts import GradedAlerts
@@ -58,7 +62,9 @@ if __name__ == "__main__":
     ]
     folder = Path(sys.argv[1])
     records = run_suite(suite, folder, shared_driver(suite, folder), 2, "hmi-marl reproduce")
-    full_report(records, "hmi-marl reproduce").write(folder / "report")
+    report = full_report(records, "hmi-marl reproduce")
+    report.write(folder / "report")
+    sys.exit("\\n".join(missing_in(report)) or 0)
 """
 
 
@@ -172,7 +178,7 @@ def started(folder: Path) -> subprocess.Popen:
     script.write_text(TINY)
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    return subprocess.Popen([sys.executable, script, folder], env=environment, **quiet)
+    return subprocess.Popen([sys.executable, script, folder, TESTS], env=environment, **quiet)
 
 
 @pytest.mark.long
@@ -189,3 +195,8 @@ def test_a_whole_reproduction_killed_three_times_ends_with_the_same_report(tmp_p
         assert process.wait() != 0, "it was done before it was killed"
     assert started(cut).wait() == 0
     assert written(cut) == written(tmp_path / "straight")
+    if chromium():
+        with browser() as opened:
+            found = walk(opened, cut, sorted((cut / REPORT).glob("*.html")))
+        assert not found.problems
+        assert not found.dead_links()
