@@ -65,7 +65,8 @@ _STYLE = (
    .stack, .stack tbody, .stack tr, .stack td { display: block; }
    .stack tr { display: flex; flex-direction: column; padding: .5rem 0;
      border-bottom: 1px solid var(--line); }
-   .stack tr:first-child { display: none; } .stack td { border: 0; font-size: .9rem; }
+   .stack tr:first-child { display: none; } .stack td { border: 0;
+     font-size: .9rem; overflow-wrap: anywhere; }
    .stack td:last-child { order: 1; } .stack td:nth-child(2) { order: 2; }
    .stack tr > :first-child { position: static; max-width: none; font-weight: 600; } }
 """
