@@ -36,6 +36,8 @@ from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.runs.folder import check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
+RECORD_FORMAT = 2
+"""Format of records; those of another are made again, from what is learned already."""
 _RECORD_BYTES = 256 * 2**20
 """Largest record; it holds figures."""
 Suite = Sequence[Experiment[Any]]
@@ -128,6 +130,7 @@ def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> lis
             report = conduct(experiment, place)
             spent = time.monotonic() - began
             content = _about(experiment) | {
+                "format": RECORD_FORMAT,
                 "inputs": digests(experiment.inputs(place), folder),
                 "numbers": report.numbers,
                 "blocks": [block.as_json() for block in report.blocks],
@@ -196,6 +199,8 @@ def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
 
 def _changed(content: Mapping[str, Any], paths: Iterable[Path], folder: Path) -> str | None:
     """Name the first input that is not as it was when the experiment was run; None if all are."""
+    if content.get("format") != RECORD_FORMAT:
+        return "the format of records"
     before = content.get("inputs")
     if not isinstance(before, dict) or not {"numbers", "blocks"} <= set(content):
         return "its record"

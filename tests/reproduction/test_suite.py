@@ -14,6 +14,7 @@ from browsing import browser, chromium, walk
 from stages import Counting
 
 from hmi_marl.experiments.experiment import Place, learned_in
+from hmi_marl.files import with_checksum, without_checksum, write_json
 from hmi_marl.paper import audit
 from hmi_marl.reproduction import report
 from hmi_marl.reproduction.report import PAGE, REPORT, full_report
@@ -122,6 +123,17 @@ def test_a_stage_whose_weights_changed_is_done_again(tmp_path: Path) -> None:
     assert reproduce(tmp_path, told=told) == first
     assert told[0] == "stage 1 of 2, one: once more, since one/count.safetensors has changed"
     assert told[-1] == "stage 2 of 2, other: done already"
+
+
+def test_a_record_of_an_earlier_format_is_made_again(tmp_path: Path) -> None:
+    first = reproduce(tmp_path)
+    record = tmp_path / "stages" / "one.json"
+    content = without_checksum(json.loads(record.read_text()))
+    write_json(record, with_checksum({n: content[n] for n in content if n != "format"}))
+    assert not is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
+    told: list[str] = []
+    assert reproduce(tmp_path, told=told) == first
+    assert told[0] == "stage 1 of 2, one: once more, since the format of records has changed"
 
 
 def test_a_damaged_record_is_told(tmp_path: Path) -> None:
