@@ -64,7 +64,8 @@ class WindowLength(Experiment):
     def numbers(self, results):
         """Return the JSON content."""
         rows = [
-            {"driver": name, "N": window, "exact": best.total_return, "played": played.as_json()}
+            {"driver": name, "N": window, "exact": best.total_return, "alerts": best.alerts}
+            | {"played": played.as_json()}
             for name, window, best, played in results
         ]
         return {"rows": rows}
@@ -90,7 +91,8 @@ class WindowLength(Experiment):
             [name, str(window), f"{best.total_return:.1f}", played.shown(), f"{best.alerts:.1f}"]
             for name, window, best, played in results
         ]
-        return [Text("Attention returns per episode."), Table("By window", head, rows)]
+        table = Table("By window", head, rows, sources=["/rows"])  # where numbers() has them
+        return [Text("Attention returns per episode."), table]
 
 
 # The registry line: reproduce, its --help and --quick now know the experiment.

@@ -81,6 +81,7 @@ def _dataclass(kind: type[T], content: Any, name: str) -> T:
 
 
 def _one_of(hints: tuple[Any, ...], content: Any, name: str) -> Any:
+    hints = tuple(hint for hint in hints if get_origin(hint) is not Callable)  # none is in JSON
     for hint in hints:
         try:
             return read_value(hint, content, name)

@@ -28,6 +28,16 @@ _QUIET = (
 
 _OVERFLOWS = (Path(__file__).parent / "overflows.js").read_text("utf-8")
 _LINKS = "() => [...document.querySelectorAll('a[href]')].map(a => a.href)"
+_CORNERS = """async () => {
+  const found = [];
+  for (const image of document.images) {
+    await image.decode();
+    const canvas = document.createElement('canvas'), of = canvas.getContext('2d');
+    of.drawImage(image, 0, 0);
+    found.push([...of.getImageData(0, 0, 1, 1).data].slice(0, 3));
+  }
+  return found;
+}"""
 _IDS = "() => [...document.querySelectorAll('[id]')].map(e => e.id)"
 
 
@@ -96,6 +106,10 @@ class Reader:
         self.page.evaluate(
             "() => document.fonts.ready.then(() => new Promise(requestAnimationFrame))"
         )
+
+    def corners(self) -> list[tuple[int, int, int]]:
+        """Colour of the first pixel of every image, which is that of its background."""
+        return [tuple(colour) for colour in self.page.evaluate(_CORNERS)]
 
     def overflows(self, width: int) -> list[str]:
         """What leaves its box or the page at a width."""

@@ -43,4 +43,5 @@ class Counting(Experiment[int]):
         return {"count": results, "pair": (1, 2)}
 
     def blocks(self, results: int) -> Sequence[Block]:
-        return [Table("Counted", ("name", "count"), ((self.name, str(results)),))]
+        rows = ((self.name, str(results)),)
+        return [Table("Counted", ("name", "count"), rows, sources=("/count",))]

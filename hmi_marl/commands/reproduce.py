@@ -15,9 +15,7 @@ from hmi_marl.commands.choice import Choice
 from hmi_marl.commands.train import use_quiet_threads
 from hmi_marl.experiments.experiment import Experiment, Place, coarse, conduct
 from hmi_marl.experiments.registry import EXPERIMENTS
-from hmi_marl.files import write_bytes
 from hmi_marl.ownership import check_free, owned
-from hmi_marl.reading import read_bytes
 from hmi_marl.reporting.report import PAGE, Stopwatch, print_page
 from hmi_marl.training.cluster.cluster import connected
 from hmi_marl.workers import check_workers
@@ -50,8 +48,14 @@ class ReproduceAll:
     def run(self, command_line: str) -> None:
         """Run what is not done yet, write the report and print its address."""
         use_quiet_threads()
-        from hmi_marl.reproduction.report import full_report
-        from hmi_marl.reproduction.suite import full_suite, run_suite, shared_driver
+        from hmi_marl.reproduction.report import REPORT, full_report
+        from hmi_marl.reproduction.suite import (
+            TIMINGS,
+            full_suite,
+            read_timings,
+            run_suite,
+            shared_driver,
+        )
 
         suite, workers = full_suite(self.quick, self.seed), check_workers(self.workers)
         out = self.out or RUNS / ("all-quick" if self.quick else "all")
@@ -61,7 +65,8 @@ class ReproduceAll:
         driver_run = shared_driver(suite, out)
         with connected(self.ray, self.workers) as cluster, owned(out):
             records = run_suite(suite, out, driver_run, workers, command_line, cluster=cluster)
-            page = full_report(records, shlex.join(again)).write(out)
+            timings = read_timings(out / TIMINGS)
+            page = full_report(records, shlex.join(again), timings).write(out / REPORT)
         print_page(page)
 
 
@@ -122,7 +127,7 @@ class ReproduceShip:
     run_folder: Annotated[Path, tyro.conf.arg(name="run")] = RUNS / "all"
     """Folder of the reproduction."""
     report: Path | None = None
-    """Folder to which the report and its numbers are copied as well."""
+    """Folder to which the report is copied as well, in place of an earlier one."""
     compare: Path | None = None
     """Folder of a comparison, of which the pairs of the first seed are added."""
     only: str | None = None
@@ -130,8 +135,8 @@ class ReproduceShip:
 
     def run(self, command_line: str) -> None:
         """Copy, without this machine's paths, and print what was copied."""
-        from hmi_marl.reproduction.report import NUMBERS
-        from hmi_marl.reproduction.shipping import ship, ship_more
+        from hmi_marl.reproduction.report import REPORT
+        from hmi_marl.reproduction.shipping import read_report, ship, ship_more, write_report
         from hmi_marl.reproduction.suite import full_suite, shared_driver
 
         check_free(self.out)
@@ -155,13 +160,12 @@ class ReproduceShip:
         pages = {}
         if self.report is not None:  # all that can fail comes before the agents are replaced
             check_free(self.report)
-            pages = {name: read_bytes(self.run_folder / name, 2**30) for name in (PAGE, NUMBERS)}
+            pages = read_report(self.run_folder / REPORT)
         suite = full_suite()
         for agent in ship(suite, self.run_folder, shared_driver(suite, self.run_folder), self.out):
             print(f"{agent.name:<20} {agent.what}")
         if self.report is not None:
-            for name, content in pages.items():
-                write_bytes(self.report / name, content)
+            write_report(self.report, pages)
 
 
 @dataclass(frozen=True)

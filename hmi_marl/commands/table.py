@@ -80,4 +80,4 @@ def _record(config: TableConfig, folder: Path) -> Clip:
     seeds = config.seeds(range(config.episodes)).tolist()
     team, hmi, policy = config.team(config.drivers[-1]), config.hmis[-1], config.driver_policy
     caption = highlight.record(path, team, hmi, policy, seeds, CLIP_FRAMES_PER_STEP, progress)
-    return Clip(CLIP, caption, path.read_bytes())
+    return Clip(CLIP, caption, path.read_bytes(), sources=["/clip"])

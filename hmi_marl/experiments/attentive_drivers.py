@@ -75,6 +75,7 @@ class AttentiveDrivers(SeededExperiment[list[DriverRow]]):
     name = "driver"
     files = "driver.table"  # driver.json is the card of the policy
     title = "Drivers without distraction"
+    short = "Headway"
     paper = (
         "The paper models caution as perceiving others larger than they are (Sec. VI), which is to "
         "make a driver leave more headway, and prints no figures for it. Below is one policy for a "
@@ -144,7 +145,7 @@ class AttentiveDrivers(SeededExperiment[list[DriverRow]]):
                 row.headway_ratio.shown(".2f") if row.headway_ratio.count else ""
             ),
         }
-        return [Table.of("As they learn", results, columns)]
+        return [Table.of("As they learn", results, columns, sources=["/rows"])]
 
     def agents(self, place: Place) -> list[Agent]:
         """Policy of the drivers without distraction."""

@@ -115,6 +115,8 @@ class Experiment(Checked, ABC, Generic[R]):
     """Name of its text and its JSON, where it is not the experiment's."""
     title: ClassVar[str]
     """Heading of its report."""
+    short: ClassVar[str] = ""
+    """Name of its page in the report of a reproduction; empty for its title."""
     paper: ClassVar[str] = ""
     """Text on what the paper shows of it, and how ours corresponds to it."""
     uses_driver: ClassVar[bool] = False

@@ -155,6 +155,7 @@ class GradedAlerts(SeededExperiment[list[GradedRow]]):
 
     name = "graded"
     title = "Graded alerts, and alert fatigue"
+    short = "Graded alerts"
     paper = (
         "The paper's alert is one bit, which it says can be extended to any discrete signal "
         "(Sec. IV). Below an alert has one of several strengths, and alerts that pile up may lose "
@@ -255,7 +256,8 @@ class GradedAlerts(SeededExperiment[list[GradedRow]]):
             "shortfall": lambda row: f"{100 * row.shortfall:.1f} %",
             "least": lambda row: f"{row.least:.1f}",
         }
-        return [Text(CAPTION), Table.of("Attention returns", results, columns)]
+        table = Table.of("Attention returns", results, columns, sources=["/rows"])
+        return [Text(CAPTION), table]
 
     def agents(self, place: Place) -> list[Agent]:
         """HMI of every case."""

@@ -111,6 +111,7 @@ class HiddenAttention(SeededExperiment[list[HiddenRow]]):
 
     name = HIDDEN_EXPERIMENT
     title = "Attention hidden: what knowing the driver is worth"
+    short = "Attention hidden"
     paper = (
         "The paper's claim is that an HMI for the driver at the wheel does better than one for the "
         "average driver; its HMIs see distraction. Ours below do not: they infer it from what the "
@@ -230,11 +231,13 @@ class HiddenAttention(SeededExperiment[list[HiddenRow]]):
                     *results[0].attention_return,
                 ],
                 returns,
+                sources=["/rows"],
             ),
             Table.of(
                 "Paired differences per episode, and the exact worth of knowing the driver",
                 results,
                 differences,
+                sources=["/rows"],
             ),
         ]
 

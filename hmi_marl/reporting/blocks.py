@@ -1,37 +1,37 @@
 """Blocks of a report: paragraphs, tables, figures, clips and verdicts.
 
 One description of a block renders as text for a terminal, as HTML for a page and as JSON, from
-which it can be read again: a report assembled later, from files, shows the same blocks.
+which it can be read again: a report assembled later, from files, shows the same blocks. A block
+names the places of its numbers in the report's JSON file (:attr:`Block.sources`).
 """
 
 from __future__ import annotations
 
 import re
-import warnings
 from abc import ABC, abstractmethod
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from hmi_marl.checks import shown
 from hmi_marl.files import json_value
+from hmi_marl.reporting.drawing import on_dark
+from hmi_marl.reporting.sources import Citation
 from hmi_marl.reporting.verdicts import Outcome, Verdict
 from hmi_marl.text import in_html, printable
 from hmi_marl.typed_json import read_as
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
-
 T = TypeVar("T")
 Picture = bytes | Callable[[], bytes]
 """PNG or GIF, or a function that draws one."""
-COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
-"""Colours of figures, in their order."""
-_CLASSES = {Outcome.SUPPORTED: "good", Outcome.UNDETERMINED: "half", Outcome.NOT_SUPPORTED: "bad"}
+OUTCOME_CLASSES: Mapping[Outcome, str] = {
+    Outcome.SUPPORTED: "good",
+    Outcome.UNDETERMINED: "half",
+    Outcome.NOT_SUPPORTED: "bad",
+}
 """Style classes of the page by outcome."""
 
 
@@ -40,6 +40,8 @@ class Block(ABC):
 
     kind: ClassVar[str]
     """Name of its class in JSON."""
+    sources: Sequence[str] = ()
+    """JSON pointers to its numbers in the JSON file of its report."""
 
     @abstractmethod
     def as_text(self) -> str:
@@ -48,6 +50,10 @@ class Block(ABC):
     @abstractmethod
     def as_html(self) -> str:
         """Render for a page."""
+
+    def cited_html(self, cited: Citation) -> str:
+        """Render for a page, with its sources."""
+        return f"{self.as_html()}\n{cited.as_html(self.sources)}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
         """JSON content, from which :func:`block_from` reads it again."""
@@ -105,6 +111,7 @@ class Table(Block):
     rows: Sequence[Sequence[str]]
     note: str = ""
     """Explanation below the table."""
+    sources: Sequence[str] = ()
     kind: ClassVar = "table"
 
     def __post_init__(self) -> None:
@@ -119,10 +126,11 @@ class Table(Block):
         items: Iterable[T],
         columns: Mapping[str, Callable[[T], str]],
         note: str = "",
+        sources: Sequence[str] = (),
     ) -> Table:
         """Make a table with a row for each item; columns are what they show of it, by heading."""
         rows = [[shown(item) for shown in columns.values()] for item in items]
-        return cls(title, list(columns), rows, note)
+        return cls(title, list(columns), rows, note, sources)
 
     def as_text(self) -> str:
         """Render in columns for a terminal."""
@@ -156,7 +164,8 @@ class Table(Block):
 class Figure(Block):
     """PNG of a figure, or a function that draws it when it is first shown.
 
-    So a report's numbers are written before its figures are drawn.
+    So a report's numbers are written before its figures are drawn. A function draws it for light
+    and for dark pages; see :mod:`hmi_marl.reporting.colours`.
     """
 
     name: str
@@ -166,6 +175,10 @@ class Figure(Block):
     content: Picture
     narrow: Picture | None = None
     """For narrow screens."""
+    dark: bytes | None = None
+    """For dark pages, of a figure that is a PNG."""
+    dark_narrow: bytes | None = None
+    sources: Sequence[str] = ()
     kind: ClassVar = "figure"
     suffix: ClassVar = "png"
 
@@ -179,24 +192,59 @@ class Figure(Block):
         """The PNG for narrow screens."""
         return self.narrow() if callable(self.narrow) else self.narrow
 
+    @cached_property
+    def drawn_dark(self) -> bytes | None:
+        """The PNG for dark pages."""
+        return _on_dark(self.content, self.dark)
+
+    @cached_property
+    def drawn_dark_narrow(self) -> bytes | None:
+        """The PNG for dark pages on narrow screens."""
+        return _on_dark(self.narrow, self.dark_narrow)
+
     def as_text(self) -> str:
         """Nothing on a terminal."""
         return ""
 
     def as_html(self) -> str:
-        """Render for a page, with the picture inside it."""
+        """Render for a page, with the pictures inside it; wide ones scroll on a narrow screen."""
+        kind = "drawn" if self.drawn_narrow is None else "drawn narrow"
+        return f'<div class="{kind}">{self.picture()}</div>'
+
+    def picture(self) -> str:
+        """Render the picture alone, that of them which suits the reader's screen."""
+        narrow, dark = "(max-width: 40rem)", "(prefers-color-scheme: dark)"
+        others = {
+            f"{narrow} and {dark}": self.drawn_dark_narrow,
+            narrow: self.drawn_narrow,
+            dark: self.drawn_dark,
+        }
+        listed = "".join(
+            f'<source media="{media}" srcset="{_data(self.suffix, png)}">'
+            for media, png in others.items()
+            if png is not None
+        )
         shown = f'<img alt="{in_html(self.description)}" src="{_data(self.suffix, self.drawn)}">'
-        if self.drawn_narrow is None:
-            return shown
-        narrow = _data(self.suffix, self.drawn_narrow)
-        source = f'<source media="(max-width: 40rem)" srcset="{narrow}">'
-        return f"<picture>{source}{shown}</picture>"
+        return f"<picture>{listed}{shown}</picture>"
 
     def as_json(self) -> dict[str, Any]:
         """JSON content, with the figure drawn."""
-        narrow = None if self.drawn_narrow is None else _base64(self.drawn_narrow)
         about = {"kind": self.kind, "name": self.name, "description": self.description}
-        return about | {"content": _base64(self.drawn), "narrow": narrow}
+        drawn = {
+            "content": self.drawn,
+            "narrow": self.drawn_narrow,
+            "dark": self.drawn_dark,
+            "dark_narrow": self.drawn_dark_narrow,
+        }
+        pictures = {n: None if png is None else _base64(png) for n, png in drawn.items()}
+        return about | pictures | {"sources": list(self.sources)}
+
+
+def _on_dark(picture: Picture | None, dark: bytes | None) -> bytes | None:
+    if dark is not None or not callable(picture):
+        return dark
+    with on_dark():
+        return picture()
 
 
 @dataclass(frozen=True)
@@ -208,6 +256,7 @@ class Clip(Block):
     caption: str
     content: Picture
     """GIF, or a function that draws it when it is first shown."""
+    sources: Sequence[str] = ()
     kind: ClassVar = "clip"
     suffix: ClassVar = "gif"
 
@@ -219,7 +268,7 @@ class Clip(Block):
     def as_json(self) -> dict[str, Any]:
         """JSON content, with the clip drawn."""
         about = {"kind": self.kind, "name": self.name, "caption": self.caption}
-        return about | {"content": _base64(self.drawn)}
+        return about | {"content": _base64(self.drawn), "sources": list(self.sources)}
 
     def as_text(self) -> str:
         """Render the caption for a terminal."""
@@ -239,6 +288,7 @@ class Verdicts(Block):
     verdicts: Sequence[Verdict]
     title: str = "Verdicts"
     note: str = ""
+    sources: Sequence[str] = ("/verdicts",)
     kind: ClassVar = "verdicts"
 
     def as_text(self) -> str:
@@ -253,20 +303,31 @@ class Verdicts(Block):
 
     def as_html(self) -> str:
         """Render for a page, outcomes coloured, with all parts of each verdict to be unfolded."""
+        return self._html([""] * len(self.verdicts))
+
+    def cited_html(self, cited: Citation) -> str:
+        """Render for a page, with the place of each verdict in the JSON file."""
+        places = [
+            cited.as_html([f"{source}/{k}" for source in self.sources])
+            for k in range(len(self.verdicts))
+        ]
+        return self._html(places)
+
+    def _html(self, places: Sequence[str]) -> str:
         counts = Counter(verdict.outcome for verdict in self.verdicts)
         summary = ", ".join(
             f"{counts[outcome]} {outcome}" for outcome in Outcome if counts[outcome]
         )
-        rows = "".join(_verdict_row(verdict) for verdict in self.verdicts)
+        rows = "".join(map(_verdict_row, self.verdicts, places))
         note = f" {in_html(self.note)}" if self.note else ""
         return (
             f"<h3>{in_html(self.title)}</h3>\n<p>{in_html(summary)}.{note}</p>\n"
-            "<div class='wide'><table><tr><th>claim</th><th>by the numbers of this run</th>"
-            f"<th>verdict</th></tr>{rows}</table></div>"
+            "<div class='wide'><table class='stack'><tr><th>claim</th>"
+            f"<th>by the numbers of this run</th><th>verdict</th></tr>{rows}</table></div>"
         )
 
 
-def _verdict_row(verdict: Verdict) -> str:
+def _verdict_row(verdict: Verdict, place: str) -> str:
     where = f"<br><span class='small'>{in_html(verdict.where)}</span>" if verdict.where else ""
     basis = f"<br><span class='small'>{in_html(verdict.basis)}</span>" if verdict.basis else ""
     parts = ""
@@ -280,8 +341,8 @@ def _verdict_row(verdict: Verdict) -> str:
     outcome = verdict.outcome
     return (
         f"<tr><td>{in_html(verdict.claim)}{where}</td>"
-        f"<td>{in_html(verdict.summary)}{basis}{parts}</td>"
-        f"<td class='{_CLASSES[outcome]}'>{outcome}</td></tr>"
+        f"<td>{in_html(verdict.summary)}{basis}{parts}{place}</td>"
+        f"<td class='{OUTCOME_CLASSES[outcome]}'>{outcome}</td></tr>"
     )
 
 
@@ -304,25 +365,9 @@ def as_text(blocks: Iterable[Block]) -> str:
     return "\n\n".join(text for text in texts if text)
 
 
-def as_html(blocks: Iterable[Block]) -> str:
-    """Render blocks as HTML, one below the other."""
-    return "\n".join(block.as_html() for block in blocks)
-
-
-def canvas(width: float, height: float) -> Drawing:
-    """Make an empty matplotlib figure of this size [inches]."""
-    from matplotlib.figure import Figure as Drawing  # takes a while; no --help waits for it
-
-    return Drawing(figsize=(width, height), layout="constrained")
-
-
-def png(drawing: Drawing, dpi: int = 110) -> bytes:
-    """Draw a matplotlib figure as a PNG."""
-    content = BytesIO()
-    with warnings.catch_warnings():  # characters that the font lacks are drawn as boxes
-        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-        drawing.savefig(content, format="png", dpi=dpi)
-    return content.getvalue()
+def as_html(blocks: Iterable[Block], cited: Citation | None = None) -> str:
+    """Render blocks as HTML, one below the other, each with its sources if these are ``cited``."""
+    return "\n".join(block.cited_html(cited) if cited else block.as_html() for block in blocks)
 
 
 def _lines(note: str) -> list[str]:

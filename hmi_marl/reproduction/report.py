@@ -1,39 +1,48 @@
-"""Report of a whole reproduction: claims with verdicts, all experiments, exact values, audit.
+"""Report of a whole reproduction: summary, claims with verdicts, a page for each experiment.
 
-Nothing in it depends on durations or on interruptions: the same settings give the same bytes.
+Nothing in it but its page of durations depends on durations or on interruptions: the same settings
+give the same bytes.
 """
 
 from __future__ import annotations
 
-import platform
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-import hmi_marl
-from hmi_marl.envs.drivers import DRIVERS
-from hmi_marl.envs.rewards import RewardWeights
-from hmi_marl.exact import oracle
-from hmi_marl.experiments.alert_problem import audit_table
-from hmi_marl.experiments.criteria import ETA_1_TOLERANCE
-from hmi_marl.experiments.hidden_attention import BAYES_OWN, LEARNED_OWN
 from hmi_marl.files import json_value
-from hmi_marl.paper.audit import AuditedCell, audit
-from hmi_marl.paper.printed import AVERAGE_KL, DRIVER_TRAITS, REWARDS
-from hmi_marl.reporting.blocks import Block, Heading, Table, Text, Verdicts
-from hmi_marl.reporting.report import PAGE, Report
-from hmi_marl.reproduction.claims import claims_json, judge
+from hmi_marl.paper.audit import audit
+from hmi_marl.reporting.blocks import Block, Heading, Text, Verdicts
+from hmi_marl.reporting.cards import Cards, Tally
+from hmi_marl.reporting.pages import Page, PagedReport
+from hmi_marl.reporting.report import PAGE
+from hmi_marl.reporting.sources import Citation, pointer
+from hmi_marl.reporting.verdicts import Outcome, Verdict
+from hmi_marl.reproduction.claims import Judged, claims_json, judge
+from hmi_marl.reproduction.exact_page import audit_blocks, exact_blocks, exact_values
+from hmi_marl.reproduction.exhibits import card, exhibits
+from hmi_marl.reproduction.made_page import (
+    MADE,
+    Timings,
+    command_of,
+    made_blocks,
+    made_with,
+    time_blocks,
+)
+from hmi_marl.reproduction.paper_items import paper_items
 from hmi_marl.reproduction.suite import TIMINGS, Record
 
 NAME = "reproduce"
 NUMBERS = f"{NAME}.json"
-LIBRARIES = ("numpy", "torch", "rsl-rl-lib", "highway-env", "pettingzoo")
-HORIZON = 100
+REPORT = "report"
+"""Folder of the report, in that of the reproduction."""
 _INTRODUCTION = (
-    "“Learning Latent Traits for Simulated Cooperative Driving Tasks” (DeCastro et al.), made "
-    "again with everything learned anew, and compared to exact values. The paper's source comes "
-    "without its pictures: ours are compared to what it prints, in numbers and in words."
+    "“Learning Latent Traits for Simulated Cooperative Driving Tasks” (DeCastro et al.) claims "
+    "that the traits of drivers can be learned from how they drive, and that an HMI made for the "
+    "driver at the wheel does better than one for the average driver. Here everything is learned "
+    "anew, what can be known exactly stands next to it, and each claim has a verdict that is "
+    "computed from the numbers of this run."
 )
 _ABOUT_CLAIMS = (
     "Claims are in short or quoted. Every verdict is computed from the numbers of this run, by one "
@@ -44,195 +53,104 @@ _ABOUT_CLAIMS = (
     "verdict is at most 5 %. HMIs are compared in the same episodes. What was trained once is "
     "judged as the agents that were learned here; ways of learning are judged over training seeds."
 )
+_ABOUT_ITEMS = (
+    "The paper's source comes without its pictures: ours are compared to what it prints, in "
+    "numbers and in words."
+)
+_CLAIMS = "/claims"
 
-__all__ = ["NUMBERS", "PAGE", "full_report"]
+__all__ = ["NUMBERS", "PAGE", "REPORT", "full_report"]
 
 
-def full_report(records: Sequence[Record], command_line: str) -> Report:
-    """Make the report of a reproduction, from its experiments' records."""
+def full_report(
+    records: Sequence[Record], command_line: str, timings: Timings | None = None
+) -> PagedReport:
+    """Make the report of a reproduction.
+
+    Args:
+        records: finished experiments.
+        command_line: command that ran them.
+        timings: durations, which are shown on a page of their own.
+    """
     results = {record.experiment.name: record.numbers for record in records}
-    settings = {record.experiment.name: record.experiment.settings() for record in records}
-    judged, audited, made = judge(results), audit(), made_with()
-    verdicts = judged.claims
-    blocks: list[Block] = [
-        Text(_INTRODUCTION),
-        Heading("The paper's claims", "claims"),
-        Verdicts(verdicts, f"{len(verdicts)} claims", _ABOUT_CLAIMS),
-        Heading("The paper's tables and figures", "items"),
-        paper_items(results),
+    judged, audited, exact, made = judge(results), audit(), exact_values(), made_with()
+    items, shown = paper_items(results), exhibits(results)
+    numbers = {
+        MADE: made,
+        "claims": claims_json(judged.claims),
+        "exhibits": [exhibit.as_json() for exhibit in shown],
+        "items": items.rows,
+        "exact": exact,
+        "audit": audited,
+        "stages": _stages(results, judged),
+    }
+    whole = Citation(command_line, NUMBERS, about="made.html#command")
+    outcomes = Counter(verdict.outcome for verdict in judged.claims)
+    tally = {outcome: outcomes[outcome] for outcome in Outcome}
+    cards = [
+        card(exhibit, place, _citation(exhibit.stage, command_line, within=""))
+        for place, exhibit in enumerate(shown)
     ]
-    for record in records:
-        experiment = record.experiment
-        blocks += [Heading(experiment.title, experiment.name), Text(experiment.paper)]
-        own = judged.experiments[experiment.name]
-        blocks += [
-            replace(block, verdicts=own) if isinstance(block, Verdicts) else block
-            for block in record.blocks
-        ]
-    blocks += [
+    summary: list[Block] = [
+        Text(_INTRODUCTION),
+        Tally(tally, "claims of the paper", "claims.html", [_CLAIMS]),
+        *([Cards(cards)] if cards else []),
+    ]
+    claims: list[Block] = [
+        Heading("The paper's claims", "claims"),
+        Verdicts(judged.claims, f"{len(judged.claims)} claims", _ABOUT_CLAIMS, [_CLAIMS]),
+        Heading("The paper's tables and figures", "items"),
+        Text(_ABOUT_ITEMS),
+        items,
+    ]
+    known: list[Block] = [
+        Text("`hmi-marl oracle` prints the exact values of any driver, and the audit."),
         Heading("Exact optimum and ceilings", "exact"),
-        *exact_blocks(results),
+        *exact_blocks(exact, results),
         Heading("What the paper's table cannot be", "audit"),
         *audit_blocks(audited),
-        Heading("How it was made", "made"),
-        Table("Versions", ["library", "version"], [[*each] for each in made.items()]),
-        Text(f"Durations are in {TIMINGS} next to this page, all numbers in {NUMBERS}."),
     ]
-    numbers = {
-        "made with": made,
-        "claims": claims_json(verdicts),
-        "exact": exact_values(),
-        "audit": json_value(audited),
-        "stages": {
-            name: {**numbers, "verdicts": [each.as_json() for each in own]} if own else numbers
-            for (name, numbers), own in zip(
-                results.items(), judged.experiments.values(), strict=True
-            )
-        },
+    how = made_blocks(records, command_line, made)
+    times = Citation(command_line, TIMINGS, about=whole.about)
+    pages = [
+        Page("index", "Summary", "The paper, made again", summary, whole),
+        Page("claims", "Claims", "The paper's claims, with verdicts", claims, whole),
+        *(_stage_page(record, judged, command_line) for record in records),
+        Page("exact", "Exact values", "What is known exactly", known, whole),
+        Page("made", "Method", "How it was made", how, whole),
+        Page("times", "Times", "Durations", time_blocks(timings or {}), times, False),
+    ]
+    settings = {record.experiment.name: record.experiment.settings() for record in records}
+    return PagedReport(NAME, pages, numbers, command_line, settings, {TIMINGS: timings or {}})
+
+
+def _stages(
+    results: Mapping[str, Mapping[str, Any]], judged: Judged
+) -> dict[str, Mapping[str, Any]]:
+    """Numbers of the experiments, with verdicts that are corrected together with the claims'."""
+    own = judged.experiments
+    return {
+        name: {**numbers, "verdicts": [each.as_json() for each in own[name]]}
+        if own[name]
+        else numbers
+        for name, numbers in json_value(results).items()
     }
-    return Report(NAME, "The paper, made again", blocks, numbers, command_line, settings)
 
 
-def made_with() -> dict[str, str]:
-    """Versions of the libraries that numbers depend on."""
-    found = {"hmi-marl": hmi_marl.__version__, "Python": platform.python_version()}
-    for name in LIBRARIES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "none"
-    return found
+def _citation(stage: str, command_line: str, within: str | None = None) -> Citation:
+    """Cite the command of an experiment, and its numbers."""
+    place = pointer("stages", stage) if within is None else within
+    return Citation(command_of(stage, command_line), NUMBERS, place, f"made.html#{stage}")
 
 
-def exact_values() -> list[dict[str, Any]]:
-    """Exact values of every driver, over whole episodes."""
-    found = []
-    for driver in DRIVERS.values():
-        best = oracle.solve_alerts(driver, horizon=HORIZON)
-        found.append(
-            {
-                "driver": driver.name,
-                "attention_return": best.total_return,
-                "distraction_return": best.distraction_return,
-                "alerts": best.alerts,
-                "reachable_distraction_return": oracle.reachable(driver, horizon=HORIZON)._asdict(),
-            }
-        )
-    return found
-
-
-def exact_blocks(results: Mapping[str, Mapping[str, Any]]) -> list[Block]:
-    """Optimum of the alert problem; ceilings of hidden attention and of naming drivers."""
-    rows = []
-    for row in exact_values():
-        reach = row["reachable_distraction_return"]
-        numbers = [row["attention_return"], row["distraction_return"], row["alerts"]]
-        shown = [f"{value:.1f}" for value in numbers]
-        rows.append([row["driver"], *shown, f"{reach['least']:.0f} to {reach['most']:.0f}"])
-    head = ["driver", "attention return", "distraction return", "alerts", "distraction reachable"]
-    blocks: list[Block] = [
-        Table(f"The optimum over {HORIZON} steps, attention seen", head, rows),
-        Text(
-            "No HMI can do better than the optimum. With attention seen it is the same rule for "
-            "these five named drivers, to alert exactly when distracted. It is not for every "
-            "driver: with low α, β and η other alerts are better."
-        ),
+def _stage_page(record: Record, judged: Judged, command_line: str) -> Page:
+    """Make the page of an experiment."""
+    experiment = record.experiment
+    own: list[Verdict] = judged.experiments[experiment.name]
+    blocks = [
+        replace(block, verdicts=own) if isinstance(block, Verdicts) else block
+        for block in record.blocks
     ]
-    if "hidden" in results:
-        returns = [
-            [row["driver"]]
-            + [f"{row[name]:.1f}" for name in ("exact_own", "exact_average", "exact_worth")]
-            + [f"{row['attention_return'][hmi]['mean']:.1f}" for hmi in (BAYES_OWN, LEARNED_OWN)]
-            for row in results["hidden"]["rows"]
-        ]
-        head = ["driver", "exact, own rule", "exact, average rule", "worth of knowing"]
-        head += ["Bayes filter, played", "learned, played"]
-        blocks.append(Table("The Bayes filter, attention hidden: attention returns", head, returns))
-    if "traits" in results:
-        seeds = next(iter(results["traits"]["supervisions"].values()))["seeds"]
-        bayes = [
-            [str(row["windows"])]
-            + [f"{100 * row['ceilings'][kind]['mean']:.1f}" for kind in ("identity", "preference")]
-            for row in seeds[0]["identified"]
-            if row["ceilings"] is not None
-        ]
-        head = ["windows", "driver named [%]", "preference named [%]"]
-        blocks.append(Table("The Bayes classifier of held-out windows", head, bayes))
-    return blocks
-
-
-def audit_blocks(cells: Sequence[AuditedCell]) -> list[Block]:
-    """Distraction returns that the paper prints, and what can be reached."""
-    out = [cell for cell in cells if not cell.reachable]
-    like_1 = [cell for cell in out if _near(cell.paper, cell.optimum_if_eta_1)]
-    text = (
-        f"{len(out)} of {len(cells)} are out of reach of every alert policy; {len(like_1)} of "
-        f"these are what η = 1 would give, within {100 * ETA_1_TOLERANCE:.0f} %."
-    )
-    return [Text(text), audit_table(cells, oracle.DEFAULT_WINDOW)]
-
-
-def _near(paper: float, ends: tuple[float, float]) -> bool:
-    low, high = ends
-    return low - ETA_1_TOLERANCE * abs(low) <= paper <= high + ETA_1_TOLERANCE * abs(high)
-
-
-HEAD = ("in the paper", "what it shows", "here")
-
-
-def paper_items(results: Mapping[str, Mapping[str, Any]]) -> Table:
-    """List them, with the numbers of the experiments that were run."""
-    printed = ", ".join(f"{value:.0f}" for value in AVERAGE_KL.values())
-    rows = [
-        (
-            "Figure 1, schematic of the approach",
-            "drivers, embedded by how they drive; no data",
-            "no data to make again",
-        ),
-        (
-            "Figure 2, the learning scheme",
-            "discriminator, generator and pooling; no data",
-            "what the stage of latent traits learns by",
-        ),
-        (
-            "Table of discriminator losses",
-            "L1 to L4 and their weights 5, 10 and 1e-4",
-            "the losses of the stage of latent traits, with the same weights",
-        ),
-        (
-            "Figure 3, model of distracted driving",
-            "the chain of distraction and acceptance; no data",
-            "the chain that every number here comes from, and its exact optimum",
-        ),
-        ("Table of rewards", "eight terms and their coefficients", _rewards()),
-        ("Table of driver parameters", "β, α, η and inflation of four drivers", _drivers()),
-        (
-            "Figure 4, latent embeddings",
-            f"three scatter plots; average KL {printed} nats",
-            _kl(results),
-        ),
-        (
-            "Table of metrics",
-            "speed and distraction returns of four drivers, six HMIs",
-            "section on HMIs and drivers, cell by cell" if "table" in results else "not run",
-        ),
-    ]
-    return Table("Item by item", HEAD, rows)
-
-
-def _rewards() -> str:
-    odd = [name for name, value in REWARDS.items() if getattr(RewardWeights(), name) != value]
-    return f"others for {', '.join(odd)}" if odd else "all eight, with the same coefficients"
-
-
-def _drivers() -> str:
-    odd = [name for name, traits in DRIVER_TRAITS.items() if DRIVERS[name].traits != traits]
-    return f"others for {', '.join(odd)}" if odd else "the same four"
-
-
-def _kl(results: Mapping[str, Mapping[str, Any]]) -> str:
-    if "traits" not in results:
-        return "not run"
-    settings = results["traits"]["supervisions"]
-    found = ", ".join(f"{settings[name]['average_kl']['mean']:.4g}" for name in AVERAGE_KL)
-    return f"section on latent traits; average KL {found} nats"
+    cited = _citation(experiment.name, command_line)
+    short, paper = experiment.short or experiment.title, Text(experiment.paper)
+    return Page(experiment.name, short, experiment.title, [paper, *blocks], cited)

@@ -1,4 +1,4 @@
-"""Ship agents: copy what experiments have learned to where the package has its trained agents."""
+"""Ship agents and the report: copy them to where the package and its documentation have them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,14 @@ from hmi_marl.experiments.experiment import Agent, Place
 from hmi_marl.files import with_checksum, without_checksum, write_bytes, write_json
 from hmi_marl.ownership import check_free
 from hmi_marl.reading import read_bytes, read_json
+from hmi_marl.reporting.report import PAGE
+from hmi_marl.reproduction.report import NUMBERS
 from hmi_marl.reproduction.suite import Suite, digests, is_done
 
+_OF_REPORT = (".html", ".json", ".txt")
+"""Suffixes of a report's files."""
+MOST_REPORT = 2**30
+"""Largest file of a report [bytes]."""
 _PLACE = re.compile(r"(?<![^\s'\"=])(?:[A-Za-z]:[\\/]|[/~])[^\s'\"]*")
 """Absolute path within a text."""
 
@@ -60,6 +66,29 @@ def ship_more(agents: Sequence[Agent], out: Path) -> None:
     """
     names = {agent.name for agent in agents}
     _write(agents, {n: a for n, a in shipped_agents(out).items() if n not in names}, out)
+
+
+def read_report(folder: Path) -> dict[str, bytes]:
+    """Read all files of a report by their names.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    for name in (PAGE, NUMBERS):
+        if not (folder / name).is_file():
+            raise FileNotFoundError(f"{folder} has no {name}; run hmi-marl reproduce to its end")
+    found = sorted(path for path in folder.iterdir() if path.suffix in _OF_REPORT)
+    return {path.name: read_bytes(path, MOST_REPORT) for path in found}
+
+
+def write_report(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write a report's files, in place of those of an earlier one; other files stay."""
+    if (folder / NUMBERS).is_file():
+        for path in folder.iterdir():
+            if path.suffix in _OF_REPORT and path.name not in files:
+                path.unlink()
+    for name, content in files.items():
+        write_bytes(folder / name, content)
 
 
 def _write(agents: Sequence[Agent], kept: Mapping[str, Shipped], out: Path) -> None:

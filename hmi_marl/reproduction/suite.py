@@ -36,6 +36,8 @@ from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.runs.folder import check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
+RECORD_FORMAT = 2
+"""Format of records; those of another are made again, from what is learned already."""
 _RECORD_BYTES = 256 * 2**20
 """Largest record; it holds figures."""
 Suite = Sequence[Experiment[Any]]
@@ -104,7 +106,7 @@ def _print(text: str) -> None:
 
 def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> list[Record]:
     folder = shared.folder
-    timings = _read_timings(folder / TIMINGS)
+    timings = read_timings(folder / TIMINGS)
     for experiment in suite:
         before = _read(_record_of(experiment, folder))
         if before is not None:
@@ -128,6 +130,7 @@ def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> lis
             report = conduct(experiment, place)
             spent = time.monotonic() - began
             content = _about(experiment) | {
+                "format": RECORD_FORMAT,
                 "inputs": digests(experiment.inputs(place), folder),
                 "numbers": report.numbers,
                 "blocks": [block.as_json() for block in report.blocks],
@@ -178,7 +181,7 @@ def _read(path: Path) -> dict[str, Any] | None:
         raise ValueError(f"{path} is damaged ({error}); remove it, to have it made again") from None
 
 
-def _read_timings(path: Path) -> dict[str, Any]:
+def read_timings(path: Path) -> dict[str, Any]:
     """Durations by experiment so far, or nothing if there are none yet."""
     try:
         content = read_json(path)
@@ -196,6 +199,8 @@ def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
 
 def _changed(content: Mapping[str, Any], paths: Iterable[Path], folder: Path) -> str | None:
     """Name the first input that is not as it was when the experiment was run; None if all are."""
+    if content.get("format") != RECORD_FORMAT:
+        return "the format of records"
     before = content.get("inputs")
     if not isinstance(before, dict) or not {"numbers", "blocks"} <= set(content):
         return "its record"

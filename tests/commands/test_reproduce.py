@@ -6,7 +6,7 @@ import pytest
 from hmi_marl.cli import main
 from hmi_marl.experiments.experiment import Agent
 from hmi_marl.reporting.report import Report
-from hmi_marl.reproduction.report import NUMBERS, PAGE
+from hmi_marl.reproduction.report import NUMBERS, PAGE, REPORT
 from hmi_marl.reproduction.suite import full_suite, shared_driver
 
 
@@ -23,8 +23,9 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[Any, ..
         calls.append((suite, folder, *others))
         return []
 
-    def report(records: list[Any], command_line: str) -> Report:
+    def report(records: list[Any], command_line: str, timings: Any) -> Report:
         calls[-1] += (command_line,)
+        assert timings == {}
         return Report("reproduce", "", [], {}, command_line, {})
 
     monkeypatch.chdir(tmp_path)
@@ -39,7 +40,7 @@ def test_everything_is_reproduced_by_default(words, asked, capsys) -> None:
     command_line = " ".join(["hmi-marl", *words, "--workers", "2"])
     out = Path("runs/reproduce/all")
     assert asked == [(full_suite(), out, 2, command_line, "hmi-marl reproduce")]
-    assert f"the page: {out.resolve().as_uri()}/index.html" in capsys.readouterr().out
+    assert f"the page: {out.resolve().as_uri()}/report/index.html" in capsys.readouterr().out
 
 
 def test_the_report_tells_nothing_that_does_not_change_results(asked, tmp_path: Path) -> None:
@@ -70,20 +71,29 @@ def test_only_a_finished_reproduction_is_shipped(tmp_path: Path, capsys) -> None
 
 def test_the_report_is_shipped_beside_the_agents(tmp_path: Path, monkeypatch, capsys) -> None:
     run, report = tmp_path / "run", tmp_path / "docs"
-    run.mkdir()
-    for name in (PAGE, NUMBERS):
-        (run / name).write_text(name)
+    (run / REPORT).mkdir(parents=True)
+    pages = (PAGE, "table.html", NUMBERS, "reproduce.txt", "timings.json")
+    for name in pages:
+        (run / REPORT / name).write_text(name)
     copied = [Agent("homer", run / "vehicle_ai.json", "alerts homer")]
     monkeypatch.setattr("hmi_marl.reproduction.shipping.ship", lambda *given: copied)
     command = ["reproduce", "ship", "--run", str(run), "--out", str(tmp_path / "out")]
     assert main(command) == 0
     assert capsys.readouterr().out.split() == ["homer", "alerts", "homer"]
     assert not report.exists()
-    assert main([*command, "--report", str(report)]) == 0
-    assert {path.name: path.read_text() for path in report.iterdir()} == {
-        PAGE: PAGE,
-        NUMBERS: NUMBERS,
-    }
+    for again in (False, True):
+        assert main([*command, "--report", str(report)]) == 0
+        names = {*pages, "notes.md"} if again else set(pages)
+        assert {path.name: path.read_text() for path in report.iterdir()} == {n: n for n in names}
+        for name in ("old.html", "notes.md"):  # a page of an earlier report, and another file
+            (report / name).write_text(name)
+
+
+def test_a_report_that_is_not_finished_is_not_shipped(tmp_path: Path, capsys) -> None:
+    command = ["reproduce", "ship", "--run", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert main([*command, "--report", str(tmp_path / "docs")]) == 2
+    assert "has no index.html; run hmi-marl reproduce to its end" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_agents_of_one_experiment_are_shipped_beside_the_others(

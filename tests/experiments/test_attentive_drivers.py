@@ -1,6 +1,7 @@
 import json
 
 import pytest
+from cited import missing
 
 from hmi_marl.cli import main
 from hmi_marl.experiments.attentive_drivers import CAUTIOUS, CONFIDENT, AttentiveDrivers, DriverRow
@@ -30,6 +31,11 @@ def test_what_is_asked_of_trained_drivers_is_held_against_them():
     assert bad == ["not supported"] * 4
     near = judged(driving(CONFIDENT, 460.5, 0.04, 1.0), driving(CAUTIOUS, 405.5, 0.1, 1.21))
     assert near == ["undetermined"] * 4
+
+
+def test_every_number_is_where_its_source_says():
+    rows = [driving(CONFIDENT, 462, 0.03, 1.0), driving(CAUTIOUS, 407, 0.1, 1.24)]
+    assert not missing(AttentiveDrivers().blocks_of(rows), AttentiveDrivers().numbers_of(rows))
 
 
 def test_missed_claims_are_told():

@@ -19,7 +19,8 @@ from hmi_marl.experiments.episodes import play_episodes
 from hmi_marl.experiments.experiment import Experiment, Place, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS, Where
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.blocks import Block, Figure, Table, png
+from hmi_marl.reporting.blocks import Block, Figure, Table
+from hmi_marl.reporting.drawing import png
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
 from hmi_marl.reproduction.suite import full_suite

@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from cited import missing
 
 from hmi_marl.cli import main
 from hmi_marl.envs.alerts import Fatigue
@@ -53,6 +54,7 @@ def test_the_text_tells_every_case_and_whether_it_holds():
     assert text.count("homer, 0.5 1") == 2
     assert text.count("970.0") == 2  # the least return that is asked for
     assert [verdict.holds for verdict in TINY.judge_of(rows)] == [True, False]
+    assert not missing(TINY.blocks_of(rows), TINY.numbers_of(rows))
     assert WEARY.describe() == "average, 0.5 1, fatigue 20 5 1"
 
 

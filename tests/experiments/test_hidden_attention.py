@@ -3,6 +3,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cited import missing
 
 from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
@@ -43,7 +44,9 @@ def test_the_exact_worth_of_knowing_the_driver_comes_before_the_learned_one():
     text = as_text(HiddenAttention(seeds=1).blocks_of([row(-1.7)]))
     assert text.index("exact worth of knowing") < text.index("own - AvgHMI, learned")
     assert "+175.0" in text
-    assert HiddenAttention(seeds=1).numbers_of([row(-1.7)])["rows"][0]["exact_worth"] == 175.0
+    numbers = HiddenAttention(seeds=1).numbers_of([row(-1.7)])
+    assert numbers["rows"][0]["exact_worth"] == 175.0
+    assert not missing(HiddenAttention(seeds=1).blocks_of([row(-1.7)]), numbers)
 
 
 def test_a_random_driver_reveals_in_four_of_five_steps(tmp_path):

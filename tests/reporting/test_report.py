@@ -5,7 +5,11 @@ import hmi_marl
 from hmi_marl.reporting.blocks import Figure, Heading, Text
 from hmi_marl.reporting.report import Report, Stopwatch
 
-BLOCKS = (Heading("One & all", "one"), Text("a < b"), Figure("bars", 'a "figure"', b"\x89PNG\x00"))
+BLOCKS = (
+    Heading("One & all", "one"),
+    Text("a < b"),
+    Figure("bars", 'a "figure"', b"\x89PNG\x00", sources=["/rows"]),
+)
 
 
 def report(seconds: dict[str, float]) -> Report:
@@ -21,6 +25,8 @@ def test_a_page_needs_no_other_file_and_escapes_what_it_says() -> None:
         assert shown in html
     assert '<a href="#one">One &amp; all</a>' in html
     assert 'src="data:image/png;base64,iVBORwA="' in html
+    assert '<a href="made.json#/rows"><code>made.json#/rows</code></a>' in html
+    assert '<a href="made.json#/seconds">' in html
     assert "Time of each part" not in report({}).page
 
 

@@ -3,16 +3,22 @@ import re
 from pathlib import Path
 
 import pytest
-from simulated_reports import report
+import simulated_pages
+from cited import missing, missing_in
+from simulated_pages import COMMAND
 
+from hmi_marl.cli import parse
 from hmi_marl.experiments.experiment import with_seed
-from hmi_marl.experiments.hidden_attention import BAYES_OWN, LEARNED_OWN
-from hmi_marl.reporting.blocks import Table, Verdicts
+from hmi_marl.reporting.blocks import Figure, Table, Text, Verdicts
+from hmi_marl.reporting.cards import Cards, Tally
+from hmi_marl.reporting.pages import PagedReport
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
-from hmi_marl.reproduction.claims import claims_json, judge
-from hmi_marl.reproduction.report import NUMBERS, PAGE, exact_values, full_report, paper_items
-from hmi_marl.reproduction.suite import Record, full_suite, shared_driver
+from hmi_marl.reporting.verdicts import EPISODES, Outcome, Part, Verdict
+from hmi_marl.reproduction.claims import CLAIMS, claims_json, judge
+from hmi_marl.reproduction.exact_page import exact_values
+from hmi_marl.reproduction.paper_items import paper_items
+from hmi_marl.reproduction.report import NUMBERS, full_report
+from hmi_marl.reproduction.suite import TIMINGS, Record, full_suite, shared_driver
 
 RENEWED = {"table", "driver", "hidden", "adapt", "traits", "graded"}
 """Experiments that have been run again since, with other settings; docs/results.md says so."""
@@ -24,20 +30,6 @@ SHIPPED = Path(__file__).parents[2] / "docs" / "report"
 @pytest.fixture(scope="module")
 def shipped() -> dict:
     return json.loads((SHIPPED / NUMBERS).read_text("utf-8"))
-
-
-@pytest.fixture(scope="module")
-def numbers() -> dict:
-    """Numbers that a run of today would have, made up."""
-    stages = report({"id apart": 1.0}, spread=1.0)
-    for row in stages["hidden"]["rows"]:
-        row |= {"exact_own": 900.0, "exact_average": 890.0}
-        row["attention_return"] |= {hmi: {"mean": 895.0} for hmi in (BAYES_OWN, LEARNED_OWN)}
-    for setting in stages["traits"]["supervisions"].values():
-        setting["average_kl"] = {"mean": 10.0}
-        for row in (row for seed in setting["seeds"] for row in seed["identified"]):
-            row["ceilings"]["preference"] = row["ceilings"]["identity"]
-    return stages
 
 
 def test_the_shipped_verdicts_are_what_the_shipped_numbers_support(shipped: dict) -> None:
@@ -57,50 +49,141 @@ def test_the_shipped_report_is_of_a_full_run(shipped: dict) -> None:
     changed = {name for name in now if shipped["settings"].get(name) != now[name]}
     assert changed == RENEWED | ADDED
     assert list(shipped["stages"]) == [one.name for one in suite if one.name not in ADDED]
-    for name in (NUMBERS, PAGE):
-        assert not re.search(r"/(home|root|tmp|work)/", (SHIPPED / name).read_text("utf-8"))
+    for path in SHIPPED.iterdir():
+        assert not re.search(r"/(home|root|tmp|work)/", path.read_text("utf-8")), path.name
 
 
-def test_the_report_needs_nothing_besides_itself(numbers: dict, tmp_path: Path) -> None:
-    shown = (Table("A table of <numbers>", ("a", "b"), (("1", "2"),)),)
-    suite = [one for one in full_suite() if one.name in numbers]
-    records = [Record(one, numbers[one.name], shown) for one in suite]
-    page = full_report(records, "hmi-marl reproduce --seed 3").write(tmp_path)
-    html = page.read_text("utf-8")
-    for record in records:
-        assert f'<h2 id="{record.experiment.name}">' in html
-        assert f'href="#{record.experiment.name}"' in html
-    assert html.count("A table of &lt;numbers&gt;") == len(records)
-    assert not re.search(r"<(script|link|iframe|object)|https?:|url\(", html)
-    assert "prefers-color-scheme: dark" in html
-    assert 'name="viewport"' in html
-    for told in ("not supported", "OUT OF REACH", "The Bayes classifier", "reproduce --seed 3"):
-        assert told in html
+SHOWN = (
+    Table("A table of <numbers>", ("a", "b"), (("1", "7"),), sources=("/extra",)),
+    Figure("bars", "some bars", b"PNG", sources=("/extra",)),
+)
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Record]:
+    return simulated_pages.records(SHOWN)
+
+
+@pytest.fixture(scope="module")
+def made(records: list[Record]) -> PagedReport:
+    return full_report(records, COMMAND, {"table": {"this time": 61.4, "playing": 12.0}})
+
+
+def test_pages_need_nothing_and_lead_to_each_other(
+    made: PagedReport, records: list[Record], tmp_path: Path
+) -> None:
+    page = made.write(tmp_path)
+    html = {path.name: path.read_text("utf-8") for path in tmp_path.glob("*.html")}
+    names = [record.experiment.name for record in records]
+    others = ("index", "claims", "exact", "made", "times")
+    assert set(html) == {f"{name}.html" for name in (*others, *names)}
+    for text in html.values():
+        for name in html:
+            assert f'<a href="{name}"' in text
+        assert not re.search(r"<(script|link|iframe|object)|https?:|url\(", text)
+        assert "prefers-color-scheme: dark" in text
+        assert 'name="viewport"' in text
+        assert "reproduce --seed 3" in text
+    for name in names:
+        assert "A table of &lt;numbers&gt;" in html[f"{name}.html"]
+        assert f"hmi-marl reproduce {name} --seed 3" in html[f"{name}.html"]
+        assert f'<h2 id="{name}">' in html["made.html"]
+        assert f'href="made.html#{name}"' in html[f"{name}.html"]
+    assert "not supported" in html["claims.html"]
+    assert "OUT OF REACH" in html["exact.html"]
+    assert "The Bayes classifier" in html["exact.html"]
+    assert "61 s" in html["times.html"]
+    assert page == tmp_path / "index.html"
     content = json.loads((tmp_path / NUMBERS).read_text("utf-8"))
     assert [cell["paper"] for cell in content["audit"] if not cell["reachable"]] == [-85.0, -123.0]
     assert set(content["made with"]) >= {"hmi-marl", "Python", "numpy", "torch"}
-    again = full_report(records, "hmi-marl reproduce --seed 3").write(tmp_path / "again")
-    assert again.read_bytes() == page.read_bytes()
 
 
-def test_verdicts_of_experiments_are_corrected_with_those_on_claims(
-    numbers: dict, tmp_path: Path
+def test_all_but_durations_is_the_same_again(
+    made: PagedReport, records: list[Record], tmp_path: Path
 ) -> None:
+    made.write(tmp_path / "one")
+    again = full_report(records, COMMAND, {"table": {"this time": 99.0}})
+    again.write(tmp_path / "again")
+    one, other = (
+        {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()}
+        for name in ("one", "again")
+    )
+    assert one.keys() == other.keys()
+    assert {name for name in one if one[name] != other[name]} == {"times.html", TIMINGS}
+
+
+def test_every_number_is_where_its_source_says(made: PagedReport) -> None:
+    assert not missing_in(made)
+    kinds = [type(block) for page in made.pages for block in page.blocks]
+    assert {Table, Figure, Verdicts, Tally, Cards} <= set(kinds)
+
+
+def test_a_number_that_is_not_at_its_source_is_found(made: PagedReport) -> None:
+    content = json.loads(json.dumps(made.content))
+    content["stages"]["table"]["extra"] = [1, 8]
+    content["claims"][3]["parts"][0]["value"] = 0.123
+    content["exhibits"][0]["paper"] = 3.0
+    found = []
+    for page in made.pages[:3]:
+        found += missing(page.blocks, content, page.cited.within)
+    assert [each.partition(": ")[2] or each for each in found] == [
+        "what personalisation is worth: 181.8 is at none of its sources",
+        f"{len(CLAIMS)} claims are others",
+        "7 is at none of its sources",
+    ]
+    lost = Table("t", ("a",), (("1",),), sources=("/stages/none",))
+    with pytest.raises(ValueError, match="names nothing"):
+        missing([lost], content)
+    assert missing([Table("t", ("a",), (("1",),))], content)
+
+
+def test_the_summary_counts_the_verdicts_and_has_three_exhibits(made: PagedReport) -> None:
+    text, tally, cards = made.pages[0].blocks
+    assert isinstance(text, Text)
+    assert text.text.count(". ") == 1  # two sentences
+    assert isinstance(tally, Tally)
+    outcomes = [claim["outcome"] for claim in made.numbers["claims"]]
+    assert tally.counts == {outcome: outcomes.count(outcome) for outcome in Outcome}
+    assert isinstance(cards, Cards)
+    assert [card.page for card in cards.cards] == ["table.html", "hidden.html", "traits.html"]
+    for card, exhibit in zip(cards.cards, made.numbers["exhibits"], strict=True):
+        assert re.fullmatch(r"[+-]?[\d.]+ \[[+-]?[\d.]+, [+-]?[\d.]+\]( %)?", card.value)
+        assert card.figure.drawn.startswith(b"\x89PNG")
+        assert card.figure.drawn_dark != card.figure.drawn
+        assert exhibit["title"] == card.title
+    assert "in the paper +181.8" in cards.cards[0].sentence
+
+
+def test_a_report_without_an_exhibits_experiment_lacks_its_card(records: list[Record]) -> None:
+    some = [record for record in records if record.experiment.name in ("hidden", "graded")]
+    made = full_report(some, "hmi-marl reproduce")
+    (cards,) = (block for block in made.pages[0].blocks if isinstance(block, Cards))
+    assert [card.page for card in cards.cards] == ["hidden.html"]
+    assert not missing_in(made)
+
+
+def test_commands_of_pages_are_understood(made: PagedReport) -> None:
+    for page in made.pages:
+        assert parse(page.cited.command.split()[1:])
+
+
+def test_verdicts_of_experiments_are_corrected_with_those_on_claims() -> None:
     near = Part.mean("x", Estimate(2.1, 0.0, 0.0, 1.0, 10_000), EPISODES, above=0.0, seeds=1)
     own = Verdict("a criterion", (near,))
     assert own.holds, "alone"
-    suite = [one for one in full_suite() if one.name in numbers]
     records = [
-        Record(one, {**numbers[one.name], "verdicts": [own.as_json()]}, (Verdicts([own]),))
-        for one in suite
+        Record(each.experiment, {**each.numbers, "verdicts": [own.as_json()]}, each.blocks)
+        for each in simulated_pages.records([Verdicts([own])])
     ]
     made = full_report(records, "hmi-marl reproduce")
-    shown = [block for block in made.blocks if isinstance(block, Verdicts)]
-    assert len(shown) == 1 + len(suite)
+    blocks = [block for page in made.pages for block in page.blocks]
+    shown = [block for block in blocks if isinstance(block, Verdicts)]
+    assert len(shown) == 1 + len(records)
     corrections = {one.correction for block in shown for one in block.verdicts}
     assert len(corrections) == 1
     assert not any(one.holds for block in shown[1:] for one in block.verdicts)
-    stage = made.numbers["stages"][suite[0].name]
+    stage = made.numbers["stages"][records[0].experiment.name]
     assert stage["verdicts"][0]["outcome"] == "undetermined"
 
 

@@ -10,13 +10,15 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from browsing import browser, chromium, walk
 from stages import Counting
 
 from hmi_marl.experiments.experiment import Place, learned_in
+from hmi_marl.files import with_checksum, without_checksum, write_json
 from hmi_marl.paper import audit
 from hmi_marl.reproduction import report
-from hmi_marl.reproduction.report import NUMBERS, PAGE, full_report
-from hmi_marl.reproduction.suite import TIMINGS, is_done, run_suite
+from hmi_marl.reproduction.report import PAGE, REPORT, full_report
+from hmi_marl.reproduction.suite import TIMINGS, is_done, read_timings, run_suite
 
 
 @pytest.fixture(autouse=True)
@@ -27,11 +29,14 @@ def audited_once(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "audit", AUDIT)
 
 
+TESTS = Path(__file__).parents[1]
 AUDIT, EXACT_VALUES = cache(report.audit), cache(report.exact_values)
 ONE, OTHER = Counting("one"), Counting("other", 2)
 TINY = """
 import sys
 from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from cited import missing_in
 from hmi_marl.experiments.adaptation.experiment import Adaptation, AdaptSettings
 from hmi_marl.experiments.attentive_drivers import AttentiveDrivers
 from hmi_marl.experiments.graded_alerts import GradedAlerts
@@ -46,29 +51,41 @@ from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 if __name__ == "__main__":
-    learn = TraitSettings(pool=1, num_teams=2, ppo=PPOSettings(num_mini_batches=1), steps=1,
-                          imitation_updates=1, average_updates=1, encoder_updates=1, device="cpu")
+    learn = TraitSettings(pool=1, latent=2, num_teams=2, ppo=PPOSettings(num_mini_batches=1),
+                          steps=1, imitation_updates=1, average_updates=1, encoder_updates=1,
+                          device="cpu")
     suite = [
         MetricsTable(1, 1, 4, 16, seeds=1),
         AttentiveDrivers(1, 1, 8, 16, seeds=2),
         HiddenAttention(1, 1, 4, 4, 16, seeds=1),
         Adaptation(320, 1, 1, 4, 16, seeds=1, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
-        LatentTraits(1, 2000, 4, learn, evaluation=AssessSettings(10, 1, 2)),
+        LatentTraits(1, 2000, 3, 8, learn, evaluation=AssessSettings(10, 1, 2)),
         DriverIdentification(1, 8, 3, 4, 16),
         GradedAlerts(1, 4, 16, seeds=1),
     ]
     folder = Path(sys.argv[1])
     records = run_suite(suite, folder, shared_driver(suite, folder), 2, "hmi-marl reproduce")
-    full_report(records, "hmi-marl reproduce").write(folder)
+    report = full_report(records, "hmi-marl reproduce")
+    report.write(folder / "report")
+    sys.exit("\\n".join(missing_in(report)) or 0)
 """
 
 
-def reproduce(folder: Path, stages=(ONE, OTHER), told=None) -> bytes:
-    """As ``hmi-marl reproduce`` does; returns the report and the numbers."""
+def written(folder: Path) -> dict[str, bytes]:
+    """All files of a report but those of durations, which no two runs have in common."""
+    varying = ("times.html", TIMINGS)
+    found = {path.name: path.read_bytes() for path in (folder / REPORT).iterdir()}
+    assert set(found) >= {PAGE, "claims.html", "made.html", "reproduce.json", *varying}
+    return {name: content for name, content in found.items() if name not in varying}
+
+
+def reproduce(folder: Path, stages=(ONE, OTHER), told=None) -> dict[str, bytes]:
+    """As ``hmi-marl reproduce`` does; returns the report."""
     line = str if told is None else told.append
     records = run_suite(stages, folder, folder, 1, "hmi-marl", line)
-    page = full_report(records, "hmi-marl reproduce").write(folder)
-    return page.read_bytes() + (folder / NUMBERS).read_bytes()
+    timings = read_timings(folder / TIMINGS)
+    full_report(records, "hmi-marl reproduce", timings).write(folder / REPORT)
+    return written(folder)
 
 
 def test_what_is_done_is_skipped_and_told(tmp_path: Path) -> None:
@@ -108,6 +125,17 @@ def test_a_stage_whose_weights_changed_is_done_again(tmp_path: Path) -> None:
     assert reproduce(tmp_path, told=told) == first
     assert told[0] == "stage 1 of 2, one: once more, since one/count.safetensors has changed"
     assert told[-1] == "stage 2 of 2, other: done already"
+
+
+def test_a_record_of_an_earlier_format_is_made_again(tmp_path: Path) -> None:
+    first = reproduce(tmp_path)
+    record = tmp_path / "stages" / "one.json"
+    content = without_checksum(json.loads(record.read_text()))
+    write_json(record, with_checksum({n: content[n] for n in content if n != "format"}))
+    assert not is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
+    told: list[str] = []
+    assert reproduce(tmp_path, told=told) == first
+    assert told[0] == "stage 1 of 2, one: once more, since the format of records has changed"
 
 
 def test_a_damaged_record_is_told(tmp_path: Path) -> None:
@@ -153,7 +181,7 @@ def test_killed_three_times_at_random_it_ends_with_the_same_report(tmp_path: Pat
         os.kill(process.pid, signal.SIGKILL)
         process.join()
         killed += 1
-        if (cut / PAGE).is_file():
+        if (cut / REPORT / PAGE).is_file():
             break  # it was done before
     assert killed
     assert reproduce(cut, slow) == straight
@@ -164,7 +192,7 @@ def started(folder: Path) -> subprocess.Popen:
     script.write_text(TINY)
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    return subprocess.Popen([sys.executable, script, folder], env=environment, **quiet)
+    return subprocess.Popen([sys.executable, script, folder, TESTS], env=environment, **quiet)
 
 
 @pytest.mark.long
@@ -180,5 +208,9 @@ def test_a_whole_reproduction_killed_three_times_ends_with_the_same_report(tmp_p
         process.kill()
         assert process.wait() != 0, "it was done before it was killed"
     assert started(cut).wait() == 0
-    for name in (PAGE, NUMBERS):
-        assert (cut / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
+    assert written(cut) == written(tmp_path / "straight")
+    if chromium():
+        with browser() as opened:
+            found = walk(opened, cut, sorted((cut / REPORT).glob("*.html")))
+        assert not found.problems
+        assert not found.dead_links()

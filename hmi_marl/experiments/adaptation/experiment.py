@@ -90,6 +90,7 @@ class _Judged(SeededExperiment[list[Result]]):
 
     name = "adapt"
     title = "The right help for the driver at the wheel"
+    short = "Adaptation"
 
     def numbers_of(self, results: list[Result]) -> Mapping[str, Any]:
         """See :meth:`SeededExperiment.numbers_of`."""
@@ -341,13 +342,13 @@ def tables(results: Sequence[Result]) -> list[Table]:
     change_title = (
         "Regret from 20 to 40 s after a change of driver, of what the knowing HMI earns [%]"
     )
-    head = ["driver", "HMI", *SHARE_COLUMNS]
+    head, sources = ["driver", "HMI", *SHARE_COLUMNS], ["/results"]
     return [
-        Table.of(worth_title, steady, worth),
-        Table(shares_title, [*head, "regret per trip, last"], shares),
-        Table(learned_title, [*head, "gap per trip"], learned),
-        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first),
-        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change),
+        Table.of(worth_title, steady, worth, sources=sources),
+        Table(shares_title, [*head, "regret per trip, last"], shares, sources=sources),
+        Table(learned_title, [*head, "gap per trip"], learned, sources=sources),
+        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first, sources=sources),
+        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change, sources=sources),
     ]
 
 

@@ -22,15 +22,14 @@ from hmi_marl.experiments.adaptation.hmis import (
     CHOOSING,
     CONDITIONED,
     EXPECTED,
-    KNOWING,
 )
-from hmi_marl.reporting.blocks import Figure, canvas, png
+from hmi_marl.reporting.blocks import Figure
+from hmi_marl.reporting.drawing import canvas, ink, png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = {
-    KNOWING: "#444a55",
     AVERAGE: "#9aa1ab",
     EXPECTED: "#32a050",
     EXPECTED + BAYES: "#5aa9e0",
@@ -41,7 +40,12 @@ COLOURS = {
 
 def figure(results: Sequence[Result]) -> Figure:
     """Show regret, and belief in the true type, by time driven."""
-    return Figure("adapt", "Regret and belief by time at the wheel", partial(_draw, results))
+    return Figure(
+        "adapt",
+        "Regret and belief by time at the wheel",
+        partial(_draw, results),
+        sources=["/results"],
+    )
 
 
 def _draw(results: Sequence[Result]) -> bytes:
@@ -65,7 +69,7 @@ def _draw_regret(axes: Axes, result: Result) -> None:
         values = np.array(result.regret[hmi])
         smooth = np.convolve(values, np.full(3, 1 / 3), mode="valid")
         axes.plot(np.arange(len(smooth)) + 1.5, smooth, label=hmi, color=COLOURS[hmi], lw=1.4)
-    axes.axhline(0.0, color=COLOURS[KNOWING], lw=0.8)
+    axes.axhline(0.0, color=ink(), lw=0.8)
     axes.set_title(result.group, fontsize=10)
     _mark_change(axes, result)
 

@@ -41,6 +41,8 @@ from hmi_marl.typed_json import read_as
 
 CASES = "cases"
 """Folder of the cases that are solved, below that of the experiment."""
+_SOURCES = ("/cases",)
+"""Place of the numbers in the JSON file."""
 Cells = Annotated[int, Whole(1, 50)]
 Points = Annotated[int, Whole(2, 201)]
 
@@ -184,11 +186,11 @@ class DriverMap(Experiment[list[CaseResult]]):
                 "the midpoint rule, ± the difference from the rule with a third as many points of "
                 "each trait."
             ),
-            Figure("map-seen", SEEN_FIGURE, figures.seen),
+            Figure("map-seen", SEEN_FIGURE, figures.seen, sources=_SOURCES),
             seen_table(results),
-            Figure("map-hidden", HIDDEN_FIGURE, figures.hidden),
+            Figure("map-hidden", HIDDEN_FIGURE, figures.hidden, sources=_SOURCES),
             hidden_table(results),
-            Figure("map-curves", CURVES_FIGURE, figures.curves),
+            Figure("map-curves", CURVES_FIGURE, figures.curves, sources=_SOURCES),
         ]
 
 
@@ -270,6 +272,7 @@ def seen_table(results: list[CaseResult]) -> Table:
         "driver",
         [r for r in results if r.case.revealing is None],
         columns,
+        sources=_SOURCES,
     )
 
 
@@ -291,4 +294,5 @@ def hidden_table(results: list[CaseResult]) -> Table:
         "average driver",
         [r for r in results if r.case.revealing is not None],
         columns,
+        sources=_SOURCES,
     )

@@ -17,7 +17,7 @@ from hmi_marl.experiments.driver_map.cases import (
     CaseResult,
 )
 from hmi_marl.experiments.experiment import MODELS
-from hmi_marl.reporting.blocks import COLOURS, canvas, png
+from hmi_marl.reporting.drawing import COLOURS, canvas, ink, png
 
 _ROWS = 5
 """Rows of heat maps in a figure, at most."""
@@ -88,7 +88,7 @@ class MapFigures:
             worth = [r.losses[AVERAGE].named[name] for r in found]
             shares.plot(percent, worth, "o-", ms=4, color=_NAMED_COLOURS[name], label=name)
         mean = [r.losses[AVERAGE].mean.value for r in found]
-        shares.plot(percent, mean, "k--", lw=1.5, label="mean over all drivers")
+        shares.plot(percent, mean, "--", color=ink(), lw=1.5, label="mean over all drivers")
         shares.set_title(f"attention hidden, N = {self._window}", fontsize=10)
         shares.set_xlabel("revealing steps [%]")
         shares.set_ylabel("worth of knowing the driver")
@@ -110,7 +110,7 @@ class MapFigures:
         places = np.arange(len(rows))[::-1]
         colours = [_COLOURS[r.case.weights] for r in rows.values()]
         values, errors = [m.value for m in means], [m.error for m in means]
-        axes.barh(places, values, xerr=errors, color=colours, height=0.65, ecolor="#3b3b3b")
+        axes.barh(places, values, xerr=errors, color=colours, height=0.65, ecolor=ink())
         axes.set_yticks(places, list(rows))
         axes.set_xlabel("mean worth over all drivers")
         axes.set_title(f"attention hidden, {100 * self._revealing:g} % revealing", fontsize=10)

@@ -20,7 +20,8 @@ from hmi_marl.experiments.latent_traits import assessment, ceiling
 from hmi_marl.experiments.latent_traits.assessment import Assessment, AssessSettings
 from hmi_marl.experiments.latent_traits.imitation import check_fits
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, evaluate_posteriors
-from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
+from hmi_marl.experiments.latent_traits.report import TraitReport
+from hmi_marl.experiments.latent_traits.results import TraitResults
 from hmi_marl.experiments.latent_traits.strangers import strangers_pools
 from hmi_marl.files import sha256_of
 from hmi_marl.training.runs.folder import FREE as MACHINE

@@ -17,7 +17,8 @@ from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_wei
 from hmi_marl.experiments.latent_traits import assessment
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.evaluation import SUPERVISIONS, TraitEvaluation
-from hmi_marl.experiments.latent_traits.report import TraitReport, TraitResults
+from hmi_marl.experiments.latent_traits.report import TraitReport
+from hmi_marl.experiments.latent_traits.results import TraitResults
 from hmi_marl.experiments.latent_traits.strangers import MIN_STRANGERS, strangers_pools
 from hmi_marl.files import json_value, sha256_of
 from hmi_marl.ownership import owned

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.experiments.latent_traits.assessment import Embedding
 from hmi_marl.experiments.latent_traits.probes import average_kl, checked_vectors
-from hmi_marl.reporting.blocks import COLOURS, Figure, canvas, png
+from hmi_marl.reporting.blocks import Figure
+from hmi_marl.reporting.drawing import COLOURS, canvas, faint, ink, png
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.text import in_figure
 
@@ -38,7 +39,7 @@ TITLES = {
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SIGMAS = 2.0
 """Standard deviations from an ellipse's centre to its edge."""
-_GREY = "#666"
+_GREY = "#808080"
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def draw_embeddings(panels: Sequence[EmbeddingPanel]) -> Drawing:
     return figure
 
 
-def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
+def embeddings_figure(embeddings: Mapping[str, Embedding], sources: Sequence[str] = ()) -> Figure:
     """Draw the paper's figure: a panel for each setting, with the average KL of its vectors."""
     panels = [
         EmbeddingPanel(
@@ -95,7 +96,9 @@ def embeddings_figure(embeddings: Mapping[str, Embedding]) -> Figure:
         )
         for name, one in embeddings.items()
     ]
-    return Figure("embeddings", "embeddings by driver", lambda: png(draw_embeddings(panels)))
+    return Figure(
+        "embeddings", "embeddings by driver", lambda: png(draw_embeddings(panels)), sources=sources
+    )
 
 
 def draw_accuracy(
@@ -134,7 +137,7 @@ def draw_accuracy(
         _accuracy_line(axes, at, curve, name, place)
     if ceiling is not None:
         bayes = np.broadcast_to(best, seen.shape)
-        axes.plot(seen, bayes, "--", color="#222", linewidth=1.3, label="exact Bayes")
+        axes.plot(seen, bayes, "--", color=ink(), linewidth=1.3, label="exact Bayes")
     axes.axhline(chance, color=_GREY, linestyle=":", linewidth=1.3, label="chance")
     axes.set_xscale("log", base=2)
     axes.set_xticks(seen, [str(number) for number in windows])
@@ -144,7 +147,7 @@ def draw_accuracy(
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_xlabel("windows seen")
     axes.set_ylabel("drivers recognised")
-    axes.grid(axis="y", color="#ddd", linewidth=0.7)
+    axes.grid(axis="y", color=faint(), linewidth=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     drawn = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.latent_traits.figures import TITLES, two_axes
 from hmi_marl.experiments.latent_traits.strangers import TraitReading
-from hmi_marl.reporting.blocks import COLOURS, Figure, canvas, png
+from hmi_marl.reporting.blocks import Figure
+from hmi_marl.reporting.drawing import COLOURS, canvas, ink, png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -17,10 +19,12 @@ if TYPE_CHECKING:
 _SYMBOLS = {"beta": "β", "alpha": "α", "eta": "η", "inflation": "inflation"}
 
 
-def reading_figure(setting: str, reading: TraitReading) -> Figure:
+def reading_figure(setting: str, reading: TraitReading, sources: Sequence[str] = ()) -> Figure:
     """Draw :func:`draw_reading` for a setting."""
     title = f"traits of strangers, {TITLES[setting]}"
-    return Figure(f"strangers-{setting}", title, lambda: png(draw_reading(reading)))
+    return Figure(
+        f"strangers-{setting}", title, lambda: png(draw_reading(reading)), sources=sources
+    )
 
 
 def draw_reading(reading: TraitReading) -> Drawing:
@@ -39,7 +43,7 @@ def draw_reading(reading: TraitReading) -> Drawing:
         axes = below[column]
         ends = [float(np.min(true)), float(np.max(true))]
         axes.scatter(true, predicted, s=7, alpha=0.5, color=COLOURS[0], linewidths=0)
-        axes.plot(ends, ends, color="#222", linewidth=1.0)
+        axes.plot(ends, ends, color=ink(), linewidth=1.0)
         axes.set_xlabel(f"true {_SYMBOLS[name]}")
         axes.set_ylabel("read from z" if column == 0 else "")
         axes.set_title(f"R² {reading.r2[name].network.mean:.2f}", fontsize=10)

@@ -51,6 +51,7 @@ from hmi_marl.experiments.metrics_table.table import (
 from hmi_marl.experiments.training_seeds import SeededExperiment
 from hmi_marl.paper.audit import HORIZONS
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
+from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Verdict
 from hmi_marl.training.jobs import Job
@@ -201,7 +202,12 @@ class MetricsTable(SeededExperiment[list[PaperTable]]):
         """Figure, and tables of each variant."""
         shown: list[Block] = [
             Text(CAPTION),
-            Figure("table", "bars of both tables", partial(paper_figure, results)),
+            Figure(
+                "table",
+                "bars of both tables",
+                partial(paper_figure, results),
+                sources=["/tables"],
+            ),
         ]
         for table in results:
             shown += [_metric_table(table, *metric) for metric in METRICS]
@@ -240,7 +246,8 @@ def _metric_table(
         return "\n".join([*lines, f"paper {value:.0f}: {compared}"])
 
     rows = [[hmi, *(entry(hmi, driver) for driver in table.columns)] for hmi in table.rows]
-    return Table(f"{title}, {table.variant.title}", ["HMI for", *table.columns], rows)
+    head, source = ["HMI for", *table.columns], pointer("tables", table.variant.name)
+    return Table(f"{title}, {table.variant.title}", head, rows, sources=[source])
 
 
 def _average_table(table: PaperTable) -> Table:
@@ -253,7 +260,8 @@ def _average_table(table: PaperTable) -> Table:
         "compared": lambda average: average.compared,
     }
     title = f"Averages over the drivers, {table.variant.title}"
-    return Table.of(title, averages(table), columns)
+    source = pointer("averages", table.variant.name)
+    return Table.of(title, averages(table), columns, sources=[source])
 
 
 def _difference_tables(table: PaperTable) -> list[Table]:
@@ -270,7 +278,10 @@ def _difference_tables(table: PaperTable) -> list[Table]:
             for driver in (*table.columns, ALL)
         ]
         title = f"{metric.replace('_', ' ').capitalize()}: differences per episode, paired"
-        found.append(Table(f"{title}, {table.variant.title}", ["driver", *pairs], rows))
+        title += f", {table.variant.title}"
+        between = pointer("differences", table.variant.name, "between_rows")
+        sources = [between + pointer(pair, metric) for pair in pairs]
+        found.append(Table(title, ["driver", *pairs], rows, sources=sources))
     return found
 
 
@@ -286,4 +297,9 @@ def _optimum_table(table: PaperTable) -> Table:
         for driver, cell in table.with_own_hmi().items()
     ]
     head = ["driver", "attention return, own HMI", "exact optimum", "less optimum", "missing"]
-    return Table(f"Own HMI and the exact optimum, {table.variant.title}", head, rows)
+    name = table.variant.name
+    sources = [pointer("tables", name), pointer("attention_shortfall_of_own_hmis", name)]
+    if table.average is not None:
+        sources.append(pointer("average_driver_with_own_hmi", name))
+    title = f"Own HMI and the exact optimum, {table.variant.title}"
+    return Table(title, head, rows, sources=sources)

@@ -23,7 +23,7 @@ from hmi_marl.experiments.training_seeds import learned_part
 from hmi_marl.files import json_value
 from hmi_marl.paper.audit import reachable_in_the_paper
 from hmi_marl.paper.printed import DISTRACTION_RETURNS, SPEED_RETURNS, mean_over_drivers
-from hmi_marl.reporting.blocks import COLOURS, canvas, png
+from hmi_marl.reporting.drawing import COLOURS, canvas, ink, png
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Part
 
@@ -199,20 +199,17 @@ def numbers(tables: Sequence[PaperTable]) -> dict[str, Any]:
 
 
 def _cells(table: PaperTable) -> list[dict[str, Any]]:
-    return [
-        cell.as_json()
-        | {
-            "hmi": hmi,
-            "driver": driver,
-            "attention_shortfall": shortfall(cell),
-            "paper": {
-                metric: printed[row][driver] if row else None
-                for metric, _, printed in METRICS
-                for row in (table.paper_row(hmi, driver),)
-            },
+    drivers, found = {driver.name: driver for driver in table.variant.drivers}, []
+    for (hmi, driver), cell in table.cells.items():
+        row = table.paper_row(hmi, driver)
+        paper = {metric: printed[row][driver] if row else None for metric, _, printed in METRICS}
+        compared = {
+            metric: None if value is None else paper_compared(cell, drivers[driver], metric, value)
+            for metric, value in paper.items()
         }
-        for (hmi, driver), cell in table.cells.items()
-    ]
+        about = {"hmi": hmi, "driver": driver, "attention_shortfall": shortfall(cell)}
+        found.append(cell.as_json() | about | {"paper": paper, "paper_compared": compared})
+    return found
 
 
 def paper_figure(tables: Sequence[PaperTable]) -> bytes:
@@ -230,7 +227,8 @@ def paper_figure(tables: Sequence[PaperTable]) -> bytes:
                 axes.bar(at, means, width * 0.92, color=COLOURS[k % len(COLOURS)], label=name)
                 if metric == "distraction_return":
                     exact = [cell.exact_distraction_return_same_steps for cell in cells]
-                    axes.plot(at, exact, "k_", markersize=8, label="exact" if k == 0 else None)
+                    label = "exact" if k == 0 else None
+                    axes.plot(at, exact, "_", color=ink(), markersize=8, label=label)
                 rows = [table.paper_row(hmi, driver) for driver in table.columns]
                 shown = [
                     (x, printed[row][driver])

@@ -16,17 +16,8 @@ import numpy as np
 from hmi_marl.experiments.metrics_table.in_short import in_short
 from hmi_marl.experiments.metrics_table.table import Cell, TableConfig
 from hmi_marl.files import write_text
-from hmi_marl.reporting.blocks import (
-    COLOURS,
-    Block,
-    Clip,
-    Figure,
-    Heading,
-    Table,
-    Text,
-    canvas,
-    png,
-)
+from hmi_marl.reporting.blocks import Block, Clip, Figure, Heading, Table, Text
+from hmi_marl.reporting.drawing import COLOURS, canvas, ink, png
 from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.text import in_figure, printable
@@ -75,7 +66,7 @@ def make_report(
         *remarks,
         *((Heading("One episode"), clip) if clip else ()),
         Heading("Drivers and HMIs"),
-        Figure("table", "bars of each metric by driver and HMI", wide, narrow),
+        Figure("table", "bars of each metric by driver and HMI", wide, narrow, sources=["/cells"]),
         Text(described),
         *metric_tables(config, cells),
     ]
@@ -123,6 +114,7 @@ def metric_tables(config: TableConfig, cells: Sequence[Cell]) -> list[Table]:
                 ]
                 for hmi in config.hmis
             ],
+            sources=["/cells"],
         )
         for metric, title, form in METRICS
     ]
@@ -188,13 +180,13 @@ def _bars(axes: Axes, config: TableConfig, cells: Sequence[Cell], name: str) -> 
         errors = np.nan_to_num(np.abs(ends - means))
         at = places + (row + 0.5) * width - 0.4
         colour = COLOURS[row % len(COLOURS)]
-        line, label = {"elinewidth": 1, "ecolor": "#333"}, in_figure(hmi)
+        line, label = {"elinewidth": 1, "ecolor": ink()}, in_figure(hmi)
         axes.bar(at, means, width * 0.92, yerr=errors, color=colour, label=label, error_kw=line)
         if name == "distraction_return":
             exact = [own[driver].exact_distraction_return_same_steps for driver in config.drivers]
             marks = [math.nan if value is None else value for value in exact]
             last = "exact, same number of steps" if row == len(config.hmis) - 1 else None
-            axes.plot(at, marks, "k_", markersize=9, markeredgewidth=2, label=last)
+            axes.plot(at, marks, "_", color=ink(), markersize=9, markeredgewidth=2, label=last)
     axes.set_xticks(places, [in_figure(driver) for driver in config.drivers])
     axes.spines[["top", "right"]].set_visible(False)
-    axes.axhline(0, color="#333", linewidth=0.8)
+    axes.axhline(0, color=ink(), linewidth=0.8)

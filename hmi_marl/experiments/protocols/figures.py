@@ -11,11 +11,11 @@ from hmi_marl.experiments.protocols.cross_play import cell_of, drivers_of, hmis_
 from hmi_marl.experiments.protocols.findings import sweep
 from hmi_marl.experiments.protocols.results import TaskResults
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.blocks import canvas, png
+from hmi_marl.reporting.drawing import canvas, png
 from hmi_marl.reporting.many_runs import performance_profile
 from hmi_marl.training.protocols.registry import compared
 
-COLOURS = ("#3b3b3b", "#e0a030", "#32a050", "#5aa9e0", "#b0508c", "#6a5acd")
+COLOURS = ("#6b7280", "#e0a030", "#32a050", "#5aa9e0", "#b0508c", "#6a5acd")
 """Colours of the protocols, in the order in which they are registered."""
 CURVES = {
     "attention_return": "attention return",

@@ -13,7 +13,8 @@ from hmi_marl.experiments.speed.bench import (
     BenchConfig,
     Measured,
 )
-from hmi_marl.reporting.blocks import COLOURS, Block, Figure, Table, canvas, png
+from hmi_marl.reporting.blocks import Block, Figure, Table
+from hmi_marl.reporting.drawing import COLOURS, canvas, png
 from hmi_marl.reporting.report import Report
 
 
@@ -32,7 +33,8 @@ def make_report(config: BenchConfig, rows: Sequence[Measured], command_line: str
         ),
     }
     numbers = {"rows": [asdict(row) for row in rows]}
-    table = Table.of("Speed, and its ratio to highway-env's own step", rows, columns)
+    title = "Speed, and its ratio to highway-env's own step"
+    table = Table.of(title, rows, columns, sources=["/rows"])
     blocks: list[Block] = [table, growth_figure(rows)]
     return Report("bench", "Speed of the worlds", blocks, numbers, command_line, asdict(config))
 
@@ -40,7 +42,7 @@ def make_report(config: BenchConfig, rows: Sequence[Measured], command_line: str
 def growth_figure(rows: Sequence[Measured]) -> Figure:
     """Show how the speed grows, and the cost."""
     description = "speed by number of teams and threads; cost by number of vehicles"
-    return Figure("bench", description, partial(_draw, rows))
+    return Figure("bench", description, partial(_draw, rows), sources=["/rows"])
 
 
 def _draw(rows: Sequence[Measured]) -> bytes:

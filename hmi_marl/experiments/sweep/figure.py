@@ -7,7 +7,7 @@ from typing import Any
 
 from hmi_marl.experiments.sweep.options import written
 from hmi_marl.experiments.sweep.plan import Combination, varying
-from hmi_marl.reporting.blocks import COLOURS, canvas, png
+from hmi_marl.reporting.drawing import COLOURS, canvas, png
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.text import in_figure
 

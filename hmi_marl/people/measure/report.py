@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, TRAIT_NAMES
 from hmi_marl.people.measure.assumptions import AssumptionTest, dwell_rows, effect_rows
 from hmi_marl.people.measure.person import MeasuredPerson
-from hmi_marl.reporting.blocks import COLOURS, Block, Figure, Table, Text, canvas, png
+from hmi_marl.reporting.blocks import Block, Figure, Table, Text
+from hmi_marl.reporting.drawing import COLOURS, canvas, png
 from hmi_marl.reporting.statistics import number
 
 _SYMBOLS = {"beta": "β", "alpha": "α", "eta": "η", "inflation": "inflation"}

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cited import missing
 
 from hmi_marl.experiments.adaptation.evaluation import POPULATION, WHEN, Result
 from hmi_marl.experiments.adaptation.experiment import (
@@ -164,6 +165,7 @@ def test_tables_are_whole():
     for table in tables(results()):
         assert table.rows
         assert all(len(row) == len(table.head) for row in table.rows)
+    assert not missing(tables(results()), AdaptEvaluation().numbers_of(results()))
     titles = [table.title for table in tables(results())]
     assert len(titles) == len(set(titles))
 

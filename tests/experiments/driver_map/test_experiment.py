@@ -2,6 +2,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from cited import missing
 
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import DRIVERS
@@ -64,7 +65,9 @@ def test_verdicts_turn_with_the_losses():
 
 def test_every_problem_is_in_a_table_and_every_figure_is_drawn():
     settings = DriverMap(windows=(1, 7), shares=(0.0, 0.35, 1.0))
-    blocks = settings.blocks(results(settings, loss(279.0, 0.023), loss(800.0, 0.9, bart=177.7)))
+    found = results(settings, loss(279.0, 0.023), loss(800.0, 0.9, bart=177.7))
+    blocks = settings.blocks(found)
+    assert not missing(blocks, settings.numbers(found))
     text = as_text(blocks)
     assert text.count("279 (0.1, 0, 0.1)") == 2 * len(WEIGHTS)
     assert text.count("177.7") == len(settings.hidden) == 3 + 1 + len(WEIGHTS) - 1

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cited import missing
 from foreign_texts import FOREIGN
 
 from hmi_marl.envs.drivers import TRAIT_NAMES
@@ -17,23 +18,23 @@ from hmi_marl.experiments.latent_traits import report as trait_report
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
+from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, TraitScore
 from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, average_kl
-from hmi_marl.experiments.latent_traits.report import (
-    TraitResults,
+from hmi_marl.experiments.latent_traits.report import left_out
+from hmi_marl.experiments.latent_traits.results import TraitResults
+from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
+from hmi_marl.experiments.latent_traits.strangers import Naming, TraitReading
+from hmi_marl.experiments.latent_traits.tables import (
     accuracy_figure,
     driving_table,
-    embeddings_figure,
     identity_table,
-    left_out,
     likelihood_table,
     naming_table,
     ranking_table,
     trait_table,
 )
-from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
-from hmi_marl.experiments.latent_traits.strangers import Naming, TraitReading
 from hmi_marl.experiments.latent_traits.trait_figures import draw_reading
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import as_text
@@ -424,6 +425,11 @@ def test_the_text_holds_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "nan" not in text
     missed = report_of(seeds({"none": [one(hits=30)]}), tmp_path, monkeypatch).text
     assert "not supported  unsupervised" in missed
+
+
+def test_every_number_is_where_its_source_says() -> None:
+    for found in (ALL, seeds(THREE, 2), results(none=[one(best=None, driving=[], reading=None)])):
+        assert not missing(REPORT.blocks(found), REPORT.numbers(found))
 
 
 def test_what_was_left_out_is_told_and_nothing_else() -> None:

@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from cited import missing
 
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, get_driver
@@ -165,6 +166,14 @@ def test_the_diagonal_is_the_papers_own_row():
 def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys, monkeypatch):
     for owner, name in ((experiment, "TwoStage"), (module, "TwoStage"), (module, "TableConfig")):
         monkeypatch.setattr(owner, name, partial(getattr(owner, name), duration=2.0))
+    shown, blocks = [], MetricsTable.blocks
+
+    def kept(table, results):
+        made = blocks(table, results)
+        shown.extend(made)
+        return made
+
+    monkeypatch.setattr(MetricsTable, "blocks", kept)
     out = tmp_path / "table"
     command = ["reproduce", "table", *TINY, "--workers", "1", "--out", str(out)]
     assert main(command) == 0
@@ -190,6 +199,7 @@ def test_the_whole_reproduction_runs_and_runs_on(tmp_path: Path, capsys, monkeyp
         assert whole["mean"] == pytest.approx(next(rows) - next(rows))
     shortfalls = content["attention_shortfall_of_own_hmis"]
     assert list(shortfalls["printed"]) == ["lisa", "marge", "bart", "homer", "average"]
+    assert not missing(shown, content)
     page = (out / "index.html").read_text()
     assert "<img" in page
     assert "http" not in page.replace("http-equiv", "")

@@ -2,6 +2,7 @@ import base64
 import csv
 import json
 import math
+import re
 from copy import copy
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cited import missing
 from foreign_texts import FOREIGN
 from matplotlib.figure import Figure
 from PIL import Image
@@ -99,7 +101,7 @@ def alone() -> tuple[TableConfig, list[Cell]]:
 
 
 def clip(caption: str = "") -> Clip:
-    return Clip("clip", caption, CLIP)
+    return Clip("clip", caption, CLIP, ["/clip"])
 
 
 def png_size(content: bytes) -> tuple[int, int]:
@@ -147,12 +149,17 @@ def test_the_page_needs_nothing_besides_itself(
     path = report.write_report(tmp_path, config, cells, COMMAND, clip())
     html = path.read_text("utf-8")
     page = Page(html)
-    assert len(page.links) == 3
-    assert all(link.startswith("data:image/") for link in page.links)
+    pictures = [link for link in page.links if link.startswith("data:image/")]
+    assert len(pictures) == 5  # the clip, and the figure by width and for dark pages
+    assert {link for link in page.links if link not in pictures} == {
+        "table.json#/cells",
+        "table.json#/clip",
+    }
     assert not {"script", "link", "iframe"} & set(page.tags)
     assert "@import" not in html
     assert "url(" not in html
-    narrow, wide = embedded(page, "png")
+    dark_narrow, narrow, dark, wide = embedded(page, "png")
+    assert len({dark_narrow, narrow, dark, wide}) == 4
     assert wide == (tmp_path / "table.png").read_bytes()
     assert png_size(narrow)[0] < png_size(narrow)[1], "panels stand one below the other"
     assert embedded(page, "gif") == [CLIP]
@@ -161,6 +168,8 @@ def test_the_page_needs_nothing_besides_itself(
 def test_the_page_begins_with_what_came_out(config: TableConfig, cells: list[Cell]) -> None:
     html = report.make_report(config, cells, COMMAND, clip("4.0 to 8.0 s: homer drives.")).page
     page = Page(html)
+    made = report.make_report(config, cells, COMMAND, clip())
+    assert not missing(made.blocks, made.numbers)
     remarks = in_short(config, cells)
     assert remarks
     for remark in remarks:
@@ -168,7 +177,8 @@ def test_the_page_begins_with_what_came_out(config: TableConfig, cells: list[Cel
         assert remark.text.replace("`", "") in page.text
     assert page.text.index(remarks[-1].lead) < page.text.index("4.0 to 8.0 s: homer drives.")
     assert page.text.index("4.0 to 8.0 s") < page.text.index(report.METRICS[0][1])
-    assert html.count("<code>") == 2, "the command to try next, and the one that made the page"
+    own = re.sub('<p class="source">.*?</p>', "", html)
+    assert own.count("<code>") == 2, "the command to try next, and the one that made the page"
 
 
 def test_json_has_the_sentences_and_the_caption(

@@ -4,6 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from cited import missing
 
 from hmi_marl import Scene, TeamConfig, make_vec
 from hmi_marl.envs.worlds.batched import BatchedWorld
@@ -48,6 +49,7 @@ def test_everybody_is_measured_beside_highway_env():
     report = make_report(TINY, rows, "hmi-marl bench")
     assert all(name in report.text for name in by_name)
     assert len(json.loads(json.dumps(report.numbers))["rows"]) == len(rows)
+    assert not missing(report.blocks, report.numbers)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,131 @@
+"""Assessments of trait models of several settings and seeds, and their means over seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from hmi_marl.experiments import criteria
+from hmi_marl.experiments.latent_traits.assessment import Assessment, Identified
+from hmi_marl.experiments.latent_traits.ceiling import Ceilings
+from hmi_marl.experiments.latent_traits.posterior import PosteriorRow
+from hmi_marl.files import json_value
+from hmi_marl.reporting import statistics
+from hmi_marl.reporting.sources import pointer
+from hmi_marl.reporting.statistics import Estimate
+
+PROBES = ("linear", "smooth", "network")
+"""What reads traits from z; see :class:`TraitR2`."""
+
+
+@dataclass(frozen=True)
+class TraitResults:
+    """Assessments of trait models."""
+
+    assessments: Mapping[str, Sequence[Assessment]]
+    """By supervision, one for each seed."""
+    pool: int
+    """Windows that the models pool."""
+    one_step: Ceilings | None = None
+    """Accuracies of the exact classifier that sees a single observation; None if not known."""
+    posterior: PosteriorRow | None = None
+    """The exact posterior of judged strangers from as many windows; None if it was not computed."""
+
+    @property
+    def first(self) -> Mapping[str, Assessment]:
+        """Assessment of the first seed of each setting."""
+        return {name: several[0] for name, several in self.assessments.items()}
+
+    @property
+    def identified(self) -> list[Identified]:
+        """Accuracies of the first model, by windows seen."""
+        return next(iter(self.first.values())).identified
+
+    def accuracy(self, setting: str, size: int, of: str = "types") -> Estimate:
+        """Average the probe's accuracy on "types" or "preferences"; 1 seed: interval over pools."""
+        probes = [getattr(o.at_pool(size), of).linear_probe for o in self.assessments[setting]]
+        if len(probes) == 1:
+            return probes[0]
+        found = statistics.mean([probe.mean for probe in probes])
+        return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
+
+    def by_seed(self, setting: str, size: int, of: str = "types") -> Estimate:
+        """Average the same over training seeds; without an interval for a single one."""
+        return statistics.mean_share(
+            [getattr(one.at_pool(size), of).linear_probe for one in self.assessments[setting]]
+        )
+
+    def kl_ratio(self, setting: str, other: str, size: int) -> Estimate:
+        """Ratio of the average KL of two settings, paired by seed, geometric mean."""
+        kl = [
+            [max(one.at_pool(size).types.average_kl, criteria.SMALLEST_KL) for one in several]
+            for several in (self.assessments[setting], self.assessments[other])
+        ]
+        seeds = min(map(len, kl))
+        return statistics.geometric_ratio(kl[0][:seeds], kl[1][:seeds])
+
+    def average_kl(self, setting: str, size: int) -> Estimate:
+        """Average the KL between driver types over seeds."""
+        return statistics.mean(
+            [o.at_pool(size).types.average_kl for o in self.assessments[setting]]
+        )
+
+    def trait_r2(self, setting: str, trait: str, probe: str) -> Estimate | None:
+        """Average R² of a probe over seeds; 1 seed: interval over strangers; None if not judged."""
+        found = self._r2(setting, trait, probe)
+        if len(found) < 2:
+            return found[0] if found else None
+        return statistics.mean([each.mean for each in found])
+
+    def trait_r2_by_seed(self, setting: str, trait: str, probe: str) -> Estimate:
+        """Average the same over training seeds; without an interval for a single one."""
+        return statistics.mean_of_same(self._r2(setting, trait, probe))
+
+    def _r2(self, setting: str, trait: str, probe: str) -> list[Estimate]:
+        readings = [one.reading for one in self.assessments[setting] if one.reading is not None]
+        return [getattr(reading.r2[trait], probe) for reading in readings]
+
+    def share_of_exact(self, setting: str, trait: str) -> float | None:
+        """Ratio of the network's R² to that of the exact posterior; None if one is not known."""
+        found = self.trait_r2(setting, trait, PROBES[-1])
+        if self.posterior is None or found is None:
+            return None
+        return found.mean / self.posterior.traits[trait].r2.mean
+
+    def named(self, setting: str, place: int) -> Estimate:
+        """Average the share of types named from one labelled pool over seeds, by rows of naming."""
+        found = [one.naming[place].named for one in self.assessments[setting]]
+        return found[0] if len(found) == 1 else statistics.mean([each.mean for each in found])
+
+
+def sources_of(results: TraitResults, *keys: str | int) -> list[str]:
+    """Places of the same numbers of every setting."""
+    return [pointer("supervisions", name, *keys) for name in results.assessments]
+
+
+def by_windows(results: TraitResults, name: str) -> list[dict[str, Any]]:
+    """Means over the seeds of a setting, by windows seen."""
+    return [
+        {
+            "windows": row.windows,
+            "accuracy": results.accuracy(name, row.windows).as_json(),
+            "average_kl": results.average_kl(name, row.windows).as_json(),
+            "preference_accuracy": results.accuracy(name, row.windows, "preferences").as_json()
+            if row.preferences
+            else None,
+        }
+        for row in results.first[name].identified
+    ]
+
+
+def r2_of_traits(results: TraitResults, name: str) -> dict[str, Any]:
+    """R² of each trait of strangers, means over the seeds of a setting, and the exact ones."""
+    reading = results.first[name].reading
+    return {
+        trait: {
+            **{probe: json_value(results.trait_r2(name, trait, probe)) for probe in PROBES},
+            "share_of_exact": json_value(results.share_of_exact(name, trait)),
+        }
+        for trait in (reading.r2 if reading is not None else ())
+    }
