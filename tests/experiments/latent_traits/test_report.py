@@ -14,7 +14,7 @@ from foreign_texts import FOREIGN
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.experiment import Place, conduct
 from hmi_marl.experiments.latent_traits import figures
-from hmi_marl.experiments.latent_traits import report as trait_report
+from hmi_marl.experiments.latent_traits import tables as trait_tables
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
@@ -505,7 +505,7 @@ def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:
         drawn["panels"] = given
         return Saved()
 
-    monkeypatch.setattr(trait_report, "draw_accuracy", curves)
+    monkeypatch.setattr(trait_tables, "draw_accuracy", curves)
     monkeypatch.setattr(figures, "draw_embeddings", panels)
     assert accuracy_figure(ALL).drawn == embeddings_figure(EMBEDDINGS).drawn == b"figure"
     windows, lines, ceiling, chance = drawn["accuracy"]
