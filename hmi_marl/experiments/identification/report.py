@@ -54,6 +54,7 @@ class IdentificationReport(Experiment[IdentificationResults]):
 
     name = "identify"
     title = "Who drives: attention, and the policy's reaction to its traits"
+    short = "Who drives"
     paper = (
         "The paper learns latent traits of drivers from how they drive (Sec. VIII-B). Its drivers "
         "are one network that reads their traits, so that part of what tells them apart is how the "
@@ -107,6 +108,7 @@ class IdentificationReport(Experiment[IdentificationResults]):
                 "By the exact classifier, which knows the policy and the chain. Intervals: 95 %, "
                 f"over windows of separate episodes, or pools of {POOL} of them; differences are "
                 "paired by windows of the same seed. Among candidates that are equal one is drawn.",
+                sources=["/named"],
             ),
             trait_table(results.posteriors),
             Table.of(
@@ -121,6 +123,7 @@ class IdentificationReport(Experiment[IdentificationResults]):
                     "of the control [%]": lambda row: row.control_crash_rate.percent(),
                 },
                 "Intervals: 95 %, over episodes, the same ones for both.",
+                sources=["/driving"],
             ),
         ]
 
@@ -138,6 +141,7 @@ def trait_table(posteriors: Mapping[str, PosteriorRow]) -> Table:
         rows,
         f"Over {count} drivers of a continuous population, the same ones; intervals: 95 %, over "
         "drivers.",
+        sources=["/posteriors"],
     )
 
 

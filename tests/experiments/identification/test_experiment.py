@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cited import missing
 from trait_models import save_driver
 
 from hmi_marl.cli import main
@@ -75,6 +76,7 @@ def test_the_report_says_which_part_is_the_reaction() -> None:
     assert "v with a^H hidden, by both" in shown
     assert "+40.0 [+38.0, +42.0]" in shown
     assert "0.90 [0.80, 0.95]" in shown
+    assert not missing(experiment.blocks(results()), experiment.numbers(results()))
 
 
 def test_the_control_is_learned_as_the_papers_table_learns_its_driver(tmp_path: Path) -> None:
