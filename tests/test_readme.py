@@ -1,4 +1,5 @@
 import re
+import runpy
 
 import pytest
 from pages import README, ROOT, blocks, commands
@@ -34,3 +35,31 @@ def test_the_command_lines_of_the_readme_are_understood():
     assert len(lines) >= 4
     for arguments in lines:
         parse(arguments)  # exits where it does not understand
+
+
+def test_the_ten_minutes_are_commands_with_times() -> None:
+    from hmi_marl.cli import parse
+
+    path = ROOT / "benchmarks" / "ten_minutes.py"
+    found = runpy.run_path(str(path))["commands"](TEXT)
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    assert len(found) >= 6
+    for command in found:
+        tool, *arguments = command.split()
+        if tool == "hmi-marl":
+            parse(arguments)  # exits where it does not understand
+        else:
+            assert tool in (".", "make")
+            assert tool == "." or f"\n{arguments[0]}:" in makefile
+    rows = [
+        row for row in TEXT.partition("## Ten minutes")[2].splitlines() if row.startswith("| `")
+    ]
+    assert len(rows) == len(found)
+    for row in rows[:1] + [row for row in rows if "`hmi-marl" in row]:
+        assert re.search(r"\| \d+(\.\d)? (s|min) \|", row), f"no time: {row}"
+
+
+def test_a_readme_without_that_section_is_refused() -> None:
+    path = ROOT / "benchmarks" / "ten_minutes.py"
+    with pytest.raises(ValueError, match="no section"):
+        runpy.run_path(str(path))["commands"]("# hmi-marl")
