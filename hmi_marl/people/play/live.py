@@ -97,7 +97,7 @@ class LiveTrip:
         commits: Commits,
         leave: Callable[[LiveTrip], None],
     ) -> None:
-        self.number, self.session = stored.number, stored.session
+        self.number, self.session, self._seed = stored.number, stored.session, stored.record.seed
         self._trip, self._commits, self._leave = trip, commits, leave
         self._loop = asyncio.get_running_loop()
         self.pace = 1.0 / trip.config.scene.policy_frequency
@@ -126,7 +126,7 @@ class LiveTrip:
             trip.seat,
             5 if driving else trip.config.alerts.choices,
             self.pace,
-            puzzle(trip.record().seed, self._puzzle) if driving else None,
+            puzzle(self._seed, self._puzzle) if driving else None,
             POINTS * self._right,
         )
         outbox.put(written(content))
@@ -176,7 +176,7 @@ class LiveTrip:
             raise ValueError("the second task is closed")
         if trip.over:
             raise ValueError("the trip is over")
-        now = puzzle(trip.record().seed, self._puzzle)
+        now = puzzle(self._seed, self._puzzle)
         if found.number not in now.numbers:
             raise ValueError(f"{found.number} is not among the numbers")
         self._puzzle += 1
@@ -185,7 +185,7 @@ class LiveTrip:
     def answered(self, right: bool) -> None:
         """Send the next number search, once the answer is on the disk."""
         self._right += right
-        content = puzzle_content(puzzle(self._trip.record().seed, self._puzzle))
+        content = puzzle_content(puzzle(self._seed, self._puzzle))
         whole = {"type": "puzzle", "right": right, "points": POINTS * self._right, **content}
         if self._outbox is not None:
             self._outbox.put(written(whole))
@@ -267,7 +267,7 @@ class LiveTrips:
     @property
     def connections(self) -> int:
         """Visitors on a trip now."""
-        return sum(trip.watched for trip in self._trips.values())
+        return sum(trip.watched for trip in list(self._trips.values()))
 
     @property
     def full(self) -> bool:
