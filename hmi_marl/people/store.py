@@ -113,6 +113,10 @@ class Store(Database):
         """Return the numbers of all people."""
         return [number for (number,) in self.rows("SELECT number FROM visitors ORDER BY number")]
 
+    def counts(self) -> dict[str, int]:
+        """Return the number of visitors, sessions, trips, decisions and answers."""
+        return {name: self.rows(f"SELECT count(*) FROM {name}")[0][0] for name in OF_VISITOR}
+
     def delete_visitor(self, code: str) -> dict[str, int]:
         """Delete everything of the person with this code, also from the free parts of the file.
 
