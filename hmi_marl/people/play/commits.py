@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from hmi_marl.people.record import TripRecord
+from hmi_marl.people.record import Progress
 
-Save = Callable[[Mapping[int, TripRecord]], None]
+Save = Callable[[Mapping[int, Progress]], None]
 
 
 class Saved(Protocol):
@@ -16,12 +16,12 @@ class Saved(Protocol):
 
     number: int
 
-    def record(self) -> TripRecord:
-        """Return the trip until now."""
+    def progress(self) -> Progress:
+        """Return the decisions that are not on the disk yet."""
         ...
 
-    def saved(self, steps: int) -> None:
-        """Called when so many decisions are on the disk."""
+    def saved(self, new: Progress) -> None:
+        """Called when they are on the disk."""
 
     def failed(self, reason: str) -> None:
         """Called when they could not be kept."""
@@ -33,7 +33,7 @@ class Commits:
     While one transaction is being written, all that come wait for the next.
 
     Args:
-        save: keeps trips in one transaction, and returns when they are on the disk.
+        save: keeps decisions in one transaction, and returns when they are on the disk.
     """
 
     def __init__(self, save: Save) -> None:
@@ -68,9 +68,9 @@ class Commits:
                 await self._keep(batch)
 
     async def _keep(self, batch: list[Saved]) -> None:
-        records = {trip.number: trip.record() for trip in batch}
+        new = {trip.number: trip.progress() for trip in batch}
         try:
-            await asyncio.to_thread(self._save, records)
+            await asyncio.to_thread(self._save, new)
         except (OSError, ValueError) as error:
             if len(batch) == 1:
                 batch[0].failed(str(error))
@@ -79,4 +79,4 @@ class Commits:
                 await self._keep([trip])
             return
         for trip in batch:
-            trip.saved(len(records[trip.number]))
+            trip.saved(new[trip.number])

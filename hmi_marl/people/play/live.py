@@ -17,7 +17,7 @@ from hmi_marl.envs.scene import Scene
 from hmi_marl.people.play.commits import Commits
 from hmi_marl.people.play.messages import Decide, Found, hello, puzzle_content, state, written
 from hmi_marl.people.play.puzzles import POINTS, puzzle
-from hmi_marl.people.record import TripRecord
+from hmi_marl.people.record import Progress
 from hmi_marl.people.store import Store, StoredTrip
 from hmi_marl.people.trip import Road, Trip
 
@@ -195,13 +195,13 @@ class LiveTrip:
         """Decisions taken."""
         return self._trip.decisions
 
-    def record(self) -> TripRecord:
+    def progress(self) -> Progress:
         """See :class:`~hmi_marl.people.play.commits.Saved`."""
-        return self._trip.record()
+        return self._trip.progress(self._kept)
 
-    def saved(self, steps: int) -> None:
+    def saved(self, new: Progress) -> None:
         """See :class:`~hmi_marl.people.play.commits.Saved`."""
-        self._kept = max(self._kept, steps)
+        self._kept = new.first + len(new.steps)
         if self._kept < self._trip.decisions:
             return  # the next transaction has the newer state
         self._send_state()
@@ -252,7 +252,7 @@ class LiveTrips:
 
     def __init__(self, store: Store, most: int) -> None:
         self._store, self._most = store, most
-        self._commits = Commits(store.save_trips)
+        self._commits = Commits(store.add_decisions)
         self._trips: dict[int, LiveTrip] = {}
         self._opening: dict[int, asyncio.Task[LiveTrip]] = {}
 

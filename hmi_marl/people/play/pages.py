@@ -413,7 +413,7 @@ class PlayPages:
                 tag("p", texts("data.code")),
                 tag("p", tag("code", _grouped(code), class_="code")),
                 tag("p", texts("data.trips", count=len(visit.own_trips))),
-                tag("ul", *(self._own_trip(number) for number in visit.own_trips)),
+                tag("ul", *(self._own_trip(number) for number in sorted(visit.own_trips))),
             ]
         return self._page(
             texts("data.title"),

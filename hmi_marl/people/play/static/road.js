@@ -1,7 +1,7 @@
 // The road from above, the driven car low in the middle and heading up.
 
-const VISIBLE = 68; // length of road that is seen [m]
-const BEHIND = 15; // of it behind the driven car [m]
+const VISIBLE = 62; // length of road that is seen [m]
+const BEHIND = 14; // of it behind the driven car [m]
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 const NAMES = ["grass", "grass-line", "road", "road-line", "car", "car-other", "car-edge", "car-crashed", "alarm"];
