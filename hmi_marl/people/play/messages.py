@@ -14,14 +14,13 @@ every decision, ``puzzle`` after every number search, and ``error``.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from hmi_marl.checks import Checked, Whole, shown
 from hmi_marl.people.play.puzzles import HIGHEST, LOWEST, POINTS, Puzzle
 from hmi_marl.people.trip import Moment, Picture, Road
 from hmi_marl.reading import parse_json
-from hmi_marl.typed_json import read_as
 
 
 @dataclass(frozen=True)
@@ -50,6 +49,7 @@ class Found(Checked):
 
 
 _KINDS: dict[str, type[Decide] | type[Found]] = {"decide": Decide, "found": Found}
+_FIELDS = {name: {each.name for each in fields(kind)} for name, kind in _KINDS.items()}
 
 
 def read_message(text: str) -> Decide | Found:
@@ -64,8 +64,10 @@ def read_message(text: str) -> Decide | Found:
     kind = content.pop("type", None)
     if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"type is {' or '.join(_KINDS)}, not {shown(kind)}")
+    if odd := _FIELDS[kind] ^ set(content):
+        raise ValueError(f"{kind} has not exactly its fields: {shown(sorted(odd))}")
     try:
-        return read_as(_KINDS[kind], content)
+        return _KINDS[kind](**content)
     except TypeError as error:
         raise ValueError(str(error)) from None
 
@@ -125,11 +127,11 @@ def moment_content(moment: Moment) -> dict[str, Any]:
     """Return all vehicles, in millimetres' accuracy."""
     return {
         "t": _short(moment.time),
-        "x": list(map(_short, moment.x)),
-        "y": list(map(_short, moment.y)),
-        "h": list(map(_short, moment.heading)),
-        "v": list(map(_short, moment.speed)),
-        "c": list(map(int, moment.crashed)),
+        "x": [round(value, 3) for value in moment.x],
+        "y": [round(value, 3) for value in moment.y],
+        "h": [round(value, 3) for value in moment.heading],
+        "v": [round(value, 3) for value in moment.speed],
+        "c": [int(value) for value in moment.crashed],
     }
 
 
