@@ -7,7 +7,6 @@ from starlette.testclient import TestClient
 from hmi_marl.envs.config import TeamSettings
 from hmi_marl.people.play.app import Play
 from hmi_marl.people.play.settings import PlaySettings
-from hmi_marl.people.web.settings import Limits, ServerSettings
 
 KEY = b"k" * 64
 SHORT = TeamSettings(duration=1.0, vehicles=(3, 3))
@@ -25,6 +24,13 @@ def service(store, server=None, limits=None, **more):
 def client(app):
     """A browser without a cookie; the server ends with the block."""
     return TestClient(app, "http://testserver", follow_redirects=True)
+
+
+def another(browser):
+    """Another browser of the same server."""
+    found = client(browser.app)
+    found.portal = browser.portal  # its event loop
+    return found
 
 
 def begin(browser, **form):

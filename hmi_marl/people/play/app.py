@@ -117,8 +117,9 @@ class Play:
         """Run a handler in a thread, and answer with a page where it refuses."""
 
         async def endpoint(request: Request) -> Response:
-            form = _form(await request.body()) if method == "POST" else {}
+            body = await request.body()
             try:
+                form = _form(body) if method == "POST" else {}
                 return await run_in_threadpool(handler, request, form)
             except Refusal as refusal:
                 return self._site.problem(refusal.status, str(refusal))

@@ -1,5 +1,5 @@
 import pytest
-from people.guests import KEY, Wheel, begin, client, drive, service, trip_number
+from people.guests import KEY, Wheel, another, begin, client, drive, service, trip_number
 from starlette.websockets import WebSocketDisconnect
 
 from hmi_marl.people.play.puzzles import puzzle
@@ -21,6 +21,17 @@ def refused(browser, query, code, reason):
         with pytest.raises(WebSocketDisconnect) as closed:
             socket.receive_json()
     assert closed.value.code == code
+
+
+def closing_code(wheel, text, times):
+    """Send a message again and again, until the connection is closed."""
+    try:
+        for _ in range(times):
+            wheel.socket.send_text(text)
+            wheel.next()
+    except WebSocketDisconnect as closed:
+        return closed.code
+    return None
 
 
 def test_a_free_trip_is_driven_shown_again_downloaded_and_replayed(store):
@@ -181,11 +192,7 @@ def test_rubbish_is_answered_and_harms_no_one(store):
             socket.send_bytes(b"\x00\xff")
             assert wheel.next()["reason"] == "messages are texts"
             assert wheel.decide()["step"] == 1
-            with pytest.raises(WebSocketDisconnect) as closed:
-                for _ in range(400):
-                    socket.send_text("{")
-                    wheel.next()
-            assert closed.value.code == 1008
+            assert closing_code(wheel, "{", 400) == 1008
         with browser.websocket_connect(f"/trip/socket?trip={number}") as socket:
             Wheel(socket).drive()
         assert store.trip(number).record.finished
@@ -207,7 +214,7 @@ def test_trips_and_sessions_of_others_are_out_of_reach(store):
     app = service(store).app()
     with client(app) as one:
         number = drive(one, begin(one))
-        other = client(app)
+        other = another(one)
         for path in ("", "/film", "/record"):
             assert other.get(f"/trips/{number}{path}").status_code == 403
         mine = trip_number(begin(other))
@@ -218,7 +225,7 @@ def test_trips_and_sessions_of_others_are_out_of_reach(store):
         refused(other, f"?trip={number}", 4004, "is not under way")
         refused(other, "", 4004, "trip '' is not under way")
         refused(other, f"?trip={mine}.0", 4004, "is not under way")
-        stranger = client(app)
+        stranger = another(one)
         refused(stranger, f"?trip={mine}", 4003, "there is no visit")
         session = next(iter(store.sessions())).id
         forged = Cookies("hmi-marl-play", b"guess" * 9, ServerSettings())
@@ -247,12 +254,12 @@ def test_a_full_server_says_so_and_lets_those_inside_go_on(store):
     app = service(store, limits=Limits(max_visitors=1)).app()
     with client(app) as one:
         number = trip_number(begin(one))
-        other = client(app)
+        other = another(one)
         page = begin(other)
         with one.websocket_connect(f"/trip/socket?trip={number}") as socket:
             wheel = Wheel(socket)
             refused(other, f"?trip={trip_number(page)}", 1013, "too many visitors")
-            late = begin(client(app))
+            late = begin(another(one))
             assert late.status_code == 503
             assert "as many visitors as this server takes" in late.text
             wheel.drive()
@@ -262,7 +269,7 @@ def test_deletion_in_mid_trip_ends_it_and_harms_no_one(store):
     app = service(store).app()
     with client(app) as one:
         number = trip_number(begin(one))
-        other = client(app)
+        other = another(one)
         begin(other)
         with one.websocket_connect(f"/trip/socket?trip={number}") as socket:
             wheel = Wheel(socket)
