@@ -13,9 +13,9 @@ def test_messages_are_read():
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", ""),
-        ("rubbish", ""),
-        ("[" * 5000, ""),
+        ("", "."),
+        ("rubbish", "."),
+        ("[" * 5000, "."),
         ("[]", "a message is a JSON object"),
         ("17", "a message is a JSON object"),
         ("{}", "type is decide or found, not None"),
@@ -24,11 +24,11 @@ def test_messages_are_read():
         ('{"type": "decide", "step": 1, "action": 1, "away": 0, "x": 1}', r"fields: \['x'\]"),
         ('{"type": "decide", "step": -1, "action": 1, "away": 0}', "step lies in 0"),
         ('{"type": "decide", "step": true, "action": 1, "away": 0}', "step is a whole number"),
-        ('{"type": "decide", "step": 1e999, "action": 1, "away": 0}', ""),
+        ('{"type": "decide", "step": 1e999, "action": 1, "away": 0}', "."),
         ('{"type": "decide", "step": 1.5, "action": 1, "away": 0}', "step is a whole number"),
         ('{"type": "decide", "step": 1, "action": "1", "away": 0}', "action is a whole number"),
         ('{"type": "decide", "step": 1, "action": 1, "away": 2}', "away lies in 0 to 1"),
-        ('{"type": "decide", "step": 1, "action": NaN, "away": 0}', ""),
+        ('{"type": "decide", "step": 1, "action": NaN, "away": 0}', "."),
         ('{"type": "found", "puzzle": 0, "number": 9}', "number lies in 10 to 99"),
     ],
 )

@@ -113,5 +113,5 @@ def test_graded_alerts_or_one_seat_leave_no_calibration():
 
 @pytest.mark.parametrize("content", [None, [], {}, {"visitor": 1}, {"visitor": "x"}])
 def test_a_state_that_is_none_is_refused(content):
-    with pytest.raises(ValueError, match=r"visitor|mapping|field"):
+    with pytest.raises(ValueError, match=r"visitor|mapping|field|lacks"):
         Visit.from_json(content)
