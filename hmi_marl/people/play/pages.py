@@ -11,6 +11,7 @@ from starlette.responses import HTMLResponse
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.people.play.result_parts import belief_table, order_table, traits_table
 from hmi_marl.people.play.settings import PlaySettings
+from hmi_marl.people.play.trip_parts import alert_pad, driver_pad, facts, stage
 from hmi_marl.people.play.visits import Stage, Visit
 from hmi_marl.people.record import TripRecord
 from hmi_marl.people.web.pages import Content, Markup, Site, tag
@@ -151,11 +152,11 @@ class PlayPages:
             self._progress(visit),
             tag(
                 "div",
-                self._stage(),
+                stage(self._site),
                 tag(
                     "div",
-                    self._facts(driving),
-                    self._driver_pad() if driving else self._alert_pad(record),
+                    facts(texts, driving),
+                    driver_pad(texts) if driving else alert_pad(texts, record),
                     tag(
                         "div",
                         tag(
@@ -185,93 +186,16 @@ class PlayPages:
         number, of = len(visit.trial) + 1, 3 * settings.trial_trips
         return tag("p", texts("trip.trial", number=number, of=of), class_="note")
 
-    def _stage(self) -> Markup:
-        texts = self._texts
-        return tag(
-            "div",
-            tag("canvas", id="road", role="img", aria_label=texts("trip.canvas")),
-            tag("div", id="task", hidden=True, role="group", aria_label=texts("trip.task.title")),
-            tag("div", id="banner", aria_hidden="true", hidden=True),
-            tag(
-                "div",
-                tag("p", texts("trip.connecting"), id="message", aria_live="polite"),
-                tag("button", texts("trip.start"), id="start", class_="primary", hidden=True),
-                tag("a", texts("trip.on"), id="on", class_="button primary", hidden=True,
-                    href=self._site.url("/next")),
-                id="cover",
-            ),
-            tag("p", id="alert-text", role="alert", class_="hidden-label"),
-            tag("p", id="status", role="status", class_="hidden-label"),
-            class_="stage",
-        )  # fmt: skip
-
-    def _facts(self, driving: bool) -> Markup:
-        texts = self._texts
-        names = ["speed", "lane", "time", "score", *(["points"] if driving else [])]
-        if not driving:
-            names += ["eyes", "intent", "effect"]
-        facts = [
-            tag("div", tag("dt", texts(f"trip.fact.{name}")), tag("dd", "–", id=f"fact-{name}"))
-            for name in names
-        ]
-        return tag("dl", *facts, class_="facts")
-
-    def _driver_pad(self) -> Markup:
-        texts = self._texts
-        buttons = [
-            tag(
-                "button",
-                tag("span", arrow, aria_hidden="true"),
-                tag("span", texts(f"trip.action.{action}")),
-                type="button",
-                data_action=number,
-                class_=f"pad-{action}",
-            )
-            for action, number, arrow in (
-                ("speed_up", 3, "▲"),
-                ("move_left", 0, "◀"),
-                ("move_right", 2, "▶"),
-                ("slow_down", 4, "▼"),
-            )
-        ]
-        task = tag(
-            "button", texts("trip.task.open"), type="button", id="task-button",
-            aria_expanded="false", aria_controls="task",
-        )  # fmt: skip
-        return tag(
-            "div",
-            tag("div", *buttons, class_="pad", role="group", aria_label=texts("trip.pad")),
-            task,
-            tag("p", texts("trip.keys.driver"), class_="note keys"),
-        )
-
-    def _alert_pad(self, record: TripRecord) -> Markup:
-        texts = self._texts
-        strengths = record.config.alert_strengths
-        buttons = [
-            tag(
-                "button",
-                texts("trip.alert.give")
-                if len(strengths) == 1
-                else texts("trip.alert.strength", percent=f"{100 * strength:g}"),
-                type="button",
-                data_action=number,
-                class_="primary alert-button",
-            )
-            for number, strength in enumerate(strengths, start=1)
-        ]
-        return tag("div", *buttons, tag("p", texts("trip.keys.vehicle_ai"), class_="note keys"))
-
     def next(
-        self, visit: Visit, stage: Stage, ended: Mapping[str, Any] | None, code: str
+        self, visit: Visit, at: Stage, ended: Mapping[str, Any] | None, code: str
     ) -> HTMLResponse:
         """Return the page between trips, or that of the result."""
         texts, settings = self._texts, self._settings
         parts: list[Content] = []
-        if stage == "over":
+        if at == "over":
             title = texts("over.title")
             parts += [self._site.button("/trips", texts("over.again"))]
-        elif stage == "calibration":
+        elif at == "calibration":
             done, of = len(visit.calibration), settings.calibration_trips
             title = texts("calibration.title")
             parts += [
@@ -280,7 +204,7 @@ class PlayPages:
                 self._bar(done, of),
                 self._site.button("/trips", texts("calibration.begin", number=done + 1, of=of)),
             ]
-        elif stage == "trial":
+        elif at == "trial":
             assert visit.person is not None
             done, of = len(visit.trial), len(visit.order) * settings.trial_trips
             title = texts("trial.title")
@@ -360,11 +284,11 @@ class PlayPages:
             "away": f"{100 * ended['away']:.0f} %",
             "alerts": str(ended["alerts"]),
         }
-        facts = [
+        shown = [
             tag("div", tag("dt", texts(f"over.fact.{name}")), tag("dd", value))
             for name, value in values.items()
         ]
-        return tag("dl", *facts, class_="facts")
+        return tag("dl", *shown, class_="facts")
 
     def replay(self, number: int, record: TripRecord, sums: Mapping[str, Any]) -> HTMLResponse:
         """Return the page that shows a trip again."""
