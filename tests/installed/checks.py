@@ -144,8 +144,8 @@ try:
     first = opener.open(address).read().decode()
     trip = opener.open(address + "/begin", form).read().decode()
     files = set(re.findall(r'(?:href|src)="(/static/[^"?]+)', first + trip))
-    modules = {"/static/play/" + name for name in (
-        "film.js", "input.js", "link.js", "replay.js", "road.js", "sound.js", "task.js", "texts.js")}
+    names = "film input link replay road sound task texts trip"
+    modules = {f"/static/play/{name}.js" for name in names.split()}
     assert len(files) >= 4
     for path in files | modules:
         assert opener.open(address + path).read()
