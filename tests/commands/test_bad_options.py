@@ -478,6 +478,7 @@ PRESET = {
     "people delete": {"database": "PEOPLE", "code": "K7QF2M9PXW4ZH8TD"},
     "people export": {"database": "PEOPLE"},
     "people traits": {"recordings": "TRIP"},
+    "play": {"port": "0"},
     "reproduce ship": {"out": "out", "run": "/no/such"},
     "traits train": {"demonstrations": "DATA"},
     "traits evaluate": {"demonstrations": "DATA", "runs": "MODEL"},
