@@ -138,6 +138,9 @@ def _done(folder: Path, settings: StudySettings) -> dict[str, StudyClip]:
                 "belong to what was shown"
             )
         made = before.clips
+        check = folder / CLIPS / before.check.name
+        if check.exists() and sha256_of(check) != before.check.sha256:
+            check.unlink()
     elif (folder / MAKING).exists():
         try:
             made = read_value(tuple[StudyClip, ...], read_json(folder / MAKING), MAKING)
