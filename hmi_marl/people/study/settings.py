@@ -103,7 +103,7 @@ class StudySettings(Checked):
     """Driver policy of the drivers: rule, random, the folder of a trained run, or trained:NAME."""
     hmi: str = "never"
     """HMI in the clips, whose alerts are not shown."""
-    clips: Annotated[int, Whole(2, 1000)] = 10
+    clips: Annotated[int, Whole(2, 1000)] = 20
     """Clips of each driver and control. Differences between clips of one driver limit how well
     drivers can be told apart, however many raters there are."""
     shown: Annotated[int, Whole(1, 100)] = 2
