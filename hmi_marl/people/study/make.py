@@ -116,6 +116,20 @@ def make_study(
     return study
 
 
+def quick(settings: StudySettings) -> StudySettings:
+    """Return settings of a tiny study of the same drivers, to look at.
+
+    Raises:
+        ValueError: clips, shown or duration are given, which a quick study sets itself.
+    """
+    default = StudySettings()
+    tiny = {"clips": 2, "shown": 1, "duration": 4.0}
+    for name in tiny:
+        if getattr(settings, name) != getattr(default, name):
+            raise ValueError(f"--quick sets --{name} itself; leave one of them out")
+    return replace(settings, **tiny)
+
+
 def read_consent_file(path: Path) -> str:
     """Return the content of a file with a consent text."""
     if not path.is_file():
