@@ -182,7 +182,7 @@ def judge(
             f"{contrast.rating}: {contrast.more} - {contrast.less} [points]",
             value,
             "t",
-            "clips, those beyond one of each driver",
+            fit.unit,
             fit.freedom + 1,
             error,
             above=0.0,
@@ -203,15 +203,16 @@ def judge_ordinal(
     estimates: list[Estimate | None] = []
     verdicts: list[Verdict] = []
     for contrast in contrasts:
-        model, freedom = ordinal[contrast.rating], fits[contrast.rating].freedom
+        model, fit = ordinal[contrast.rating], fits[contrast.rating]
         if model is None:
             estimates.append(None)
             continue
         value, error = model.contrast(names.index(contrast.more), names.index(contrast.less))
-        estimates.append(_estimate(value, error, freedom))
+        estimates.append(_estimate(value, error, fit.freedom))
         what = f"{contrast.rating}: {contrast.more} - {contrast.less} [log odds]"
-        unit = "clips, those beyond one of each driver"
-        part = Part(what, value, "t", unit, freedom + 1, error, above=0.0, form="z.2f")
+        part = Part(
+            what, value, "t", fit.unit, fit.freedom + 1, error, above=0.0, form="z.2f"
+        )
         verdicts.append(Verdict(contrast.claim, (part,)))
     judged = iter(judged_together(verdicts))
     return [(each, None if each is None else next(judged)) for each in estimates]

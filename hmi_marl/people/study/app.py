@@ -121,7 +121,11 @@ class StudyService:
             wrong = await run_in_threadpool(self._visits.answer, visit, page, form)
         except ValueError as error:
             raise HTTPException(400, str(error)) from None
-        return self._pages.rate(visit, page, form, wrong) if wrong else self._home()
+        if wrong:
+            return self._pages.rate(visit, page, form, wrong)
+        if request.headers.get("accept") == "application/json":  # the script's, which goes on
+            return Response(status_code=204)
+        return self._home()
 
     async def _ask_withdraw(self, request: Request) -> Response:
         visit, _ = await self._visit(request)

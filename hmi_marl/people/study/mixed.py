@@ -70,6 +70,8 @@ class Fit:
     freedom: int
     """Degrees of freedom of contrasts: clips less conditions, or raters less 1 if these are fewer,
     since a contrast is between clips."""
+    unit: str
+    """Units that these are of, one more than degrees of freedom."""
 
     def contrast(self, more: int, less: int) -> tuple[float, float]:
         """Return the difference of two conditions' means and its standard error."""
@@ -142,6 +144,8 @@ class RatingModel:
         means = np.linalg.solve(information, right)
         variance = max((squares - right @ means) / freedom, 1e-12)
         rater, rater_condition, clip = np.sqrt(ratios * variance).tolist()
+        of_clips = len(self._condition) - len(means)
+        fewer = self.raters - 1 < of_clips
         return Fit(
             means + self._level,
             np.linalg.inv(information) * variance,
@@ -149,7 +153,8 @@ class RatingModel:
             rater_condition,
             clip,
             float(np.sqrt(variance)),
-            max(1, min(len(self._condition) - len(means), self.raters - 1)),
+            self.raters - 1 if fewer else of_clips,
+            "raters" if fewer else f"clips ({len(self._condition)}, less one of each other driver)",
         )
 
     def _absorb(

@@ -23,6 +23,12 @@ from hmi_marl.envs.streams import Seed
 
 RATINGS = ("safe", "distracted", "risky", "own")
 """The paper's four ratings; the last is similarity to one's own driving."""
+_MORE = {
+    "safe": "safer",
+    "distracted": "more distracted",
+    "risky": "riskier",
+    "own": "more similar to their own driving",
+}
 POINTS = 7
 """Points of each rating's scale, 1 to 7."""
 _APART = 0.25
@@ -61,8 +67,7 @@ class Contrast:
     @property
     def claim(self) -> str:
         """Write it as a sentence."""
-        what = {"own": "more similar to their own driving"}.get(self.rating, f"more {self.rating}")
-        return f"raters see {self.more} as {what} than {self.less}"
+        return f"raters see {self.more} as {_MORE[self.rating]} than {self.less}"
 
 
 def check_web_address(name: str, value: str) -> str:

@@ -21,8 +21,9 @@ form.addEventListener("submit", async (event) => {
   const body = new URLSearchParams(new FormData(form));
   for (let pause = FIRST_PAUSE; ; pause = Math.min(2 * pause, LONGEST_PAUSE)) {
     try {
-      const answer = await fetch(form.action, { method: "POST", body, redirect: "manual" });
-      if (answer.type === "opaqueredirect" || answer.ok) {
+      const headers = { Accept: "application/json" };
+      const answer = await fetch(form.action, { method: "POST", body, headers });
+      if (answer.ok) {
         location.replace(form.dataset.next);
         return;
       }
