@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from hmi_marl.people.study.ordinal import OrdinalFit, fit_ordinal
 from hmi_marl.people.study.ratings import LeftOut, Ratings
 from hmi_marl.people.study.settings import RATINGS, Contrast
 from hmi_marl.reporting.statistics import Estimate, t_interval
-from hmi_marl.reporting.verdicts import Part, Verdict, judged_together
+from hmi_marl.reporting.verdicts import Correction, Part, Verdict, judged_together
 
 _MARGIN = Real(0.0, 3.0, "points")
 
@@ -173,7 +173,11 @@ def judge(
     fits: dict[str, Fit],
     margin: float = 0.0,
 ) -> list[Verdict]:
-    """Judge all contrasts together: Student's t, corrected by Holm's method."""
+    """Judge all contrasts together: Student's t, corrected by Holm's method.
+
+    With a margin the correction is Bonferroni's: Holm's would count a difference that is shown to
+    be small as one that is decided, and would test those that happen to be large too generously.
+    """
     verdicts = []
     for contrast in contrasts:
         fit = fits[contrast.rating]
@@ -190,6 +194,9 @@ def judge(
             form="z.2f",
         )
         verdicts.append(Verdict(contrast.claim, (part,)))
+    if margin > 0.0:
+        correction = Correction(len(verdicts), max(1, len(verdicts)))
+        return [replace(verdict, correction=correction) for verdict in verdicts]
     return judged_together(verdicts)
 
 
