@@ -199,9 +199,7 @@ class StudyPower:
                 {"study": str(self.study), **json_value(settings)},
             )
             report.write_results(self.out)
-            answers = simulated_answers(
-                study, settings.raters[-1], settings.plan, settings.seed
-            )
+            answers = simulated_answers(study, settings.raters[-1], settings.plan, settings.seed)
             write_answers(self.out / "answers-simulated.csv", answers)
             print(report.text)
             print_page(report.write(self.out))

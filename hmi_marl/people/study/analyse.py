@@ -217,9 +217,7 @@ def judge_ordinal(
         value, error = model.contrast(names.index(contrast.more), names.index(contrast.less))
         estimates.append(_estimate(value, error, fit.freedom))
         what = f"{contrast.rating}: {contrast.more} - {contrast.less} [log odds]"
-        part = Part(
-            what, value, "t", fit.unit, fit.freedom + 1, error, above=0.0, form="z.2f"
-        )
+        part = Part(what, value, "t", fit.unit, fit.freedom + 1, error, above=0.0, form="z.2f")
         verdicts.append(Verdict(contrast.claim, (part,)))
     judged = iter(judged_together(verdicts))
     return [(each, None if each is None else next(judged)) for each in estimates]

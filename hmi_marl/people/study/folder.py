@@ -201,9 +201,10 @@ def read_study(folder: Path) -> Study:
         OSError, ValueError: it is no study folder, or a file differs from the manifest.
     """
     study, consent = read_manifest(folder)
-    for clip in (*study.clips, study.check):
-        path = folder / CLIPS / clip.name
-        if not path.exists() or sha256_of(path) != clip.sha256:
+    sums = {clip.name: clip.sha256 for clip in study.clips}
+    for name, known in {**sums, study.check.name: study.check.sha256}.items():
+        path = folder / CLIPS / name
+        if not path.exists() or sha256_of(path) != known:
             raise ValueError(
                 f"{path} is missing or differs from {MANIFEST}; run hmi-marl study make again"
             )
@@ -230,4 +231,3 @@ def read_consent(folder: Path, name: str = CONSENT) -> str:
     if not text.strip():
         raise ValueError(f"{path} is empty; write what raters consent to")
     return text
-

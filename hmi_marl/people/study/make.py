@@ -107,9 +107,7 @@ def make_study(
             write_json(folder / MAKING, json_value(list(done.values())))
         clips = tuple(done[job.name] for job in jobs)
         check = _render_check(settings, folder)
-        study = Study(
-            folder, settings, settings.intended, clips, check, read_consent(folder)
-        )
+        study = Study(folder, settings, settings.intended, clips, check, read_consent(folder))
         _check_same(study)
         write_manifest(study)
         (folder / MAKING).unlink(missing_ok=True)
@@ -123,7 +121,7 @@ def quick(settings: StudySettings) -> StudySettings:
         ValueError: clips, shown or duration are given, which a quick study sets itself.
     """
     default = StudySettings()
-    tiny = {"clips": 2, "shown": 1, "duration": 4.0}
+    tiny: dict[str, Any] = {"clips": 2, "shown": 1, "duration": 4.0}
     for name in tiny:
         if getattr(settings, name) != getattr(default, name):
             raise ValueError(f"--quick sets --{name} itself; leave one of them out")
@@ -233,7 +231,9 @@ def _write(
     last = (len(moments) - 1) * per_step
 
     def pictures() -> Pictures:
-        drawn = frames(((snapshot, _hidden(status)) for snapshot, status in moments), viewer, per_step)
+        drawn = frames(
+            ((snapshot, _hidden(status)) for snapshot, status in moments), viewer, per_step
+        )
         for number, picture in enumerate(drawn):
             yield change(number, picture[:-PANEL_HEIGHT])
 
@@ -264,9 +264,7 @@ def _render_check(settings: StudySettings, folder: Path) -> CheckClip:
     return CheckClip(job.name, answer, sha256_of(path))
 
 
-def _with_text(
-    number: int, picture: NDArray[np.uint8], text: str, first: int
-) -> NDArray[np.uint8]:
+def _with_text(number: int, picture: NDArray[np.uint8], text: str, first: int) -> NDArray[np.uint8]:
     """Write a text over a picture, from the picture ``first`` on."""
     if number < first:
         return picture

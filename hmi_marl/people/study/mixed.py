@@ -141,14 +141,14 @@ class RatingModel:
         ratios = best.x**2
         _, information, right, squares, _ = self._terms(ratios)
         freedom = self.ratings - len(information)
-        means = np.linalg.solve(information, right)
-        variance = max((squares - right @ means) / freedom, 1e-12)
+        means = np.linalg.solve(information, right).astype(np.float64)
+        variance = max((squares - float(right @ means)) / freedom, 1e-12)
         rater, rater_condition, clip = np.sqrt(ratios * variance).tolist()
         of_clips = len(self._condition) - len(means)
         fewer = self.raters - 1 < of_clips
         return Fit(
             means + self._level,
-            np.linalg.inv(information) * variance,
+            np.linalg.inv(information).astype(np.float64) * variance,
             rater,
             rater_condition,
             clip,
@@ -178,7 +178,7 @@ class RatingModel:
     def _terms(
         self, ratios: NDArray[np.float64]
     ) -> tuple[float, NDArray[np.float64], NDArray[np.float64], float, float]:
-        """log |V|, X'V⁻¹X, X'V⁻¹y, y'V⁻¹y for a residual variance of 1, and log |X'V⁻¹X|."""
+        """Log |V|, X'V⁻¹X, X'V⁻¹y, y'V⁻¹y for a residual variance of 1, and log |X'V⁻¹X|."""
         of_rater, of_both, of_clip = ratios
         # Z'V⁻¹Z, Z'V⁻¹y and y'V⁻¹y with the raters' effects alone; Z: ratings to clips
         weight, right, squares = np.diag(self._clip_counts), self._clip_sums.copy(), self._total

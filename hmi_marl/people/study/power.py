@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -200,7 +201,7 @@ def find_power(
             settings.studies,
             settings.seed,
             settings.margin,
-            lambda studies, raters=raters: progress(raters, studies),
+            partial(progress, raters),
         )
         truth = found.truth
         shares.append(tuple(found.supported(place) for place in range(len(study.intended))))

@@ -125,7 +125,7 @@ def simulated_answers(
     found = []
     for number in range(raters):
         name = f"{SIMULATED}{number + 1}"
-        answer = {rating: study.check.answer for rating in RATINGS}
+        answer = dict.fromkeys(RATINGS, study.check.answer)
         if careless[number]:
             answer["safe"] = answer["safe"] % POINTS + 1
         rows = wild[number] if careless[number] else values[number]

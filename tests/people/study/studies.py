@@ -43,9 +43,7 @@ def a_study(folder: Path, **settings) -> Study:
             path = folder / CLIPS / name
             write_bytes(path, GIF)
             seed = int(episode_seed(team_seed(chosen.seed, place), number))
-            clips.append(
-                StudyClip(name, condition.name, seed, 20.0, False, 0.5, sha256_of(path))
-            )
+            clips.append(StudyClip(name, condition.name, seed, 20.0, False, 0.5, sha256_of(path)))
     write_bytes(folder / CLIPS / "check.gif", GIF)
     check = CheckClip("check.gif", 6, sha256_of(folder / CLIPS / "check.gif"))
     text = "We ask you to rate <clips>.\n\nYou may stop."

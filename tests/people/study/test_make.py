@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from PIL import Image
 from people.study.studies import a_study
+from PIL import Image
 
 from hmi_marl.files import with_checksum, write_json
 from hmi_marl.people.study import make
@@ -107,7 +107,9 @@ def test_texts_may_change_and_what_is_shown_may_not(folder, tmp_path):
     copy = copy_of(folder, tmp_path)
     study = read_study(copy)
     (copy / "consent.txt").write_text("Our own words.")
-    with pytest.raises(ValueError, match=r"consent\.txt differs from study\.json; if it was edited"):
+    with pytest.raises(
+        ValueError, match=r"consent\.txt differs from study\.json; if it was edited"
+    ):
         read_study(copy)
     coded = StudySettings(**{**vars(SETTINGS), "completion_code": "C0DE"})
     assert make_study(coded, copy).id == study.id

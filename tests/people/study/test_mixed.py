@@ -39,9 +39,7 @@ def test_it_is_the_model_of_statsmodels(kept):
     data = pd.DataFrame({"y": value, "r": rater, "k": clip, "c": condition[clip], "all": 1})
     data["rc"] = 10 * data.r + data.c
     parts = {"r": "0 + C(r)", "rc": "0 + C(rc)", "k": "0 + C(k)"}
-    theirs = smf.mixedlm(
-        "y ~ C(c) - 1", data, groups="all", re_formula="0", vc_formula=parts
-    ).fit()
+    theirs = smf.mixedlm("y ~ C(c) - 1", data, groups="all", re_formula="0", vc_formula=parts).fit()
     names = theirs.model.exog_vc.names
     spread = dict(zip(names, np.sqrt(theirs.vcomp), strict=True))
     assert ours.means == pytest.approx(theirs.fe_params.to_numpy(), abs=2e-4)

@@ -1,6 +1,7 @@
 """Counterbalancing: conditions, places, neighbours and clips come equally often."""
 
 from collections import Counter
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ def test_every_condition_in_every_place_and_after_every_other(conditions):
     design = williams(conditions).tolist()
     assert len(design) == (conditions if conditions % 2 == 0 or conditions == 1 else 2 * conditions)
     places = Counter(place for row in design for place in enumerate(row))
-    neighbours = Counter(pair for row in design for pair in zip(row, row[1:], strict=False))
+    neighbours = Counter(pair for row in design for pair in pairwise(row))
     assert len(places) == conditions**2
     assert len(set(places.values())) == 1
     assert len(neighbours) == conditions * (conditions - 1)

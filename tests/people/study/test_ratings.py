@@ -102,10 +102,10 @@ def test_simulated_raters_are_marked_and_never_taken_among_people(tmp_path, stud
     ],
 )  # fmt: skip
 def test_odd_values_are_refused(study, odd):
-    with pytest.raises(ValueError, match="whole number from 1 to 7|has the ratings safe"):
+    with pytest.raises(ValueError, match=r"whole number from 1 to 7|has the ratings safe"):
         check_value(odd)
     answer = StudyAnswer("visitor-1", "s", question_of(study.id, study.clips[0].name), odd)
-    with pytest.raises(ValueError, match="whole number from 1 to 7|has the ratings safe"):
+    with pytest.raises(ValueError, match=r"whole number from 1 to 7|has the ratings safe"):
         ratings_of([answer], study, "here")
 
 
