@@ -1,8 +1,8 @@
 """Simulated raters, with differences that are planted; always marked as simulated.
 
 A simulated rater's rating of a clip is the condition's mean, plus normal draws of the rater, of the
-rater with this driver, of the clip and of the moment (:class:`~hmi_marl.people.study.settings.Plan`),
-rounded and cut to 1 to 7. Careless raters fail the attention check.
+rater with this driver, of the clip and of the moment, rounded and cut to 1 to 7; see
+:class:`~hmi_marl.people.study.settings.Plan`. Careless raters fail the attention check.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def test_texts_may_change_and_what_is_shown_may_not(folder, tmp_path):
     assert make_study(coded, copy, text).consent == "Other words."
     with pytest.raises(ValueError, match="holds a study of other settings"):
         make_study(StudySettings(**{**vars(SETTINGS), "seed": 1}), copy)
-    with pytest.raises(ValueError, match="none.txt is no file"):
+    with pytest.raises(ValueError, match=r"none\.txt is no file"):
         make_study(coded, copy, tmp_path / "none.txt")
 
 
