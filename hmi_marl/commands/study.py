@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from hmi_marl.checks import Count, Real
+from hmi_marl.checks import COUNT, Count, Real
 from hmi_marl.commands.choice import Choice
 from hmi_marl.people.study.settings import PowerSettings, StudySettings
 from hmi_marl.people.web.settings import Limits, ServerSettings
@@ -87,10 +87,12 @@ class ServeStudy:
         from hmi_marl.people.study.visits import Visits
         from hmi_marl.people.web.cookies import signing_key
         from hmi_marl.people.web.pages import Site
-        from hmi_marl.people.web.server import serve
+        from hmi_marl.people.web.server import listening, serve
         from hmi_marl.people.web.texts import Texts
 
+        COUNT("most_raters", self.most_raters)
         study = read_study(self.study)
+        listening(self.server).close()  # so that an address in use leaves no database behind
         site = Site(self.server, Texts("study"))
         with Store(self.database) as store:
             key = signing_key(self.database)
