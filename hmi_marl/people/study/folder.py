@@ -34,6 +34,8 @@ from hmi_marl.typed_json import read_as, read_value
 MANIFEST, CLIPS, CONSENT = "study.json", "clips", "consent.txt"
 FORMAT = 1
 _CONSENT_BYTES = 100_000
+_MOST_VALUES = 300_000
+"""Most values in a manifest, which has seven for each of up to 40,000 clips."""
 _TEXTS = ("keep_ids", "completion_code", "return_address")
 """Settings that may change in a study, since they change no clip and no order."""
 
@@ -163,7 +165,7 @@ def read_manifest(folder: Path) -> tuple[Study, str]:
             "hmi-marl study make"
         )
     try:
-        content = without_checksum(read_json(path))
+        content = without_checksum(read_json(path, most_values=_MOST_VALUES))
         if content.get("format") != FORMAT:
             raise ValueError(f"its format is {content.get('format')!r}, and this reads {FORMAT}")
         settings = read_as(StudySettings, content.get("settings"))

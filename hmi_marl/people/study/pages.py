@@ -180,17 +180,29 @@ class Pages:
         address, texts = self._site.url(f"/clips/{name}"), self._site.texts
         if name.endswith(".gif"):
             return tag("img", src=address, alt=texts("rate.clip"), class_="clip")
-        return tag(
+        video = tag(
             "video",
             tag("a", texts("rate.open"), href=address),
             src=address,
-            controls=True,
+            controls=True,  # which cover a part of the road; the script has its own button
             muted=True,
             playsinline=True,
             preload="auto",
             aria_label=texts("rate.clip"),
             class_="clip",
         )
+        words = {name: texts(f"play.{name}") for name in ("play", "pause", "again")}
+        button = tag(
+            "button",
+            words["play"],
+            type="button",
+            id="play",
+            hidden=True,
+            data_play=words["play"],
+            data_pause=words["pause"],
+            data_again=words["again"],
+        )
+        return Markup(video + tag("p", button))
 
     def _question(self, name: str, given: str | None, wrong: bool) -> Markup:
         """Seven radio buttons; the ends' meaning is part of their labels."""

@@ -5,9 +5,18 @@ const FIRST_PAUSE = 1000;
 const LONGEST_PAUSE = 10000;
 
 const video = document.querySelector("video");
-if (video && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
+if (video) {
+  const play = document.getElementById("play");
+  const label = () => {
+    const { play: first, pause, again } = play.dataset;
+    play.textContent = video.ended ? again : video.paused ? first : pause;
+  };
+  for (const event of ["play", "pause", "ended"]) video.addEventListener(event, label);
+  play.addEventListener("click", () => (video.paused ? video.play() : video.pause()));
+  video.controls = false;
   video.muted = true;
-  video.play().catch(() => {});
+  play.hidden = false;
+  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) video.play().catch(() => {});
 }
 
 const form = document.getElementById("answer");
