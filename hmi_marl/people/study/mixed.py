@@ -137,6 +137,8 @@ class RatingModel:
                 bounds=[(0.0, np.sqrt(_LARGEST_RATIO))] * 3,
             )
             best = found if best is None or found.fun < best.fun - 1e-6 else best
+            if (found.x > 0.0).all():  # at a boundary there may be a better optimum elsewhere
+                break
         assert best is not None
         ratios = best.x**2
         _, information, right, squares, _ = self._terms(ratios)

@@ -9,6 +9,7 @@ the raters every clip is shown equally often, and no rater sees one twice.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,12 @@ def williams(conditions: int) -> NDArray[np.int64]:
     return square
 
 
+@lru_cache(maxsize=256)
+def _shuffled(count: int, *seed: int) -> tuple[int, ...]:
+    """Return the numbers below a count in an order drawn from a seed."""
+    return tuple(np.random.default_rng(seed).permutation(count).tolist())
+
+
 @dataclass(frozen=True)
 class Place:
     """One of a rater's clips, or the attention check."""
@@ -67,14 +74,14 @@ def order(number: int, conditions: int, clips: int, shown: int, seed: int = 0) -
     """
     design = williams(conditions)
     cycle, row = divmod(_NUMBER("number", number), len(design))
-    names = np.random.default_rng([check_seed(seed), _DESIGN]).permutation(conditions)
+    names = _shuffled(conditions, check_seed(seed), _DESIGN)
     apart = clips // shown  # so that a rater's blocks have different clips
     found = []
     for block in range(shown):
         # the next rows in further blocks; clips move on when all rows have had a turn
-        for condition in names[design[(row + block) % len(design)]].tolist():
-            start = np.random.default_rng([seed, _DESIGN, condition]).permutation(clips)
-            found.append(Place(condition, int(start[(cycle + row + block * apart) % clips])))
+        for place in design[(row + block) % len(design)].tolist():
+            start = _shuffled(clips, seed, _DESIGN, names[place])
+            found.append(Place(names[place], start[(cycle + row + block * apart) % clips]))
     rng = np.random.default_rng([seed, _PLACES, number])
     least = len(found) // 2
     found.insert(int(rng.integers(least, max(least + 1, len(found)))), CHECK)
