@@ -35,6 +35,7 @@ UNBOUNDED = {
 
 NO_SETTINGS = {
     "hmi_marl.people.trip.Road": "made from a Scene, which checks",
+    "hmi_marl.people.play.visits.Visit": "state of a visit",
     "hmi_marl.people.study.ratings.LeftOut": "results",
     "hmi_marl.commands": "as typed; what they set up is checked",
     "hmi_marl.envs.config.TeamSettings": "as typed; TeamConfig checks",
@@ -59,6 +60,8 @@ NO_SETTINGS = {
 """Dataclasses with numbers by default that nobody sets, and why."""
 
 EXAMPLES = {
+    "Decide": {"step": 0, "action": 1, "away": 0},
+    "Found": {"puzzle": 0, "number": 47},
     "TripRecord": {
         "config": TeamConfig(driver=("lisa",)),
         "seed": 1,

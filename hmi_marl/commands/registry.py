@@ -15,6 +15,7 @@ from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.extras import EXTRAS, TRAINING, need
 
 _PARQUET, _PROBES, _MINARI = ("pyarrow",), ("sklearn",), ("minari", "h5py")
+_WEB = ("itsdangerous", "starlette", "uvicorn", "websockets")
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,12 @@ SUBCOMMANDS = (
             ),
         ),
         choice="what",
+    ),
+    Subcommand(
+        "play",
+        "Drive with an HMI, or be one, in the browser.",
+        "commands.play:Play",
+        _WEB,
     ),
     Subcommand(
         "reproduce",

@@ -11,7 +11,7 @@ from itertools import accumulate
 from pathlib import Path
 from subprocess import CompletedProcess
 
-from installed.environments import Environment, Spec
+from installed.environments import HERE, Environment, Spec
 from installed.table import COMMANDS, OPTIONS, ROWS, Row, page_programs, readme_block
 from pages import ROOT
 
@@ -123,6 +123,39 @@ def prepare(command: str, folder: Path) -> CompletedProcess[str]:
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
 
 
+def check_play(environment: Environment, folder: Path) -> None:
+    """The server of the wheel has its pages, texts, styles and scripts."""
+    script = folder / "play.py"
+    script.write_text(PLAY, "utf-8")
+    assert succeeded(environment.python([script], folder)).split()[-1] == "served"
+
+
+PLAY = """
+import re, subprocess, sys, urllib.request as web
+
+server = subprocess.Popen(
+    [sys.executable, "-m", "hmi_marl", "play", "--port", "0", "--duration", "1"],
+    stdout=subprocess.PIPE, text=True,
+)
+try:
+    address = re.search(r"http://[^/]+", server.stdout.readline())[0]
+    form = b"way=free&seat=driver&partner=never"
+    opener = web.build_opener(web.HTTPCookieProcessor())
+    first = opener.open(address).read().decode()
+    trip = opener.open(address + "/begin", form).read().decode()
+    files = set(re.findall(r'(?:href|src)="(/static/[^"?]+)', first + trip))
+    names = "film input link replay road sound task texts trip"
+    modules = {f"/static/play/{name}.js" for name in names.split()}
+    assert len(files) >= 4
+    for path in files | modules:
+        assert opener.open(address + path).read()
+finally:
+    server.kill()
+    server.wait()
+print("served")
+"""
+
+
 RUN: dict[str, Callable[[Row, Environment, Path], str]] = {
     "command": run_command,
     "option": run_command,
@@ -138,6 +171,8 @@ def checks(spec: Spec) -> Iterator[tuple[str, Check]]:
     yield "pip check", check_dependencies
     yield "imported from the wheel", check_origin
     yield "version", check_version
+    if spec.extras == {"people"} and spec.python == HERE:
+        yield "play", check_play
     paths = [accumulate(row.name.split(), "{} {}".format) for row in COMMANDS]
     wanted = [] if spec.extras else ["", *(path for steps in paths for path in steps)]
     for words in dict.fromkeys(wanted):  # without any extra, so no extra is needed for it

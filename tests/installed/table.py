@@ -92,6 +92,7 @@ COMMANDS = (
         "trips",
         not_run="needs recordings; tests/commands/test_people_traits.py runs it without extras",
     ),
+    _command("play", PEOPLE, "--port 0", not_run="serves until a signal; see check_play"),
     _command("reproduce all", TRAIN | DATA, not_run="takes a quarter of an hour with --quick"),
     _command(
         "reproduce table",

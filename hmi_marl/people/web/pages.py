@@ -21,7 +21,7 @@ from hmi_marl.people.web.texts import Texts
 
 STATIC = Path(__file__).with_name("static")
 """Files that all services share; served under /static/web."""
-_VOID = {"br", "circle", "hr", "img", "input", "line", "link", "meta", "path", "rect", "source"}
+_VOID = {"br", "hr", "img", "input", "link", "meta", "source"}
 
 
 class Markup(str):

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
@@ -28,6 +29,8 @@ from hmi_marl.people.web.settings import Limits, ServerSettings
 
 LARGEST_FRAME = 65_536
 """Bytes of a WebSocket message above which the connection is closed without another word."""
+_SWITCH = 0.001
+"""Longest that a thread which computes a page keeps connections waiting [s]."""
 _GRACE = 3
 """Longest wait for open connections at the end [s]."""
 
@@ -96,6 +99,7 @@ def serve(
         OSError: the address is in use, or not of this machine; the message says what to do.
     """
     sockets = [listening(settings)]
+    interval = sys.getswitchinterval()
     try:
         port = sockets[0].getsockname()[1]
         config = uvicorn.Config(
@@ -112,8 +116,10 @@ def serve(
         )
         logging.getLogger("uvicorn").setLevel(logging.WARNING if quiet else logging.INFO)
         server = _Server(config, lambda: ready(settings.address(port)))
+        sys.setswitchinterval(_SWITCH)
         asyncio.run(server.serve(sockets))
     finally:
+        sys.setswitchinterval(interval)
         for each in sockets:
             each.close()
 

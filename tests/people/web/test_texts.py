@@ -12,7 +12,7 @@ from hmi_marl.people.web.texts import FOLDER, SHARED, Texts, languages, placehol
 PEOPLE = Path(hmi_marl.people.__file__).parent
 SECTIONS = json.loads((FOLDER / "en.json").read_text("utf-8"))
 SERVICES = [name for name in SECTIONS if name != SHARED]
-KEY = re.compile(r"""\b(?:texts?|t)\(\s*(f?)["'`]([\w.]+?\.?)(?:["'`]|\$?\{)""")
+KEY = re.compile(r"""(?:\b|_)(?:texts?|t)\(\s*(f?)["'`]([\w.]+?\.?)(?:["'`]|\$?\{)""")
 """A call such as texts("a.b") or, of any key that begins so, texts(f"a.{b}") or t(`a.${b}`)."""
 
 
