@@ -462,6 +462,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "seed": ["-1"],
         "max-visitors": ["0"],
         "open": FLAG,
+    },
     "study make": {
         **OUT,
         "drivers": ["nobody", "lisa lisa"],
