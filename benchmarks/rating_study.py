@@ -8,7 +8,7 @@ a small study of few raters and clips::
 
 prints how often some difference is found that was not planted, in either direction, how often
 planted ones are found, the mean error of the estimates, and how many 95 % intervals hold the true
-difference. All of it is simulated. It takes 3 to 4 minutes of one core.
+difference. All of it is simulated. It takes about a minute of one core.
 """
 
 from __future__ import annotations
