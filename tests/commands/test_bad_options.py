@@ -538,7 +538,7 @@ PRESET = {
     "people export": {"database": "PEOPLE"},
     "people traits": {"recordings": "TRIP"},
     "reproduce ship": {"out": "out", "run": "/no/such"},
-    "study serve": {"study": "STUDY", "database": "people.db"},
+    "study serve": {"study": "STUDY", "database": "people.db", "port": "0"},
     "study analyse": {"study": "STUDY", "answers": "ANSWERS"},
     "study power": {"study": "STUDY"},
     "traits train": {"demonstrations": "DATA"},
