@@ -201,6 +201,44 @@ SUBCOMMANDS = (
         choice="what",
     ),
     Subcommand(
+        "study",
+        "Have people rate clips of drivers, and say what they see.",
+        "commands.study:StudyCommand",
+        choices=(
+            Subcommand(
+                "make",
+                "Render clips of drivers and controls into a study folder.",
+                "commands.study:MakeStudy",
+                options=(
+                    Option(
+                        "--format mp4",
+                        ("imageio_ffmpeg",),
+                        lambda command: command.settings.format == "mp4",
+                    ),
+                ),
+            ),
+            Subcommand(
+                "serve",
+                "Let people rate the clips of a study folder in their browsers.",
+                "commands.study:ServeStudy",
+                ("itsdangerous", "starlette", "uvicorn"),
+            ),
+            Subcommand(
+                "analyse",
+                "Say what raters see: a verdict on each intended difference, and ratings by "
+                "driver.",
+                "commands.study:AnalyseStudy",
+                ("statsmodels",),
+            ),
+            Subcommand(
+                "power",
+                "Say how many raters a study needs, by simulated raters.",
+                "commands.study:StudyPower",
+            ),
+        ),
+        choice="what",
+    ),
+    Subcommand(
         "sweep",
         "Train over lists and ranges of any option of train, by protocol and seed.",
         "commands.sweep:SweepCommand",
