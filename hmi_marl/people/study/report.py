@@ -7,16 +7,8 @@ from matplotlib.figure import Figure as Drawing
 from hmi_marl.people.study.analyse import Analysis
 from hmi_marl.people.study.power import Power
 from hmi_marl.people.study.settings import POINTS, RATINGS
-from hmi_marl.reporting.blocks import (
-    COLOURS,
-    Block,
-    Figure,
-    Table,
-    Text,
-    Verdicts,
-    canvas,
-    png,
-)
+from hmi_marl.reporting.blocks import Block, Figure, Table, Text, Verdicts
+from hmi_marl.reporting.drawing import COLOURS, canvas, png
 from hmi_marl.text import in_figure
 
 _TITLES = {
