@@ -129,7 +129,7 @@ class StudyService:
 
     async def _ask_withdraw(self, request: Request) -> Response:
         visit, _ = await self._visit(request)
-        return self._home() if visit is None else self._pages.withdraw()
+        return self._home() if visit is None else self._pages.ask_to_leave()
 
     async def _withdraw(self, request: Request) -> Response:
         visit, code = await self._visit(request)

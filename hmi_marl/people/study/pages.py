@@ -118,7 +118,7 @@ class Pages:
             self._leave(),
         )
 
-    def withdraw(self) -> HTMLResponse:
+    def ask_to_leave(self) -> HTMLResponse:
         """Return the question whether to withdraw."""
         texts = self._site.texts
         return self._page(
