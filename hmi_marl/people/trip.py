@@ -15,8 +15,10 @@ It is an episode of the environment: the same policies in both seats play the sa
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 
 import numpy as np
 
@@ -367,4 +369,10 @@ class _Camera:
 
 
 def _world(name: str, scene: Scene) -> World:
-    return make_world(name, scene, 1, threads=1)
+    """Return a new world of one car; a copy, since reading the road takes most of making one."""
+    return make_world(name, scene, 1, threads=1) if name == "highway" else deepcopy(_fresh(scene))
+
+
+@lru_cache(maxsize=32)
+def _fresh(scene: Scene) -> World:
+    return make_world("batched", scene, 1, threads=1)

@@ -464,7 +464,7 @@ BAD: dict[str, dict[str, list[str]]] = {
     },
     "play": {
         **TEAM,
-        "database": ["file/people.db", "file"],
+        "database": ["file/people.db"],
         "host": ["a/b", "no.such.host.invalid"],
         "port": ["-1", "65536"],
         "base-path": ["hmi", "/../x"],

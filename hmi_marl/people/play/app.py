@@ -6,6 +6,7 @@ import contextlib
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
@@ -21,9 +22,8 @@ from hmi_marl.people.play.live import LiveTrips
 from hmi_marl.people.play.settings import PlaySettings
 from hmi_marl.people.play.sockets import TripSocket
 from hmi_marl.people.play.visits import Visit
-from hmi_marl.people.record import TripRecord
+from hmi_marl.people.record import TIME, TripRecord
 from hmi_marl.people.store import Store, visitor_name
-from hmi_marl.people.trip import Trip
 from hmi_marl.people.web.cookies import Cookies
 from hmi_marl.people.web.limits import Guard
 from hmi_marl.people.web.pages import Site
@@ -215,11 +215,11 @@ class Play:
 
     def _new_trip(self, session: str, visit: Visit) -> None:
         plan = visit.plan(self.settings)
-        trip = Trip(
-            plan.config, plan.seat, plan.partner, plan.seed, plan.kind,
-            visitor=visitor_name(visit.visitor),
+        record = TripRecord(
+            plan.config, plan.seed, plan.seat, plan.kind, plan.partner, (), (), None, False,
+            visitor=visitor_name(visit.visitor), begun=datetime.now(UTC).strftime(TIME),
         )  # fmt: skip
-        self._keep(session, visit.begin(self._store.begin_trip(session, trip.record())))
+        self._keep(session, visit.begin(self._store.begin_trip(session, record)))
 
     def _begin_trip(self, request: Request, form: Form) -> Response:
         with self._alone(request):
