@@ -32,7 +32,7 @@ from hmi_marl.people.web.texts import Texts
 
 WIDTHS = {390: 844, 1280: 800}
 """Widths and heights of the windows [CSS pixels]."""
-COLOURS = 64
+COLOURS = 128
 SETTINGS = StudySettings(
     drivers=("lisa", "bart"),
     controls=(),
@@ -53,7 +53,9 @@ def shoot(page: Any, out: Path, name: str) -> None:
         page.evaluate("() => new Promise(requestAnimationFrame)")
         picture = Image.open(BytesIO(page.screenshot(full_page=True))).convert("RGB")
         content = BytesIO()
-        picture.quantize(COLOURS, dither=Image.Dither.NONE).save(content, "PNG", optimize=True)
+        picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+            content, "PNG", optimize=True
+        )
         write_bytes(out / f"{name}-{width}.png", content.getvalue())
         print(f"written: {out / f'{name}-{width}.png'}")
 
