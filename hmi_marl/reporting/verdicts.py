@@ -14,8 +14,9 @@ decides:
 
 Intervals allow for the number of parts that are judged together (:func:`judged_together`), by
 Holm's method: those of the first round are of 1 - 5 % / m for m parts that are tested; where k
-parts stay open, all are looked at again with 1 - 5 % / k, until no more are decided. So in a report
-the chance of any false decision is at most 5 %. The thresholds are in
+parts stay open, all are looked at again with 1 - 5 % / k, until no more are decided; parts that
+are decided by their margin alone count as open. So in a report the chance of any false decision is
+at most 5 %. The thresholds are in
 :mod:`hmi_marl.experiments.criteria`.
 """
 
@@ -162,7 +163,7 @@ class Correction:
     tested: int = 1
     """Parts that are tested."""
     open: int = 1
-    """Parts by which 5 % are divided: those that stay undetermined, at least 1."""
+    """Parts by which 5 % are divided: those that stay open, at least 1."""
 
     @property
     def confidence(self) -> float:
@@ -269,13 +270,19 @@ def judged_together(verdicts: Iterable[Verdict]) -> list[Verdict]:
     while remaining < before:
         before = remaining
         confidence = Correction(open=max(1, remaining)).confidence
-        remaining = _undetermined(tested, confidence)
+        remaining = _open(tested, confidence)
     correction = Correction(len(tested), max(1, remaining))
     return [replace(verdict, correction=correction) for verdict in listed]
 
 
-def _undetermined(parts: Sequence[Part], confidence: float) -> int:
-    return sum(part.outcome(confidence) is Outcome.UNDETERMINED for part in parts)
+def _open(parts: Sequence[Part], confidence: float) -> int:
+    """Count the parts that are on neither side of their thresholds.
+
+    Margins do not count. Where there is no difference, most parts would be decided by them at once,
+    and what chance has moved furthest would be left alone, to be judged as if it were the only one.
+    """
+    outcomes = (replace(part, margin=0.0).outcome(confidence) for part in parts)
+    return sum(outcome is Outcome.UNDETERMINED for outcome in outcomes)
 
 
 def _known(value: float) -> float | None:

@@ -159,3 +159,15 @@ def test_at_most_one_report_in_twenty_without_effects_decides_anything() -> None
         found = judged_together([Verdict("a", (each,)) for each in parts])
         wrong += any(one.outcome is not OPEN for one in found)
     assert 0 < wrong <= 0.05 * 400
+
+
+def test_margins_do_not_leave_the_luckiest_part_to_be_judged_alone() -> None:
+    rng = np.random.default_rng(3)
+    claimed = decided = 0
+    for _ in range(400):
+        parts = [part(value, above=0.0, margin=4.0) for value in rng.normal(size=20)]
+        found = judged_together([Verdict("a", (each,)) for each in parts])
+        claimed += any(verdict.holds for verdict in found)
+        decided += any(verdict.outcome is NOT_SUPPORTED for verdict in found)
+    assert decided > 300  # most are within the margin, whatever chance does
+    assert claimed <= 400 * 0.05 + 2.6 * math.sqrt(400 * 0.05 * 0.95)

@@ -33,6 +33,7 @@ class Turns:
     no: dict[str, float] = field(default_factory=dict)
     open: dict[str, float] = field(default_factory=dict)
     about_no: dict[str, Any] = field(default_factory=dict)
+    about_yes: dict[str, Any] = field(default_factory=dict)
     about_open: dict[str, Any] = field(default_factory=dict)
 
 
@@ -89,6 +90,7 @@ TURNS = (
     Turns(
         "By driver: the two often",
         {"id apart": 1.0},
+        about_yes=MANY,
         about_no=MANY,
         open={"id apart": 1.0},
         about_open=ONE_SEED,
@@ -160,7 +162,9 @@ TURNS = (
         SLOWER | {f"own - NoHMI {SPEED} lisa": 20.0},
         SLOWER | {f"own - NoHMI {SPEED} lisa": 4.5},
     ),
-    Turns("Latent structure", {"none accuracy": 0.8}, {"none accuracy": 0.25}),
+    Turns(
+        "Latent structure", {"none accuracy": 0.8}, {"none accuracy": 0.25}, about_no={"seeds": 10}
+    ),
     Turns(
         "The representation may be useful",
         {"id apart": 1.0},
@@ -182,7 +186,7 @@ def verdict(turns: Turns, true: dict[str, float], **about: Any) -> Verdict:
 def test_every_claim_turns_when_the_data_turn(turns: Turns) -> None:
     pytest.importorskip("sklearn")
     for true, about, wanted in (
-        (turns.yes, {}, SUPPORTED),
+        (turns.yes, turns.about_yes, SUPPORTED),
         (turns.no, turns.about_no, NOT_SUPPORTED),
         (turns.open, turns.about_open, OPEN),
     ):
