@@ -4,10 +4,11 @@ BIN := $(VENV)/bin
 # The variables constrain what pip installs for the build itself, older and newer pips; -c does not.
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help run test coverage test-slow test-long wheel trainers parity soak torture docs release-check lint format clean
+.PHONY: help run play test coverage test-slow test-long wheel trainers parity soak torture docs release-check lint format clean
 
 help:
 	@echo "make run        learn a driver and an HMI in two stages, make their table and a clip"
+	@echo "make play       open a page on which you drive with an HMI, or are one"
 	@echo "make test       run the tests"
 	@echo "make coverage   run them with their lines counted: at least 95 % of the package"
 	@echo "make test-slow  run what make test leaves out: long statistics, whole sizes, every pair"
@@ -27,6 +28,9 @@ run: $(VENV)/.for-run
 	$(BIN)/hmi-marl train two-stage --driver-steps 4_000_000 --hmi-steps 600_000 --out runs/first
 	$(BIN)/hmi-marl table --hmis NoHMI AvgHMI own runs/first --driver-policy runs/first \
 	  --world batched --episodes 256
+
+play: $(VENV)/.for-play
+	$(BIN)/hmi-marl play --open
 
 test: $(VENV)/.for-test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
@@ -83,6 +87,10 @@ $(BIN)/python:
 $(VENV)/.for-run: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) torch
 	$(PIP_INSTALL) -e '.[train]'
+	touch $@
+
+$(VENV)/.for-play: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) -e '.[people]'
 	touch $@
 
 $(VENV)/.for-test: pyproject.toml constraints.txt | $(BIN)/python

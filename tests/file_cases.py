@@ -23,6 +23,7 @@ from evidence_models import untrained_evidence
 from model_cards import with_weights
 from mutations import contents, hostile, hostile_json
 from parquet_files import write_signed
+from people.study.studies import a_study
 from people.trips import a_trip
 from trait_models import save_driver, untrained
 
@@ -46,6 +47,10 @@ from hmi_marl.files import json_value, with_checksum, without_checksum
 from hmi_marl.people.measure.trip_files import measurable, read_trips
 from hmi_marl.people.record import TripRecord
 from hmi_marl.people.store import Store
+from hmi_marl.people.study.folder import read_study
+from hmi_marl.people.study.ratings import read_ratings, write_answers
+from hmi_marl.people.study.settings import Plan
+from hmi_marl.people.study.simulated import simulated_answers
 from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Table, Text, Verdicts, block_from
 from hmi_marl.reporting.statistics import mean
@@ -453,6 +458,28 @@ def people_database(folder: Path) -> Case:
     return Case(path, read, mutate)
 
 
+def study_manifest(folder: Path) -> Case:
+    study = a_study(folder / "study")
+    path = study.folder / "study.json"
+    return json_of(path, lambda: read_study(study.folder), checked=True)
+
+
+def signed_study_manifest(folder: Path) -> Case:
+    study = a_study(folder / "study")
+    return signed_json(study.folder / "study.json", lambda: read_study(study.folder))
+
+
+def study_answers(folder: Path) -> Case:
+    study, path = a_study(folder / "study"), folder / "answers.csv"
+    write_answers(path, simulated_answers(study, 3, Plan()))
+    content = path.read_bytes()
+
+    def mutate(seed: int) -> None:
+        path.write_bytes(hostile(content, seed))
+
+    return Case(path, lambda: read_ratings(path, study), mutate)
+
+
 CASES = {
     case.__name__: case
     for case in (
@@ -485,5 +512,8 @@ CASES = {
         driver_file,
         signed_driver_file,
         people_database,
+        study_manifest,
+        signed_study_manifest,
+        study_answers,
     )
 }

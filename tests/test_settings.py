@@ -35,6 +35,8 @@ UNBOUNDED = {
 
 NO_SETTINGS = {
     "hmi_marl.people.trip.Road": "made from a Scene, which checks",
+    "hmi_marl.people.play.visits.Visit": "state of a visit",
+    "hmi_marl.people.study.ratings.LeftOut": "results",
     "hmi_marl.commands": "as typed; what they set up is checked",
     "hmi_marl.envs.config.TeamSettings": "as typed; TeamConfig checks",
     "hmi_marl.experiments.metrics_table.table.TableSettings": "as typed; TableConfig checks",
@@ -58,6 +60,8 @@ NO_SETTINGS = {
 """Dataclasses with numbers by default that nobody sets, and why."""
 
 EXAMPLES = {
+    "Decide": {"step": 0, "action": 1, "away": 0},
+    "Found": {"puzzle": 0, "number": 47},
     "TripRecord": {
         "config": TeamConfig(driver=("lisa",)),
         "seed": 1,
@@ -69,6 +73,16 @@ EXAMPLES = {
         "looking_away": (0,),
         "crashed": False,
     },
+    "StudyClip": {
+        "name": "0a1b.mp4",
+        "condition": "lisa",
+        "seed": 1,
+        "seconds": 20.0,
+        "crashed": False,
+        "distracted": 0.2,
+        "sha256": "",
+    },
+    "CheckClip": {"name": "0a1b.mp4", "answer": 2, "sha256": ""},
     "PosteriorEvaluation": {"demonstrations": Path("data")},
     "Case": {"window": 7, "weights": "paper", "horizon": 100, "revealing": 0.35},
     "Driver": {"name": "mona", "beta": 0.1, "alpha": 0.2, "eta": 0.3, "inflation": 4.0},

@@ -15,6 +15,7 @@ from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.extras import EXTRAS, TRAINING, need
 
 _PARQUET, _PROBES, _MINARI = ("pyarrow",), ("sklearn",), ("minari", "h5py")
+_WEB = ("itsdangerous", "starlette", "uvicorn", "websockets")
 
 
 @dataclass(frozen=True)
@@ -187,10 +188,54 @@ SUBCOMMANDS = (
         choice="what",
     ),
     Subcommand(
+        "play",
+        "Drive with an HMI, or be one, in the browser.",
+        "commands.play:Play",
+        _WEB,
+    ),
+    Subcommand(
         "reproduce",
         "Reproduce the paper's results, each number with its exact value and a verdict.",
         "commands.reproduce:reproduce_command",
         choices=_experiments,
+        choice="what",
+    ),
+    Subcommand(
+        "study",
+        "Have people rate clips of drivers, and say what they see.",
+        "commands.study:StudyCommand",
+        choices=(
+            Subcommand(
+                "make",
+                "Render clips of drivers and controls into a study folder.",
+                "commands.study:MakeStudy",
+                options=(
+                    Option(
+                        "--format mp4",
+                        ("imageio_ffmpeg",),
+                        lambda command: command.settings.format == "mp4",
+                    ),
+                ),
+            ),
+            Subcommand(
+                "serve",
+                "Let people rate the clips of a study folder in their browsers.",
+                "commands.study:ServeStudy",
+                ("itsdangerous", "starlette", "uvicorn"),
+            ),
+            Subcommand(
+                "analyse",
+                "Say what raters see: a verdict on each intended difference, and ratings by "
+                "driver.",
+                "commands.study:AnalyseStudy",
+                ("statsmodels",),
+            ),
+            Subcommand(
+                "power",
+                "Say how many raters a study needs, by simulated raters.",
+                "commands.study:StudyPower",
+            ),
+        ),
         choice="what",
     ),
     Subcommand(

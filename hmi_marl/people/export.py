@@ -47,7 +47,7 @@ _STEP = (
     "trip", "visitor", "step", "intended_action", "action", "alert", "distracted", "accepted",
     "counter", "fatigue", "x", "y", "speed", "lane", "gap", "headway", "crashed",
 )  # fmt: skip
-_ANSWER = ("visitor", "session", "question", "value", "made")
+ANSWER_COLUMNS = ("visitor", "session", "question", "value", "made")
 
 
 def demonstrations_of(records: Iterable[TripRecord]) -> Demonstrations:
@@ -126,7 +126,7 @@ def export(
         tables = {
             "trips.csv": (_TRIP, map(_trip_row, trips)),
             "steps.csv": (_STEP, (row for trip in trips for row in _step_rows(trip))),
-            "answers.csv": (_ANSWER, _answer_rows(store, visitor)),
+            "answers.csv": (ANSWER_COLUMNS, _answer_rows(store, visitor)),
         }
         for name, (columns, rows) in tables.items():
             write_text(out / name, _csv(columns, rows))

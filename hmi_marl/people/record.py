@@ -199,6 +199,21 @@ class TripRecord(Checked):
             raise ValueError(str(error)) from None
 
 
+@dataclass(frozen=True)
+class Progress:
+    """Decisions of a trip from a step on, and where it stands after them."""
+
+    first: int
+    """Step of the first of them."""
+    steps: tuple[tuple[int, int, int | None], ...]
+    """a^H_t, a^A_t and d_t, or None where the chain drew it."""
+    crashed: bool
+    digest: str
+    """See :class:`StateDigest`."""
+    finished: bool
+    """Whether the episode has ended."""
+
+
 def _config(content: Any) -> TeamConfig:
     if not isinstance(content, Mapping) or "driver" not in content:
         raise ValueError("config is a mapping with a driver")

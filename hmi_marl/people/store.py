@@ -22,7 +22,7 @@ from typing import Any
 
 from hmi_marl.checks import shown
 from hmi_marl.people.database import Database
-from hmi_marl.people.record import TIME, TripRecord
+from hmi_marl.people.record import TIME, Progress, TripRecord
 from hmi_marl.people.tables import OF_VISITOR, SCHEMA, TABLES
 
 _ALPHABET = "23456789ABCDEFGHJKLMNPQRSTUVWXYZ"
@@ -112,6 +112,10 @@ class Store(Database):
     def visitors(self) -> list[int]:
         """Return the numbers of all people."""
         return [number for (number,) in self.rows("SELECT number FROM visitors ORDER BY number")]
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of visitors, sessions, trips, decisions and answers."""
+        return {name: self.rows(f"SELECT count(*) FROM {name}")[0][0] for name in OF_VISITOR}
 
     def delete_visitor(self, code: str) -> dict[str, int]:
         """Delete everything of the person with this code, also from the free parts of the file.
@@ -228,6 +232,22 @@ class Store(Database):
             for number, record in records.items():
                 self._save_trip(base, number, record)
 
+    def add_decisions(self, progress: Mapping[int, Progress]) -> None:
+        """Keep new decisions of any number of trips, in one transaction.
+
+        Args:
+            progress: the decisions that follow those that are kept, by the numbers of the trips.
+
+        Raises:
+            ValueError: no such trip, or decisions that do not follow; none is kept then.
+        """
+        with self.writing() as base:
+            for number, new in progress.items():
+                last = self._last_step(base, number)
+                if new.first != (0 if last is None else last[0] + 1):
+                    raise self._went_otherwise(number)
+                self._add(base, number, new, bool(new.steps) and new.steps[0][2] is not None)
+
     def trip(self, number: int) -> StoredTrip:
         """Return a trip by its number.
 
@@ -295,22 +315,36 @@ class Store(Database):
         """Add the decisions that are not kept yet."""
         away = record.looking_away
         steps = list(zip(record.intents, record.alerts, away or [None] * len(record), strict=True))
-        kept = base.execute(
+        last = self._last_step(base, number)
+        first = 0 if last is None else last[0] + 1
+        if first > len(steps) or (last is not None and last[1:] != steps[first - 1]):
+            raise self._went_otherwise(number)
+        self._add(
+            base,
+            number,
+            Progress(first, tuple(steps[first:]), record.crashed, record.digest, record.finished),
+            away is not None,
+        )
+
+    def _last_step(self, base: sqlite3.Connection, number: int) -> Any:
+        return base.execute(
             "SELECT step, intent, alert, away FROM decisions WHERE trip = ? "
             "ORDER BY step DESC LIMIT 1",
             (number,),
         ).fetchone()
-        first = 0 if kept is None else kept[0] + 1
-        if first > len(steps) or (kept is not None and kept[1:] != steps[first - 1]):
-            raise ValueError(f"trip {number} in {self.path} is further, or went otherwise")
+
+    def _went_otherwise(self, number: int) -> ValueError:
+        return ValueError(f"trip {number} in {self.path} is further, or went otherwise")
+
+    def _add(self, base: sqlite3.Connection, number: int, new: Progress, seen: bool) -> None:
         self._update(
             base,
             "UPDATE trips SET seen = ?, crashed = ?, digest = ?, finished = ? WHERE number = ?",
-            away is not None, record.crashed, record.digest, record.finished, number,
+            seen, new.crashed, new.digest, new.finished, number,
         )  # fmt: skip
         base.executemany(
             "INSERT INTO decisions VALUES (?, ?, ?, ?, ?)",
-            [(number, step, *steps[step]) for step in range(first, len(steps))],
+            [(number, step, *values) for step, values in enumerate(new.steps, start=new.first)],
         )
 
     def _update(self, base: sqlite3.Connection, query: str, *values: Any) -> None:

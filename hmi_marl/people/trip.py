@@ -14,8 +14,11 @@ It is an episode of the environment: the same policies in both seats play the sa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,7 +31,16 @@ from hmi_marl.envs.streams import check_seed
 from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, Snapshot, World, make_world
-from hmi_marl.people.record import SEATS, TIME, Kind, Seat, StateDigest, TripRecord, WorldName
+from hmi_marl.people.record import (
+    SEATS,
+    TIME,
+    Kind,
+    Progress,
+    Seat,
+    StateDigest,
+    TripRecord,
+    WorldName,
+)
 
 CAR_LENGTH, CAR_WIDTH = 5.0, 2.0
 """Every vehicle's size [m], as highway-env has it."""
@@ -314,6 +326,13 @@ class Trip:
             digest=self._digest.hexdigest(),
         )
 
+    def progress(self, first: int) -> Progress:
+        """Return the decisions from a step on, without checking again those before."""
+        away: Sequence[int | None] = self._looking_away or [None] * self.decisions
+        steps = zip(self._intents[first:], self._alerts[first:], away[first:], strict=True)
+        crashed, digest = bool(self._teaming.crashed[0]), self._digest.hexdigest()
+        return Progress(first, tuple(steps), crashed, digest, self.over)
+
 
 class _Camera:
     """A world of its own that decides in every simulator step, to see what lies between decisions.
@@ -350,4 +369,10 @@ class _Camera:
 
 
 def _world(name: str, scene: Scene) -> World:
-    return make_world(name, scene, 1, threads=1)
+    """Return a new world of one car; a copy, since reading the road takes most of making one."""
+    return make_world(name, scene, 1, threads=1) if name == "highway" else deepcopy(_fresh(scene))
+
+
+@lru_cache(maxsize=32)
+def _fresh(scene: Scene) -> World:
+    return make_world("batched", scene, 1, threads=1)

@@ -165,7 +165,7 @@ class Figure(Block):
     """PNG of a figure, or a function that draws it when it is first shown.
 
     So a report's numbers are written before its figures are drawn. A function draws it for light
-    and for dark pages; see :mod:`hmi_marl.reporting.colours`.
+    and for dark pages; see :mod:`hmi_marl.reporting.drawing`.
     """
 
     name: str

@@ -56,6 +56,9 @@ ARGUMENTS = {
     "people export": ["people.db"],
     "people traits": ["trips"],
     "reproduce ship": ["--out", "agents"],
+    "study analyse": ["study", "people.db"],
+    "study power": ["study"],
+    "study serve": ["study", "people.db"],
     "sweep": ["joint"],
     "traits evaluate": ["runs/traits-id"],
 }
@@ -70,6 +73,9 @@ CHEAP = {
     "--hidden-cells 1 --points 2 --workers 1",
     "people traits": None,  # needs recordings: see test_people_traits.py
     "reproduce ship": None,  # needs a finished reproduction
+    "study make": "--format gif --drivers lisa bart --controls --policy rule --clips 2 --shown 1 "
+    "--duration 0.4 --vehicles 1 2 --width 160 --out study",
+    "study power": None,  # needs a study folder: see test_study.py
     "table": "--drivers homer --hmis NoHMI trained:homer --driver-policy trained:driver "
     "--episodes 1 --workers 1 --duration 0.4 --vehicles 1 2 --no-clip",
     "watch": "--hmi trained:homer --policy trained:driver --duration 0.4 --out clip.gif",
@@ -84,6 +90,7 @@ OPTIONS = {
     ("collect", "--minari"): ["--minari"],
     ("people export", "--formats parquet"): ["people.db", "--formats", "parquet"],
     ("people export", "--formats minari"): ["people.db", "--formats", "minari"],
+    ("study make", "--format mp4"): ["--format", "mp4"],
     ("watch", "--out clip.mp4"): ["--out", "folder/clip.mp4"],
 }
 

@@ -11,8 +11,8 @@ from itertools import accumulate
 from pathlib import Path
 from subprocess import CompletedProcess
 
-from installed.environments import Environment, Spec
-from installed.table import COMMANDS, OPTIONS, ROWS, Row, page_programs, readme_block
+from installed.environments import HERE, Environment, Spec
+from installed.table import COMMANDS, OPTIONS, ROWS, STUDY_MADE, Row, page_programs, readme_block
 from pages import ROOT
 
 import hmi_marl
@@ -123,6 +123,65 @@ def prepare(command: str, folder: Path) -> CompletedProcess[str]:
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
 
 
+def check_served(program: str) -> Check:
+    """The servers of the wheel have their pages, texts, styles and scripts."""
+
+    def check(environment: Environment, folder: Path) -> None:
+        script = folder / "served.py"
+        script.write_text(program, "utf-8")
+        assert succeeded(environment.python([script], folder)).split()[-1] == "served"
+
+    return check
+
+
+PLAY = """
+import re, subprocess, sys, urllib.request as web
+
+server = subprocess.Popen(
+    [sys.executable, "-m", "hmi_marl", "play", "--port", "0", "--duration", "1"],
+    stdout=subprocess.PIPE, text=True,
+)
+try:
+    address = re.search(r"http://[^/]+", server.stdout.readline())[0]
+    form = b"way=free&seat=driver&partner=never"
+    opener = web.build_opener(web.HTTPCookieProcessor())
+    first = opener.open(address).read().decode()
+    trip = opener.open(address + "/begin", form).read().decode()
+    files = set(re.findall(r'(?:href|src)="(/static/[^"?]+)', first + trip))
+    names = "film input link replay road sound task texts trip"
+    modules = {f"/static/play/{name}.js" for name in names.split()}
+    assert len(files) >= 4
+    for path in files | modules:
+        assert opener.open(address + path).read()
+finally:
+    server.kill()
+    server.wait()
+print("served")
+"""
+
+
+STUDY = f"""
+import re, subprocess, sys, urllib.request as web
+
+subprocess.run([sys.executable, "-m", "hmi_marl", *{STUDY_MADE.split()!r}], check=True)
+server = subprocess.Popen(
+    [sys.executable, "-m", "hmi_marl", "study", "serve", "study", "people.db", "--port", "0"],
+    stdout=subprocess.PIPE, text=True,
+)
+try:
+    address = re.search(r"http://[^/]+", server.stdout.readline())[0]
+    page = web.urlopen(address).read().decode()
+    files = set(re.findall(r'(?:href|src)="(/static/[^"?]+)', page))
+    assert files
+    for path in files:
+        assert web.urlopen(address + path).read()
+finally:
+    server.kill()
+    server.wait()
+print("served")
+"""
+
+
 RUN: dict[str, Callable[[Row, Environment, Path], str]] = {
     "command": run_command,
     "option": run_command,
@@ -138,6 +197,9 @@ def checks(spec: Spec) -> Iterator[tuple[str, Check]]:
     yield "pip check", check_dependencies
     yield "imported from the wheel", check_origin
     yield "version", check_version
+    if spec.extras == {"people"} and spec.python == HERE:
+        yield "play", check_served(PLAY)
+        yield "study serve", check_served(STUDY)
     paths = [accumulate(row.name.split(), "{} {}".format) for row in COMMANDS]
     wanted = [] if spec.extras else ["", *(path for steps in paths for path in steps)]
     for words in dict.fromkeys(wanted):  # without any extra, so no extra is needed for it

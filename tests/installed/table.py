@@ -51,6 +51,12 @@ def _command(name: str, needs: frozenset[str], arguments: str = "", **others: ob
 _SCENE = "--duration 2 --vehicles 1 3"
 _RUN = "--num-teams 16 --duration 2"
 _JUDGED = "--drivers 2 --population 2 --repeats 1 --candidates 1 --changes 2"
+_CLIPS = (
+    "study make --drivers bart lisa --controls --clips 2 --shown 1 --duration 1 --vehicles 1 2 "
+    "--width 160 --policy rule"
+)
+STUDY_MADE = f"{_CLIPS} --format gif --out study"
+_RATED = "study power study --raters 8 --studies 20 --out power"
 _COLLECT = "collect --drivers lisa homer --steps 6400 --num-teams 64"
 _LEARN = (
     "--pool 2 --num-teams 8 --held-out 0.5 --steps 800 --imitation-updates 1 --average-updates 1 "
@@ -92,6 +98,7 @@ COMMANDS = (
         "trips",
         not_run="needs recordings; tests/commands/test_people_traits.py runs it without extras",
     ),
+    _command("play", PEOPLE, "--port 0", not_run="serves until a signal; see check_served"),
     _command("reproduce all", TRAIN | DATA, not_run="takes a quarter of an hour with --quick"),
     _command(
         "reproduce table",
@@ -140,6 +147,20 @@ COMMANDS = (
         "--out agents",
         not_run="copies what a whole hmi-marl reproduce has learned",
     ),
+    _command(
+        "reproduce identify",
+        TRAIN,
+        "--driver-run trained:driver --driver-steps 1600 --num-teams 16 --windows 8 --strangers 3 "
+        "--episodes 2 --workers 1",
+    ),
+    _command("study make", CORE, _CLIPS.removeprefix("study make ") + " --format gif"),
+    _command(
+        "study serve", PEOPLE, "study people.db", not_run="serves until a signal; see check_served"
+    ),
+    _command(
+        "study analyse", PEOPLE, "study power/answers-simulated.csv", before=(STUDY_MADE, _RATED)
+    ),
+    _command("study power", CORE, _RATED.removeprefix("study power "), before=(STUDY_MADE,)),
     _command("sweep", TRAIN | DATA, f"joint {_SWEPT}"),
     _command("table", CORE, f"--drivers homer --hmis NoHMI own --episodes 2 --workers 1 {_SCENE}"),
     _command("train two-stage", TRAIN, f"--driver-steps 160 --hmi-steps 160 {_RUN}"),
@@ -185,6 +206,7 @@ OPTIONS = (
         "people.db --formats minari",
         not_run="see people export",
     ),
+    Row("option", "study make --format mp4", VIDEO, _CLIPS.removeprefix("study make ")),
     Row("option", "sweep --ray", TRAIN | DATA | RAY, f"joint {_SWEPT} --ray local"),
     *(
         Row(

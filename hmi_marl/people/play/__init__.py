@@ -1,0 +1,1 @@
+"""Drive with an HMI, or be one, in the browser: ``hmi-marl play``."""

@@ -1,0 +1,1 @@
+"""Parts that both web services share: pages, texts, cookies, limits and the server."""

@@ -1,0 +1,66 @@
+import stat
+
+import pytest
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+
+from hmi_marl.people.web.cookies import Cookies, signing_key
+from hmi_marl.people.web.settings import ServerSettings
+
+
+def connection(cookie=None, scheme="http", **headers):
+    pairs = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    if cookie:
+        pairs.append((b"cookie", cookie.encode()))
+    return HTTPConnection(
+        {"type": "http", "headers": pairs, "scheme": scheme, "server": ("h", 80), "path": "/"}
+    )
+
+
+def written(cookies, content, **about):
+    response = Response()
+    cookies.write(connection(**about), response, content)
+    return response.headers["set-cookie"]
+
+
+def test_the_key_is_made_once_for_its_owner_alone(tmp_path):
+    key = signing_key(tmp_path / "people.db")
+    assert signing_key(tmp_path / "people.db") == key
+    assert signing_key(tmp_path / "other.db") != key
+    assert stat.S_IMODE((tmp_path / "people.db.key").stat().st_mode) == 0o600
+    assert {path.name for path in tmp_path.iterdir()} == {"people.db.key", "other.db.key"}
+
+
+def test_a_file_without_a_key_is_refused(tmp_path):
+    (tmp_path / "people.db.key").write_text("short")
+    with pytest.raises(ValueError, match=r"people\.db\.key holds no key; remove it"):
+        signing_key(tmp_path / "people.db")
+
+
+def test_a_cookie_comes_back_and_one_made_up_does_not():
+    cookies = Cookies("play", b"k" * 64, ServerSettings())
+    line = written(cookies, {"session": "s"})
+    assert "HttpOnly" in line
+    assert "SameSite=lax" in line
+    assert "Path=/;" in line
+    assert "Secure" not in line
+    value = line.partition(";")[0]
+    assert cookies.read(connection(value)) == {"session": "s"}
+    assert cookies.read(connection()) is None
+    for odd in (value[:-2] + "xx", "play=rubbish", "play=", "play=é", value.replace("play", "x")):
+        assert cookies.read(connection(odd)) is None
+    for other in (
+        Cookies("play", b"x" * 64, ServerSettings()),
+        Cookies("study", b"k" * 64, ServerSettings()),
+    ):
+        assert other.read(connection(value.replace("play=", f"{other._name}="))) is None
+
+
+def test_its_path_is_the_base_path_and_https_makes_it_secure():
+    trusting = ServerSettings(base_path="/hmi/", trust_proxy=True)
+    line = written(Cookies("play", b"k" * 64, trusting), 1, x_forwarded_proto="https")
+    assert "Path=/hmi;" in line
+    assert "Secure" in line
+    doubting = Cookies("play", b"k" * 64, ServerSettings())
+    assert "Secure" not in written(doubting, 1, x_forwarded_proto="https")
+    assert "Secure" in written(doubting, 1, scheme="https")
