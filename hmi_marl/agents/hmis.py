@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -9,13 +10,14 @@ from numpy.typing import NDArray
 
 from hmi_marl.agents.memory import AttentionWatch, Draws, Memoryless, step_of
 from hmi_marl.checks import SHARE
-from hmi_marl.envs.alerts import PLAIN, Alerts, need_plain
+from hmi_marl.envs.alerts import PLAIN, Alerts, Fatigue, need_plain
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.observations import vehicle_ai_layout
+from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.streams import Stream
 from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, solve_belief
-from hmi_marl.exact.oracle import solve_alerts
+from hmi_marl.exact.oracle import AlertSolution, solve_alerts
 
 
 @runtime_checkable
@@ -116,13 +118,13 @@ class OptimalAlert(Memoryless):
         fatigue = () if config.fatigue is None else ("fatigue",)
         self.reads: tuple[str, ...] = ("time", "distracted", "accepted", "counter", *fatigue)
         """Parts of the observation that it reads."""
-        self._solution = solve_alerts(
+        self._solution = _optimum(
             self.model,
             config.alert_window,
             config.horizon,
             config.weights,
-            strengths=config.alert_strengths,
-            fatigue=config.fatigue,
+            config.alert_strengths,
+            config.fatigue,
         )
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -141,6 +143,20 @@ class OptimalAlert(Memoryless):
     def alert_probability(self) -> NDArray[np.float64]:
         """Return the optimal policy."""
         return self._solution.alert_probability
+
+
+@lru_cache(maxsize=8)  # a server makes the same few HMIs for each trip
+def _optimum(
+    model: Driver,
+    window: int,
+    horizon: int,
+    weights: RewardWeights,
+    strengths: tuple[float, ...],
+    fatigue: Fatigue | None,
+) -> AlertSolution:
+    solution = solve_alerts(model, window, horizon, weights, strengths=strengths, fatigue=fatigue)
+    solution.policy.flags.writeable = solution.values.flags.writeable = False
+    return solution
 
 
 class BeliefAlert:
