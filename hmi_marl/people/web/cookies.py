@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -68,9 +69,11 @@ class Cookies:
         if value is None:
             return None
         try:
-            return self._serializer.loads(value, max_age=DAYS * 24 * 3600)
+            content, signed = self._serializer.loads(value, return_timestamp=True)
         except (BadData, ValueError):
             return None
+        # one from the future is good too: the server's clock may have been put back
+        return content if datetime.now(UTC) - signed <= timedelta(days=DAYS) else None
 
     def write(self, connection: HTTPConnection, response: Response, content: Any) -> None:
         """Have a response set the cookie to JSON content."""

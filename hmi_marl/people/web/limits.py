@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
@@ -52,17 +53,19 @@ class RateLimit:
     ) -> None:
         self._rate, self._burst, self._clock = rate, burst, clock
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self._lock = threading.Lock()
 
     def allow(self, key: str = "") -> bool:
         """Take a token of a key; False if it has none."""
-        now = self._clock()
-        tokens, since = self._buckets.pop(key, (self._burst, now))
-        tokens = min(self._burst, tokens + (now - since) * self._rate)
-        allowed = tokens >= 1.0
-        self._buckets[key] = (tokens - allowed, now)
-        if len(self._buckets) > _KNOWN:
-            self._buckets.popitem(last=False)
-        return allowed
+        with self._lock:
+            now = self._clock()
+            tokens, since = self._buckets.pop(key, (self._burst, now))
+            tokens = min(self._burst, tokens + (now - since) * self._rate)
+            allowed = tokens >= 1.0
+            self._buckets[key] = (tokens - allowed, now)
+            if len(self._buckets) > _KNOWN:
+                self._buckets.popitem(last=False)
+            return allowed
 
 
 def client_address(connection: HTTPConnection, trust_proxy: bool) -> str:

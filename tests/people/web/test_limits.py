@@ -49,7 +49,7 @@ def test_every_answer_has_the_headers_and_pages_have_nothing_inline():
         assert "default-src 'self'" in headers["content-security-policy"]
         assert "unsafe" not in headers["content-security-policy"]
         assert headers["x-content-type-options"] == "nosniff"
-        assert headers["referrer-policy"] == "no-referrer"
+        assert headers["referrer-policy"] == "same-origin"
     page = client.get("/").text
     assert "style=" not in page
     assert "<style" not in page
