@@ -158,7 +158,7 @@ class StudyService:
 
     async def _clip(self, request: Request) -> Response:
         path = self._visits.study.path(request.path_params["name"])
-        if path is None:
+        if path is None or not path.is_file():
             raise HTTPException(404)
         return FileResponse(path, headers={"Cache-Control": "private, max-age=86400"})
 

@@ -31,7 +31,7 @@ def signing_key(database: Path) -> bytes:
         ValueError: the file holds no key.
         OSError: it cannot be read or made.
     """
-    path = database.with_name(f"{database.name}.key")
+    path = _key_path(database)
     if not path.exists():
         part = path.with_name(f".{path.name}-{secrets.token_hex(6)}")
         file = os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
@@ -43,6 +43,25 @@ def signing_key(database: Path) -> bytes:
                 os.link(part, path)
         finally:
             part.unlink()
+    return _read_key(path)
+
+
+def check_signing_key(database: Path) -> None:
+    """Check the key of a database if there is one, before anything is made.
+
+    Raises:
+        ValueError, OSError: see :func:`signing_key`.
+    """
+    path = _key_path(database)
+    if path.exists():
+        _read_key(path)
+
+
+def _key_path(database: Path) -> Path:
+    return database.with_name(f"{database.name}.key")
+
+
+def _read_key(path: Path) -> bytes:
     with opened(path) as stream:
         key: bytes = stream.read(1000)
     if len(key) < 2 * _BYTES:
