@@ -1,7 +1,11 @@
+import re
+
 import pytest
 from people.guests import KEY, Wheel, another, begin, client, drive, service, trip_number
+from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from hmi_marl.people.play.live import FULL
 from hmi_marl.people.play.puzzles import puzzle
 from hmi_marl.people.record import TripRecord, replay
 from hmi_marl.people.store import Store
