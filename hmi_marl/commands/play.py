@@ -79,18 +79,18 @@ class Play:
         from hmi_marl.people.play.app import Play as Service
         from hmi_marl.people.play.warm import warm
         from hmi_marl.people.store import Store
-        from hmi_marl.people.web.cookies import signing_key
+        from hmi_marl.people.web.cookies import check_signing_key, signing_key
         from hmi_marl.people.web.server import listening, serve
 
+        check_signing_key(self.database)
         listening(server).close()  # an address in use is said before the database is made
         warm(settings)
         with Store(self.database) as store:
             service = Service(store, signing_key(self.database), settings, server, limits)
-            before = store.counts()
             serve(service.app(), server, self._ready)
-            stored = {name: count - before[name] for name, count in store.counts().items()}
+            stored = store.counts()
         print(
-            f"stored in {self.database}: {stored['visitors']} new visitors, {stored['trips']} "
+            f"stored in {self.database}: {stored['visitors']} visitors, {stored['trips']} "
             f"trips with {stored['decisions']} decisions; hmi-marl people export {self.database}"
         )
 

@@ -85,13 +85,14 @@ class ServeStudy:
         from hmi_marl.people.study.app import StudyService
         from hmi_marl.people.study.folder import read_study
         from hmi_marl.people.study.visits import Visits
-        from hmi_marl.people.web.cookies import signing_key
+        from hmi_marl.people.web.cookies import check_signing_key, signing_key
         from hmi_marl.people.web.pages import Site
         from hmi_marl.people.web.server import listening, serve
         from hmi_marl.people.web.texts import Texts
 
         COUNT("most_raters", self.most_raters)
         study = read_study(self.study)
+        check_signing_key(self.database)
         listening(self.server).close()  # so that an address in use leaves no database behind
         site = Site(self.server, Texts("study"))
         with Store(self.database) as store:

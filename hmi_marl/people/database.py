@@ -42,6 +42,8 @@ class Database:
     ) -> None:
         self.path, self._tables, self._version, self._make = path, tables, version, make
         self._lock = threading.RLock()
+        if make and not path.parent.is_dir():
+            raise FileNotFoundError(f"{path.parent} is no folder; make it, or name another file")
         if make and not path.exists():
             path.touch(mode=0o600)  # what people did is not for other users
         with opened(path):  # no pipe, which SQLite would wait for

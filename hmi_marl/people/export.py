@@ -3,8 +3,9 @@
 ``export`` writes, by format:
 
 =============  =====================================================================================
-``csv``        ``trips.csv``, ``steps.csv`` and ``answers.csv``: a row for each trip, for each step
-               of each trip, and for each answer, whose ``value`` is JSON
+``csv``        ``trips.csv``, ``steps.csv``, ``answers.csv`` and ``sessions.csv``: a row for each
+               trip, for each step of each trip, for each answer, whose ``value`` is JSON, and for
+               each visit, whose ``ids`` are those of a panel as JSON
 ``json``       ``trips/N.json`` for each trip: its :class:`TripRecord`
 ``parquet``    ``demonstrations/observed.parquet``, in the format of ``hmi-marl collect``, without
                truth, since a person's traits are not known
@@ -47,6 +48,7 @@ _STEP = (
     "trip", "visitor", "step", "intended_action", "action", "alert", "distracted", "accepted",
     "counter", "fatigue", "x", "y", "speed", "lane", "gap", "headway", "crashed",
 )  # fmt: skip
+_SESSION = ("visitor", "session", "kind", "made", "ids")
 ANSWER_COLUMNS = ("visitor", "session", "question", "value", "made")
 
 
@@ -127,6 +129,7 @@ def export(
             "trips.csv": (_TRIP, map(_trip_row, trips)),
             "steps.csv": (_STEP, (row for trip in trips for row in _step_rows(trip))),
             "answers.csv": (ANSWER_COLUMNS, _answer_rows(store, visitor)),
+            "sessions.csv": (_SESSION, _session_rows(store, visitor)),
         }
         for name, (columns, rows) in tables.items():
             write_text(out / name, _csv(columns, rows))
@@ -218,6 +221,13 @@ def _answer_rows(store: Store, visitor: int | None) -> Iterator[tuple[Any, ...]]
     for each in store.answers(visitor=visitor):
         value = json.dumps(each.value, allow_nan=False)
         yield visitor_name(each.visitor), each.session, each.question, value, each.made
+
+
+def _session_rows(store: Store, visitor: int | None) -> Iterator[tuple[Any, ...]]:
+    """Rows of sessions.csv; ids are those of a panel, where a study keeps them."""
+    for each in store.sessions(visitor):
+        ids = each.state.get("ids", {}) if isinstance(each.state, dict) else {}
+        yield visitor_name(each.visitor), each.id, each.kind, each.made, json.dumps(ids)
 
 
 def _csv(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

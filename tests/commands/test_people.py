@@ -27,7 +27,7 @@ def test_export_without_extras_and_delete_by_code(visitors, monkeypatch, capsys)
         monkeypatch.setitem(sys.modules, module, None)
     assert main(["people", "export", "people.db", "--out", "all"]) == 0
     assert capsys.readouterr().out == (
-        "written: all/trips.csv, all/steps.csv, all/answers.csv, all/trips\n"
+        "written: all/trips.csv, all/steps.csv, all/answers.csv, all/sessions.csv, all/trips\n"
     )
     assert main(["people", "delete", "people.db", visitors[0].code.lower()]) == 0
     assert capsys.readouterr().out.startswith(

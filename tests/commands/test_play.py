@@ -35,7 +35,7 @@ def test_a_signal_ends_it_well(number, tmp_path):
     finally:
         server.kill()
     assert printed == (
-        "stored in people.db: 1 new visitors, 1 trips with 0 decisions; "
+        "stored in people.db: 1 visitors, 1 trips with 0 decisions; "
         "hmi-marl people export people.db\n"
     )
     assert errors == ""

@@ -64,7 +64,9 @@ def test_csv_and_json_hold_what_the_trips_were(place, tmp_path):
     with Store(place, make=False) as store:
         written = export(store, tmp_path, ("csv", "json"))
         trips = list(store.trips())
-    assert [path.name for path in written] == ["trips.csv", "steps.csv", "answers.csv", "trips"]
+    assert [path.name for path in written] == [
+        "trips.csv", "steps.csv", "answers.csv", "sessions.csv", "trips",
+    ]  # fmt: skip
     table, steps = rows_of(tmp_path / "trips.csv"), rows_of(tmp_path / "steps.csv")
     assert len(table) == len(trips) == 9
     for trip, row in zip(trips, table, strict=True):
@@ -174,3 +176,13 @@ def test_a_trait_models_windows_take_trips_of_people(records):
     assert batch.situations.shape[:3] == (4, 3, observed.actions.shape[1])
     assert {len(set(observed.driver[pool])) for pool in pools} == {1}
     assert len(transitions(batch).actions) == int((observed.length[pools] - 1).sum())
+
+
+def test_ids_of_a_panel_are_exported_where_they_were_kept(tmp_path):
+    with Store(tmp_path / "people.db") as store:
+        for state in ({"study": "s", "ids": {"PROLIFIC_PID": "p1"}}, {"study": "s"}, None):
+            store.new_session(store.new_visitor().number, "study", state)
+        export(store, tmp_path / "out", ["csv"])
+    rows = rows_of(tmp_path / "out" / "sessions.csv")
+    assert [row["visitor"] for row in rows] == ["visitor-1", "visitor-2", "visitor-3"]
+    assert [row["ids"] for row in rows] == ['{"PROLIFIC_PID": "p1"}', "{}", "{}"]

@@ -21,11 +21,12 @@ from hmi_marl.people.play import measured, pages
 from hmi_marl.people.play.live import LiveTrips
 from hmi_marl.people.play.settings import PlaySettings
 from hmi_marl.people.play.sockets import TripSocket
-from hmi_marl.people.play.visits import Visit
+from hmi_marl.people.play.visits import Visit, VisitError
 from hmi_marl.people.record import TIME, TripRecord
 from hmi_marl.people.store import Store, visitor_name
 from hmi_marl.people.web.cookies import Cookies
-from hmi_marl.people.web.limits import Guard
+from hmi_marl.people.web.limits import NEW_VISITORS, Guard, RateLimit, client_address
+from hmi_marl.people.web.once import FIELD, Once
 from hmi_marl.people.web.pages import Site
 from hmi_marl.people.web.server import make_app
 from hmi_marl.people.web.settings import Limits, ServerSettings
@@ -81,6 +82,8 @@ class Play:
         self._pages = pages.PlayPages(self._site, self.settings)
         self._cookies = Cookies("hmi-marl-play", key, self._server)
         self.live = LiveTrips(store, self._limits.max_visitors)
+        self._beginnings = RateLimit(*NEW_VISITORS)
+        self._once: Once[tuple[str, str]] = Once()
         self._locks = [threading.Lock() for _ in range(_LOCKS)]
 
     def app(self) -> Guard:
@@ -123,10 +126,8 @@ class Play:
                 return await run_in_threadpool(handler, request, form)
             except Refusal as refusal:
                 return self._site.problem(refusal.status, str(refusal))
-            except ValueError as error:
+            except VisitError as error:
                 return self._site.problem(400, str(error))
-            except OSError:
-                return self._site.problem(503, self._site.texts("problem.disk"))
 
         return Route(path, endpoint, methods=[method])
 
@@ -182,32 +183,44 @@ class Play:
 
     def _begin(self, request: Request, form: Form) -> Response:
         """Choose a way; a new visitor gets a session and a code."""
-        if self.live.full:
-            raise Refusal(503, self._site.texts("problem.full"))
         with self._alone(request):
             guest = self._guest(request)
-            visit = guest.visit if guest else Visit(0)
-            if visit.current is not None:
-                return self._to("/trip")
-            if form.get("way") == "measured":
-                visit = visit.choose_measured(self.settings)
-            else:
-                seat, partner, driver = (
-                    form.get(name, "") for name in ("seat", "partner", "driver")
-                )
-                visit = visit.choose_free(self.settings, seat, partner, driver)
             if guest is not None:
-                self._keep(guest.session, visit)
-                return self._started(guest.session, visit)
-            visitor = self._store.new_visitor()
-            visit = Visit(visitor.number, visit.way, visit.seat, visit.partner, visit.driver)
-            session = self._store.new_session(visitor.number, KIND, visit.to_json())
-            answer = self._started(session, visit)
-            self._cookies.write(request, answer, {"session": session, "code": visitor.code})
-            return answer
+                return self._chosen(guest.session, guest.visit, form)
+        self._choice(Visit(0), form)  # a choice that is none makes no visitor
+        if self.live.full:
+            raise Refusal(503, self._site.texts("problem.full"))
+        address = client_address(request, self._server.trust_proxy)
+        if not self._beginnings.allow(address):
+            raise Refusal(429, self._site.texts("problem.wait"))
+        session, code = self._once.make(form.get(FIELD, ""), self._new_guest)
+        with self._locks[hash(session) % _LOCKS]:
+            known = self._store.session(session)
+            if known is None:  # deleted since the form was sent before
+                self._once.forget((session, code))
+                raise Refusal(403, self._site.texts("problem.visit"))
+            answer = self._chosen(session, Visit.from_json(known.state), form)
+        self._cookies.write(request, answer, {"session": session, "code": code})
+        return answer
 
-    def _started(self, session: str, visit: Visit) -> Response:
+    def _new_guest(self) -> tuple[str, str]:
+        visitor = self._store.new_visitor()
+        state = Visit(visitor.number).to_json()
+        return self._store.new_session(visitor.number, KIND, state), visitor.code
+
+    def _choice(self, visit: Visit, form: Form) -> Visit:
+        if form.get("way") == "measured":
+            return visit.choose_measured(self.settings)
+        seat, partner, driver = (form.get(name, "") for name in ("seat", "partner", "driver"))
+        return visit.choose_free(self.settings, seat, partner, driver)
+
+    def _chosen(self, session: str, visit: Visit, form: Form) -> Response:
         """Begin a free trip at once; a calibration is explained first."""
+        if visit.current is not None:
+            return self._to("/trip")
+        if self.live.full:
+            raise Refusal(503, self._site.texts("problem.full"))
+        visit = self._keep(session, self._choice(visit, form))
         if visit.way != "free":
             return self._to("/next")
         self._new_trip(session, visit)
@@ -291,6 +304,8 @@ class Play:
         guest, number = self._known(request), request.path_params["number"]
         if number not in guest.visit.own_trips:
             raise Refusal(404, self._site.texts("problem.trip"))
+        if number in guest.visit.blinded_trips:
+            raise Refusal(403, self._site.texts("problem.blinded"))
         return self._store.trip(number).record
 
     def _replay(self, request: Request, form: Form) -> Response:
@@ -330,7 +345,10 @@ def _form(body: bytes) -> dict[str, str]:
     """Return the last value of each name of a form.
 
     Raises:
-        ValueError: too many values.
+        Refusal: too many values.
     """
-    values = parse_qs(body.decode("utf-8", "replace"), keep_blank_values=True, max_num_fields=20)
+    try:
+        values = parse_qs(body.decode("utf-8", "replace"), True, max_num_fields=20)
+    except ValueError:
+        raise Refusal(400, "a form has at most 20 fields") from None
     return {name: each[-1].strip() for name, each in values.items()}

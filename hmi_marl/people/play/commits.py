@@ -72,8 +72,9 @@ class Commits:
         try:
             await asyncio.to_thread(self._save, new)
         except (OSError, ValueError) as error:
-            if len(batch) == 1:
-                batch[0].failed(str(error))
+            if len(batch) == 1 or isinstance(error, OSError):  # of the file, so of all alike
+                for trip in batch:
+                    trip.failed(str(error))
                 return
             for trip in batch:  # one that was deleted meanwhile does not harm the others
                 await self._keep([trip])

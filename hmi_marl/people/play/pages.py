@@ -14,6 +14,7 @@ from hmi_marl.people.play.settings import PlaySettings
 from hmi_marl.people.play.trip_parts import alert_pad, driver_pad, facts, stage
 from hmi_marl.people.play.visits import Stage, Visit
 from hmi_marl.people.record import TripRecord
+from hmi_marl.people.web.once import FIELD, Once
 from hmi_marl.people.web.pages import Content, Markup, Site, tag
 
 _STYLES = ("/static/play/play.css",)
@@ -33,13 +34,15 @@ class PlayPages:
     def welcome(self, visit: Visit | None) -> HTMLResponse:
         """Return the first page, with the way back into a visit."""
         texts, settings = self._texts, self._settings
+        once = Once.token()
         cards: list[Content] = []
         if settings.measures:
-            cards.append(self._measured_card(visit))
+            cards.append(self._measured_card(visit, once))
         if DRIVER in settings.seats:
-            cards.append(self._free_card(DRIVER, settings.hmis))
+            cards.append(self._free_card(DRIVER, once, settings.hmis))
         if VEHICLE_AI in settings.seats:
-            cards.append(self._free_card(VEHICLE_AI, settings.driver_policies, settings.drivers))
+            policies = settings.driver_policies
+            cards.append(self._free_card(VEHICLE_AI, once, policies, settings.drivers))
         return self._page(
             texts("welcome.title"),
             tag("h1", texts("welcome.title")),
@@ -63,7 +66,7 @@ class PlayPages:
             stop = self._site.button("/stop", texts("welcome.stop"), None)
         return tag("div", link, stop, class_="row")
 
-    def _measured_card(self, visit: Visit | None) -> Markup:
+    def _measured_card(self, visit: Visit | None, once: str) -> Markup:
         texts, settings = self._texts, self._settings
         again = visit is not None and bool(visit.calibration)
         label = texts("welcome.measured.on") if again else texts("welcome.measured.begin")
@@ -79,11 +82,13 @@ class PlayPages:
                     seconds=f"{settings.team.duration:g}",
                 ),
             ),
-            self._site.button("/begin", label, way="measured"),
+            self._site.button("/begin", label, way="measured", **{FIELD: once}),
             class_="card",
         )
 
-    def _free_card(self, seat: str, partners: Sequence[str], drivers: Sequence[str] = ()) -> Markup:
+    def _free_card(
+        self, seat: str, once: str, partners: Sequence[str], drivers: Sequence[str] = ()
+    ) -> Markup:
         texts = self._texts
         fields = [
             self._choice(f"{seat}-partner", "partner", texts(f"seat.{seat}.partner"), partners)
@@ -97,6 +102,7 @@ class PlayPages:
             "form",
             tag("input", type="hidden", name="way", value="free"),
             tag("input", type="hidden", name="seat", value=seat),
+            tag("input", type="hidden", name=FIELD, value=once),
             *fields,
             tag("button", texts(f"seat.{seat}.begin"), class_="primary"),
             method="post",
@@ -258,13 +264,14 @@ class PlayPages:
             return None
         texts = self._texts
         number = visit.last
+        blinded = number in visit.blinded_trips
         outcome = texts("over.crashed") if ended["crashed"] else texts("over.whole")
         return tag(
             "section",
             tag("h2", texts("over.last")),
             tag("p", outcome, role="status"),
-            self._summary(ended),
-            tag(
+            self._summary(ended, blinded),
+            None if blinded else tag(
                 "div",
                 tag("a", texts("over.replay"), href=self._site.url(f"/trips/{number}"),
                     class_="button"),
@@ -275,7 +282,8 @@ class PlayPages:
             class_="card",
         )  # fmt: skip
 
-    def _summary(self, ended: Mapping[str, Any]) -> Markup:
+    def _summary(self, ended: Mapping[str, Any], blinded: bool = False) -> Markup:
+        """Show a trip in numbers, those left out that would tell its HMI."""
         texts = self._texts
         values = {
             "score": f"{ended['score']:.0f}",
@@ -284,6 +292,8 @@ class PlayPages:
             "away": f"{100 * ended['away']:.0f} %",
             "alerts": str(ended["alerts"]),
         }
+        if blinded:
+            del values["alerts"]
         shown = [
             tag("div", tag("dt", texts(f"over.fact.{name}")), tag("dd", value))
             for name, value in values.items()
@@ -333,11 +343,12 @@ class PlayPages:
         texts = self._texts
         own: list[Content] = []
         if visit is not None:
+            shown = set(visit.own_trips) - set(visit.blinded_trips)
             own = [
                 tag("p", texts("data.code")),
                 tag("p", tag("code", _grouped(code), class_="code")),
                 tag("p", texts("data.trips", count=len(visit.own_trips))),
-                tag("ul", *(self._own_trip(number) for number in sorted(visit.own_trips))),
+                tag("ul", *(self._own_trip(number) for number in sorted(shown))),
             ]
         return self._page(
             texts("data.title"),

@@ -17,6 +17,7 @@ from hmi_marl.people.web.settings import Limits
 
 NO_VISIT, NO_TRIP, RUBBISH = 4003, 4004, 1008
 """Codes with which connections are closed."""
+_NO_ANSWER = "the database does not answer; try again"
 _MISTAKES = 200
 """Mistakes after which a connection is closed."""
 
@@ -42,7 +43,7 @@ class TripSocket:
         try:
             number = await run_in_threadpool(self._current, websocket)
         except (OSError, ValueError):
-            await _refuse(websocket, FULL, "the database does not answer; try again")
+            await _refuse(websocket, FULL, _NO_ANSWER)
             return
         if number is None:
             await _refuse(websocket, NO_VISIT, "there is no visit; begin on the first page")
@@ -54,6 +55,9 @@ class TripSocket:
             live = await self._live.open(number)
         except ValueError as problem:
             await _refuse(websocket, NO_TRIP, str(problem))
+            return
+        except OSError:
+            await _refuse(websocket, FULL, _NO_ANSWER)
             return
         if self._live.full and not live.watched:
             await _refuse(websocket, FULL, "there are too many visitors now; try again later")

@@ -25,6 +25,10 @@ Stage = Literal["welcome", "trip", "over", "calibration", "measuring", "trial", 
 Way = Literal["", "free", "measured"]
 
 
+class VisitError(ValueError):
+    """Something that is not possible at this place of a visit."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """A trip that is to begin."""
@@ -103,16 +107,16 @@ class Visit:
         """Choose free trips.
 
         Raises:
-            ValueError: a choice that is not offered, or a trip is under way.
+            VisitError: a choice that is not offered, or a trip is under way.
         """
         self._need_no_trip()
         if seat not in settings.seats:
-            raise ValueError(f"there is no seat {seat!r}")
+            raise VisitError(f"there is no seat {seat!r}")
         driving = seat == DRIVER
         if partner not in (settings.hmis if driving else settings.driver_policies):
-            raise ValueError(f"there is no partner {partner!r} for this seat")
+            raise VisitError(f"there is no partner {partner!r} for this seat")
         if not driving and driver not in settings.drivers:
-            raise ValueError(f"there is no driver {driver!r}")
+            raise VisitError(f"there is no driver {driver!r}")
         found: Seat = "driver" if driving else "vehicle_ai"
         return replace(
             self, way="free", seat=found, partner=partner, driver="" if driving else driver
@@ -122,18 +126,18 @@ class Visit:
         """Choose the calibration and the trial, or go on with them.
 
         Raises:
-            ValueError: they are not offered, or a trip is under way.
+            VisitError: they are not offered, or a trip is under way.
         """
         self._need_no_trip()
         if not settings.measures:
-            raise ValueError("there is no calibration on this server")
+            raise VisitError("there is no calibration on this server")
         return replace(self, way="measured")
 
     def plan(self, settings: PlaySettings) -> Plan:
         """Return the trip that is to begin.
 
         Raises:
-            ValueError: none is.
+            VisitError: none is.
         """
         stage = self.stage(settings)
         series = team_seed(settings.seed, self.visitor)
@@ -148,7 +152,7 @@ class Visit:
             assert self.person is not None
             hmi = self.order[len(self.trial) // settings.trial_trips]
             return Plan(config, "driver", self.person["hmis"][hmi]["partner"], "trial", seed)
-        raise ValueError("there is no trip to begin now")
+        raise VisitError("there is no trip to begin now")
 
     def begin(self, number: int) -> Visit:
         """Note that a trip has begun."""
@@ -184,6 +188,11 @@ class Visit:
         """Numbers of all trips that ended."""
         return self.free + self.calibration + self.trial
 
+    @property
+    def blinded_trips(self) -> tuple[int, ...]:
+        """Numbers of the trial's trips while their HMIs are not to be known."""
+        return self.trial if self.result is None else ()
+
     def of_hmi(self, hmi: str, settings: PlaySettings) -> tuple[int, ...]:
         """Numbers of the trial's trips with an HMI."""
         first = self.order.index(hmi) * settings.trial_trips
@@ -191,9 +200,9 @@ class Visit:
 
     def _trip(self) -> int:
         if self.current is None:
-            raise ValueError("there is no trip under way")
+            raise VisitError("there is no trip under way")
         return self.current
 
     def _need_no_trip(self) -> None:
         if self.current is not None:
-            raise ValueError("a trip is under way; end it first")
+            raise VisitError("a trip is under way; end it first")

@@ -14,10 +14,12 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from hmi_marl.people.store import Visitor
 from hmi_marl.people.study.pages import Pages
 from hmi_marl.people.study.visits import INSTRUCTIONS, PANEL_IDS, Visit, Visits
 from hmi_marl.people.web.cookies import Cookies
-from hmi_marl.people.web.limits import Guard, RateLimit, client_address
+from hmi_marl.people.web.limits import NEW_VISITORS, Guard, RateLimit, client_address
+from hmi_marl.people.web.once import FIELD, Once
 from hmi_marl.people.web.pages import Site
 from hmi_marl.people.web.server import make_app
 from hmi_marl.people.web.settings import Limits
@@ -26,8 +28,6 @@ STATIC = Path(__file__).with_name("static")
 COOKIE = "hmi-marl-study"
 _ACTIVE = 900.0
 """Time after the last page for which a rater counts as present [s]."""
-_BEGINNINGS = 0.5, 60.0
-"""Raters from one address who may begin per second, and at once."""
 _CODES = 0.2, 10.0
 """Codes from one address that may be tried per second, and at once."""
 _FIELDS = 20
@@ -58,7 +58,8 @@ class StudyService:
         self._limits, self._most_raters = limits or Limits(), most_raters
         self._pages = Pages(visits.study, site)
         self._cookies = Cookies(COOKIE, key, site.settings)
-        self._beginnings, self._codes = RateLimit(*_BEGINNINGS), RateLimit(*_CODES)
+        self._beginnings, self._codes = RateLimit(*NEW_VISITORS), RateLimit(*_CODES)
+        self._once: Once[tuple[Visitor, str]] = Once()
         self._seen: dict[str, float] = {}
 
     def app(self) -> Guard:
@@ -105,7 +106,13 @@ class StudyService:
             raise HTTPException(503, texts("consent.full"), {"Retry-After": "60"})
         if await run_in_threadpool(self._visits.raters) >= self._most_raters:
             raise HTTPException(403, texts("consent.over"))
-        visitor, session = await run_in_threadpool(self._visits.begin, ids)
+        begun = await run_in_threadpool(
+            self._once.make, form.get(FIELD, ""), lambda: self._visits.begin(ids)
+        )
+        visitor, session = begun
+        if await run_in_threadpool(self._visits.find, session) is None:  # withdrawn since
+            self._once.forget(begun)
+            return self._home()
         self._seen[session] = self._clock()
         answer = self._home()
         self._cookies.write(request, answer, {"session": session, "code": visitor.code})
@@ -151,7 +158,7 @@ class StudyService:
 
     async def _clip(self, request: Request) -> Response:
         path = self._visits.study.path(request.path_params["name"])
-        if path is None:
+        if path is None or not path.is_file():
             raise HTTPException(404)
         return FileResponse(path, headers={"Cache-Control": "private, max-age=86400"})
 

@@ -9,6 +9,7 @@ from starlette.responses import HTMLResponse
 from hmi_marl.people.study.folder import Study
 from hmi_marl.people.study.settings import POINTS, RATINGS
 from hmi_marl.people.study.visits import INSTRUCTIONS, Visit
+from hmi_marl.people.web.once import FIELD, Once
 from hmi_marl.people.web.pages import Content, Markup, Site, tag
 
 _STYLES = ("/static/study/study.css",)
@@ -28,6 +29,7 @@ class Pages:
         form = tag(
             "form",
             *(tag("input", type="hidden", name=name, value=value) for name, value in ids.items()),
+            tag("input", type="hidden", name=FIELD, value=Once.token()),
             self._alert(texts("consent.missing")) if missing else None,
             tag(
                 "label",

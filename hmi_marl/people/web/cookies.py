@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def signing_key(database: Path) -> bytes:
         ValueError: the file holds no key.
         OSError: it cannot be read or made.
     """
-    path = database.with_name(f"{database.name}.key")
+    path = _key_path(database)
     if not path.exists():
         part = path.with_name(f".{path.name}-{secrets.token_hex(6)}")
         file = os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
@@ -42,6 +43,25 @@ def signing_key(database: Path) -> bytes:
                 os.link(part, path)
         finally:
             part.unlink()
+    return _read_key(path)
+
+
+def check_signing_key(database: Path) -> None:
+    """Check the key of a database if there is one, before anything is made.
+
+    Raises:
+        ValueError, OSError: see :func:`signing_key`.
+    """
+    path = _key_path(database)
+    if path.exists():
+        _read_key(path)
+
+
+def _key_path(database: Path) -> Path:
+    return database.with_name(f"{database.name}.key")
+
+
+def _read_key(path: Path) -> bytes:
     with opened(path) as stream:
         key: bytes = stream.read(1000)
     if len(key) < 2 * _BYTES:
@@ -68,9 +88,11 @@ class Cookies:
         if value is None:
             return None
         try:
-            return self._serializer.loads(value, max_age=DAYS * 24 * 3600)
+            content, signed = self._serializer.loads(value, return_timestamp=True)
         except (BadData, ValueError):
             return None
+        # one from the future is good too: the server's clock may have been put back
+        return content if datetime.now(UTC) - signed <= timedelta(days=DAYS) else None
 
     def write(self, connection: HTTPConnection, response: Response, content: Any) -> None:
         """Have a response set the cookie to JSON content."""

@@ -5,13 +5,15 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import HTTPConnection
+from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -25,12 +27,16 @@ SECURITY_HEADERS: Mapping[str, str] = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # under no-referrer browsers send forms with Origin: null
     "X-Content-Type-Options": "nosniff",
 }
 """Headers of every answer: nothing inline, nothing from elsewhere, no frame around it."""
 _KNOWN = 10_000
 """Most addresses that are remembered."""
+BODY_TIME = 10.0
+"""Longest time that the body of a request may take [s]."""
+NEW_VISITORS = 0.5, 60.0
+"""New visitors from one address per second, and at once."""
 
 
 class RateLimit:
@@ -47,17 +53,19 @@ class RateLimit:
     ) -> None:
         self._rate, self._burst, self._clock = rate, burst, clock
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self._lock = threading.Lock()
 
     def allow(self, key: str = "") -> bool:
         """Take a token of a key; False if it has none."""
-        now = self._clock()
-        tokens, since = self._buckets.pop(key, (self._burst, now))
-        tokens = min(self._burst, tokens + (now - since) * self._rate)
-        allowed = tokens >= 1.0
-        self._buckets[key] = (tokens - allowed, now)
-        if len(self._buckets) > _KNOWN:
-            self._buckets.popitem(last=False)
-        return allowed
+        with self._lock:
+            now = self._clock()
+            tokens, since = self._buckets.pop(key, (self._burst, now))
+            tokens = min(self._burst, tokens + (now - since) * self._rate)
+            allowed = tokens >= 1.0
+            self._buckets[key] = (tokens - allowed, now)
+            if len(self._buckets) > _KNOWN:
+                self._buckets.popitem(last=False)
+            return allowed
 
 
 def client_address(connection: HTTPConnection, trust_proxy: bool) -> str:
@@ -87,7 +95,10 @@ def from_own_page(connection: HTTPConnection, trust_proxy: bool) -> bool:
         return True
     forwarded = headers.get("x-forwarded-host", "") if trust_proxy else ""
     hosts = {headers.get("host", ""), forwarded.rpartition(",")[2].strip()} - {""}
-    return urlsplit(origin).netloc in hosts
+    try:
+        return urlsplit(origin).netloc in hosts
+    except ValueError:  # no address
+        return False
 
 
 class Guard:
@@ -127,7 +138,14 @@ class Guard:
         if refusal is not None:
             await refusal(scope, receive, sender)
             return
-        body = await self._whole_body(receive)
+        try:
+            body = await asyncio.wait_for(self._whole_body(receive), BODY_TIME)
+        except ClientDisconnect:  # a part of a form is none
+            return
+        except TimeoutError:
+            answer = PlainTextResponse(f"a form takes at most {BODY_TIME:g} s", 408)
+            await answer(scope, receive, sender)
+            return
         if body is None:
             most = self._limits.message_size
             answer = PlainTextResponse(f"a form has at most {most} bytes", 413)
@@ -162,12 +180,16 @@ class Guard:
         return None
 
     async def _whole_body(self, receive: Receive) -> bytes | None:
-        """Return the body; None if it is too large."""
+        """Return the body; None if it is too large.
+
+        Raises:
+            ClientDisconnect: the connection ended before.
+        """
         body = b""
         while True:
             message = await receive()
             if message["type"] != "http.request":
-                return body
+                raise ClientDisconnect
             body += message.get("body", b"")
             if len(body) > self._limits.message_size:
                 return None

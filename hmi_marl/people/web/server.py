@@ -65,6 +65,10 @@ def make_app(
     async def bug(request: Request, error: Exception) -> Response:
         return site.problem(500, site.texts("problem.bug"))
 
+    async def disk(request: Request, error: Exception) -> Response:
+        logging.getLogger(__name__).error("%s", error)
+        return site.problem(503, site.texts("problem.disk"))
+
     async def health(request: Request) -> Response:
         return PlainTextResponse("ok")
 
@@ -78,9 +82,10 @@ def make_app(
                 for name, folder in folders.items()
             ),
         ],
-        exception_handlers={HTTPException: http_problem, Exception: bug},
+        exception_handlers={HTTPException: http_problem, OSError: disk, Exception: bug},
         lifespan=lifespan,
     )
+    app.router.redirect_slashes = False  # it knows neither the base path nor whom to believe
     return Guard(app, site.settings, limits)  # around everything, so that errors have headers too
 
 

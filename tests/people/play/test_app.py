@@ -1,7 +1,11 @@
+import re
+
 import pytest
 from people.guests import KEY, Wheel, another, begin, client, drive, service, trip_number
+from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from hmi_marl.people.play.live import FULL
 from hmi_marl.people.play.puzzles import puzzle
 from hmi_marl.people.record import TripRecord, replay
 from hmi_marl.people.store import Store
@@ -92,6 +96,18 @@ def test_the_whole_way_from_the_calibration_to_the_result(store):
             page = browser.post("/trips")
             assert "optimal" not in page.text
             numbers.append(drive(browser, page))
+            if len(numbers) < 5:  # what would name the HMI waits for the end
+                number = numbers[-1]
+                for path in (
+                    f"/trips/{number}",
+                    f"/trips/{number}/record",
+                    f"/trips/{number}/film",
+                ):
+                    assert browser.get(path).status_code == 403
+                for path in ("/next", "/data"):
+                    shown = browser.get(path).text
+                    assert f'/trips/{number}"' not in shown
+                    assert "<dt>Alerts</dt>" not in shown
         page = browser.get("/next")
         assert "Your result" in page.text
         for shown in ("Made for you", "For the average driver", "None", "Lisa", "Homer"):
@@ -100,6 +116,8 @@ def test_the_whole_way_from_the_calibration_to_the_result(store):
         assert kinds == ["calibration"] * 2 + ["trial"] * 3
         partners = [store.trip(number).record.partner for number in numbers[2:]]
         assert {name.partition(":")[0] for name in partners} == {"optimal", "average", "never"}
+        record = browser.get(f"/trips/{numbers[-1]}/record").json()
+        assert record["partner"] == partners[-1]
         assert browser.get("/next").text == page.text
         assert browser.post("/trips").status_code == 400
 
@@ -333,3 +351,53 @@ def test_all_pages_lie_under_the_base_path(store):
             assert 'href="/' in text
             for link in text.split('="/')[1:]:
                 assert link.startswith(("hmi/", 'hmi"'))
+
+
+def test_a_form_that_is_sent_twice_makes_one_visitor_and_one_trip(store):
+    with client(service(store).app()) as browser:
+        token = re.search(r'name="once" value="([\w-]+)"', browser.get("/").text)[1]
+        numbers = {
+            trip_number(begin(another(browser), once=token))  # neither request has the cookie yet
+            for _ in range(2)
+        }
+        assert numbers == {1}
+        counts = store.counts()
+        assert (counts["visitors"], counts["trips"]) == (1, 1)
+
+
+def test_new_visitors_of_one_address_are_limited(store, monkeypatch):
+    monkeypatch.setattr("hmi_marl.people.play.app.NEW_VISITORS", (0.001, 2.0))
+    with client(service(store).app()) as browser:
+        statuses = [begin(another(browser), way="measured").status_code for _ in range(3)]
+        assert statuses == [200, 200, 429]
+        assert store.counts()["visitors"] == 2
+
+
+def test_a_damaged_database_is_no_matter_of_visitors(store):
+    app = service(store).app()
+    with TestClient(app, "http://testserver", raise_server_exceptions=False) as browser:
+        begin(browser)
+        with store.writing() as base:
+            base.execute("UPDATE sessions SET state = 'rubbish'")
+        page = browser.get("/trip")
+        assert page.status_code == 500
+        assert "people.db" not in page.text
+
+
+def test_a_database_that_does_not_answer_is_tried_again(store, monkeypatch):
+    with client(service(store).app()) as browser:
+        number = trip_number(begin(browser))
+        read = store.answers
+        monkeypatch.setattr(store, "answers", failing)
+        with browser.websocket_connect(f"/trip/socket?trip={number}") as socket:
+            assert "try again" in socket.receive_json()["reason"]
+            with pytest.raises(WebSocketDisconnect) as closed:
+                socket.receive_json()
+            assert closed.value.code == FULL, "a code after which the page connects again"
+        monkeypatch.setattr(store, "answers", read)
+        with browser.websocket_connect(f"/trip/socket?trip={number}") as socket:
+            assert Wheel(socket).decide()["step"] == 1
+
+
+def failing(*_, **__):
+    raise OSError("people.db: database is locked")

@@ -4,7 +4,7 @@ import re
 from contextlib import ExitStack, contextmanager
 
 import pytest
-from browsing import WIDTHS, Reader, browser, chromium
+from browsing import ANOTHER_MACHINE, WIDTHS, Reader, browser, chromium
 from people.guests import service
 
 from hmi_marl.people.record import replay
@@ -376,3 +376,17 @@ def test_texts_have_contrast_and_fields_and_buttons_have_names(chrome, tmp_path,
         check()
         page.goto(f"{place.address}data")
         check()
+
+
+def test_forms_work_over_plain_http_from_another_machine(chrome, tmp_path):
+    """Browsers name no Sec-Fetch-Site there, and the server has to believe their Origin."""
+    with place_in(tmp_path, duration=1.0) as place:
+        with visitor(chrome, f"http://{ANOTHER_MACHINE}:{place.port}/hmi/") as page:
+            assert not page.evaluate("window.isSecureContext")
+            page.click("form:has(#driver-partner) button")
+            start(page)
+            ended(page)
+            said = [each for each in page.said if "Opener-Policy" not in each]
+            assert said == []
+            page.said.clear()
+        assert place.store.trip(1).record.finished

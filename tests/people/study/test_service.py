@@ -177,6 +177,7 @@ def test_ids_of_a_panel_are_kept_only_where_the_study_asks(tmp_path, store, keep
     client = client_of(a_study(tmp_path / "study", keep_ids=keep), store)
     page = client.get("/?PROLIFIC_PID=abc123&SESSION_ID=<b>&STUDY_ID=s-1&name=Ada")
     fields = dict(re.findall(r'type="hidden" name="(\w+)" value="([^"]*)"', page.text))
+    fields.pop("once")
     ids = {"PROLIFIC_PID": "abc123", "SESSION_ID": "&lt;b&gt;", "STUDY_ID": "s-1"}
     assert fields == (ids if keep else {})
     begin(client, PROLIFIC_PID="abc123", SESSION_ID="<b>", STUDY_ID="s-1", name="Ada")
@@ -234,3 +235,25 @@ def test_pages_have_headings_labels_and_a_language(client):
     assert page.text.count("<legend>") == 4
     assert "not safe at all" in page.text
     assert 'aria-label="Clips rated so far"' in page.text
+
+
+def test_a_consent_that_is_sent_twice_makes_one_rater(study, store):
+    app = a_service(study, store).app()
+    first, second = (TestClient(app, "http://testserver") for _ in range(2))
+    token = re.search(r'name="once" value="([\w-]+)"', first.get("/").text)[1]
+    for browser in (first, second):  # a double click: neither request has the cookie yet
+        page = browser.post("/consent", data={"agree": "yes", "once": token})
+        assert due(page) == "instructions"
+    assert store.counts()["visitors"] == 1
+    first.post("/withdraw")
+    again = TestClient(app, "http://testserver").post(
+        "/consent", data={"agree": "yes", "once": token}
+    )
+    assert "I agree" in again.text, "who withdrew consents on a new page"
+    assert store.counts()["visitors"] == 0
+
+
+def test_a_clip_that_was_removed_is_missing(client, study):
+    name = due(begin(client))
+    study.path(name).unlink()
+    assert client.get(f"/clips/{name}").status_code == 404

@@ -1,10 +1,11 @@
 import stat
+import time
 
 import pytest
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
-from hmi_marl.people.web.cookies import Cookies, signing_key
+from hmi_marl.people.web.cookies import DAYS, Cookies, check_signing_key, signing_key
 from hmi_marl.people.web.settings import ServerSettings
 
 
@@ -64,3 +65,21 @@ def test_its_path_is_the_base_path_and_https_makes_it_secure():
     doubting = Cookies("play", b"k" * 64, ServerSettings())
     assert "Secure" not in written(doubting, 1, x_forwarded_proto="https")
     assert "Secure" in written(doubting, 1, scheme="https")
+
+
+def test_a_clock_that_is_put_back_voids_no_cookie_and_age_does(monkeypatch):
+    cookies = Cookies("name", b"k" * 64, ServerSettings())
+    now = time.time()
+    for then, kept in ((now + 3600, {"a": 1}), (now - (DAYS + 1) * 86400, None)):
+        with monkeypatch.context() as patched:
+            patched.setattr(time, "time", lambda then=then: then)
+            cookie = written(cookies, {"a": 1}).partition(";")[0]
+        assert cookies.read(connection(cookie)) == kept
+
+
+def test_a_bad_key_is_seen_before_anything_is_made(tmp_path):
+    check_signing_key(tmp_path / "people.db")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "people.db.key").write_text("short")
+    with pytest.raises(ValueError, match=r"people\.db\.key holds no key"):
+        check_signing_key(tmp_path / "people.db")

@@ -1,9 +1,12 @@
+import asyncio
+
 import pytest
 from starlette.responses import JSONResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from hmi_marl.people.web import limits
 from hmi_marl.people.web.limits import RateLimit, client_address
 from hmi_marl.people.web.pages import Site, tag
 from hmi_marl.people.web.server import make_app
@@ -20,13 +23,17 @@ async def fails(request):
     raise RuntimeError("secret of the inside")
 
 
+async def full(request):
+    raise OSError("people.db: database or disk is full")
+
+
 async def socket(websocket):
     await websocket.accept()
     await websocket.send_text("in")
     await websocket.close()
 
 
-def client_of(trust_proxy=False, base_path="", **limits):
+def client_of(trust_proxy=False, base_path="", **most):
     site = Site(ServerSettings(base_path=base_path, trust_proxy=trust_proxy), Texts("play"))
 
     async def first(request):
@@ -36,9 +43,10 @@ def client_of(trust_proxy=False, base_path="", **limits):
         Route("/", first),
         Route("/echo", echo, methods=["GET", "POST"]),
         Route("/fails", fails),
+        Route("/full", full),
         WebSocketRoute("/socket", socket),
     ]
-    app = make_app(site, routes, {}, Limits(**limits))
+    app = make_app(site, routes, {}, Limits(**most))
     return TestClient(app, "http://testserver", raise_server_exceptions=False)
 
 
@@ -49,7 +57,7 @@ def test_every_answer_has_the_headers_and_pages_have_nothing_inline():
         assert "default-src 'self'" in headers["content-security-policy"]
         assert "unsafe" not in headers["content-security-policy"]
         assert headers["x-content-type-options"] == "nosniff"
-        assert headers["referrer-policy"] == "no-referrer"
+        assert headers["referrer-policy"] == "same-origin"
     page = client.get("/").text
     assert "style=" not in page
     assert "<style" not in page
@@ -163,3 +171,57 @@ def test_a_proxy_may_pass_the_base_path_on_or_take_it_off():
         assert 'data-base="/hmi"' in page.text
     assert client.get("/hmi/static/web/site.css").status_code == 200
     assert client.get("/hmix/echo").status_code == 404
+
+
+@pytest.mark.parametrize("origin", ["http://[", "http://[::1", "null", "http://evil"])
+def test_origins_that_are_others_or_none_are_refused(origin):
+    refused = client_of().post("/echo", content=b"a=1", headers={"origin": origin})
+    assert refused.status_code == 403
+    assert refused.headers["x-content-type-options"] == "nosniff"
+
+
+def test_an_odd_slash_leads_nowhere():
+    client = client_of(base_path="/hmi")
+    answer = client.get("/hmi/echo/", headers={"host": "evil"}, follow_redirects=False)
+    assert answer.status_code == 404
+
+
+def asked(*messages):
+    """What a server answers to a POST whose body comes as these messages."""
+    sent, waiting = [], list(messages)
+
+    async def receive():
+        if waiting:
+            return waiting.pop(0)
+        return await asyncio.Event().wait()
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http", "method": "POST", "path": "/echo", "raw_path": b"/echo", "root_path": "",
+        "headers": [], "query_string": b"", "scheme": "http", "server": ("h", 80),
+    }  # fmt: skip
+    asyncio.run(client_of().app(scope, receive, send))
+    return sent
+
+
+def test_a_part_of_a_form_is_none():
+    part = {"type": "http.request", "body": b"page=1", "more_body": True}
+    assert asked(part, {"type": "http.disconnect"}) == []
+    whole = asked(part, {"type": "http.request", "body": b"2", "more_body": False})
+    assert whole[0]["status"] == 200
+    assert b"page=12" in whole[1]["body"]
+
+
+def test_a_form_that_does_not_end_is_refused(monkeypatch):
+    monkeypatch.setattr(limits, "BODY_TIME", 0.02)
+    refused = asked({"type": "http.request", "body": b"page=1", "more_body": True})
+    assert refused[0]["status"] == 408
+
+
+def test_a_disk_that_fails_is_said_in_words():
+    answer = client_of().get("/full")
+    assert answer.status_code == 503
+    assert "cannot write to its disk" in answer.text
+    assert "people.db" not in answer.text

@@ -4,7 +4,7 @@ const VISIBLE = 62; // length of road that is seen [m]
 const BEHIND = 14; // of it behind the driven car [m]
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
-const NAMES = ["grass", "grass-line", "road", "road-line", "car", "car-other", "car-edge", "car-crashed", "alarm"];
+const NAMES = ["grass", "grass-line", "road", "road-line", "car", "car-other", "car-edge", "car-crashed", "ring"];
 
 export class RoadView {
   constructor(canvas) {
@@ -112,11 +112,13 @@ export class RoadView {
     context.translate(moment.x[k], moment.y[k]);
     context.rotate(moment.h[k]);
     if (own && marks.alert) {
-      context.strokeStyle = colours.alarm;
-      context.lineWidth = 0.5;
-      context.beginPath();
-      context.arc(0, 0, 4.6, 0, 7);
-      context.stroke();
+      for (const [colour, thick] of [["car-edge", 0.9], ["ring", 0.5]]) { // seen on grass and on road
+        context.strokeStyle = colours[colour];
+        context.lineWidth = thick;
+        context.beginPath();
+        context.arc(0, 0, 4.6, 0, 7);
+        context.stroke();
+      }
     }
     context.fillStyle = moment.c[k] ? colours["car-crashed"] : own ? colours.car : colours["car-other"];
     context.strokeStyle = colours["car-edge"];
@@ -133,7 +135,7 @@ export class RoadView {
     context.fill();
     context.globalAlpha = 1;
     if (own && marks.away) {
-      context.fillStyle = colours.alarm;
+      context.fillStyle = colours.ring;
       context.beginPath();
       context.arc(-0.55, 0, 0.65, 0, 7);
       context.fill();
