@@ -196,7 +196,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "windows": ["0"],
         "hmi": ["nope", "optimal", "/no/such", "average --alert-rate 0.3"],
         "alert-rate": ["2", "nan"],
-        **dict.fromkeys(("beta", "alpha", "eta"), ["0 2", "0.5 0.4", "nan 1"]),
+        **{trait: ["0 2", "0.5 0.4", "nan 1"] for trait in ("beta", "alpha", "eta")},
         "inflation": ["0 3", "5 4", "3 21"],
         "drift": ["2", "nan"],
         "driver-policy": ["nope", "/no/such"],

@@ -122,6 +122,12 @@ COMMANDS = (
         f"{_prefixed('learn', _LEARN)} {_prefixed('evaluation', _ASSESS)}",
     ),
     _command(
+        "reproduce identify",
+        TRAIN,
+        "--driver-run trained:driver --driver-steps 1600 --num-teams 16 --windows 8 --strangers 3 "
+        "--episodes 2 --workers 1",
+    ),
+    _command(
         "reproduce graded",
         TRAIN,
         "--hmi-steps 1600 --episodes 2 --num-teams 16 --seeds 1 --workers 1",

@@ -78,7 +78,7 @@ def test_a_trait_of_another_range_is_not_judged():
     readers = dict(moved.readers) | {NETWORK: replace(network, traits=traits)}
     (verdict,) = TraitShifts().judge([row("none", [0.1] * 4), replace(moved, readers=readers)])
     assert len(verdict.parts) == 3
-    assert "beta, alpha and eta" in verdict.claim
+    assert "beta, alpha, eta" in verdict.claim
 
 
 def test_every_number_of_the_report_has_its_source():
