@@ -88,9 +88,7 @@ EXPERIMENTS.register(
 EXPERIMENTS.register(
     "shifts",
     "Compare what z and exact posteriors say of traits when drivers, HMIs or traits shift.",
-    Where(
-        "hmi_marl.experiments.trait_shifts.experiment:TraitShifts", ("sklearn",), in_suite=False
-    ),
+    Where("hmi_marl.experiments.trait_shifts.experiment:TraitShifts", ("sklearn",), in_suite=False),
 )
 EXPERIMENTS.register(
     "protocols",

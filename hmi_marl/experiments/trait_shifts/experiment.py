@@ -76,7 +76,7 @@ class TraitShifts(ShiftsReport):
     """The first of these, whose exact posteriors are computed."""
     windows: Annotated[int, Whole(2, 1000)] = 8
     """Windows of 20 s of each stranger, which are read together."""
-    sampling: Sampling = field(default_factory=lambda: Sampling(32, 4, effective=30))
+    sampling: Sampling = field(default_factory=Sampling)
     """Points of the posteriors."""
     seed: Seed = 0
     """Seed of all draws."""

@@ -53,8 +53,7 @@ SHIFTS: tuple[Shift, ...] = (
     ),
     Shift("rule-driver", "driver policy: rule", {"driver_policy": "rule"}),
     Shift("no-alerts", "HMI: no alerts", {"alert_rate": 0.0}),
-    Shift("when-distracted", "HMI: when distracted", {"hmi": "when-distracted"}),
-    Shift("average-hmi", "HMI: optimum for the average", {"hmi": "average"}),
+    Shift("average-hmi", "HMI: when distracted, the optimum for the average", {"hmi": "average"}),
     Shift(
         "adaptive-hmi",
         "HMI: adaptive, expected value",

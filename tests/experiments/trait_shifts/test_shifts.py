@@ -53,5 +53,5 @@ def test_the_knowing_posterior_knows_what_has_shifted():
     assert known("rule-driver").driver_policy is None
     assert known("window-9").config == replace(BASE.team(PAPER_DRIVERS), alert_window=9)
     assert known("high-inflation").prior.inflation == Uniform(9.0, 13.0)
-    for name in ("adaptive-hmi", "average-hmi", "when-distracted", "drift-small", "drift-large"):
+    for name in ("adaptive-hmi", "average-hmi", "drift-small", "drift-large"):
         assert known(name) is None
