@@ -56,6 +56,7 @@ NO_SETTINGS = {
     "hmi_marl.envs.render.TeamStatus": "results",
     "hmi_marl.experiments.metrics_table.table.Cell": "results",
     "hmi_marl.experiments.speed.bench._Contestant": "results",
+    "hmi_marl.experiments.trait_shifts.scoring.Estimates": "results",
 }
 """Dataclasses with numbers by default that nobody sets, and why."""
 

@@ -14,7 +14,7 @@ from hmi_marl.ownership import owned
 
 @dataclass(frozen=True)
 class Collect:
-    """Record demonstrations of drivers with an HMI that alerts at random.
+    """Record demonstrations of drivers, by default with an HMI that alerts at random.
 
     What could be observed of a person goes to observed.parquet, the hidden truth apart from it to
     truth.parquet, and what is printed to summary.json.

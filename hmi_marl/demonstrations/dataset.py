@@ -213,6 +213,12 @@ class Truth:
         if any(getattr(self, name)[over].any() for name in ("distracted", "accepted", "counter")):
             raise ValueError("after an episode's end d, i and c are 0")
 
+    def traits_of(self, pools: ArrayLike) -> NDArray[np.float64]:
+        """Return the traits of pools of windows, (P, n), as their means if they drift, (P, 4)."""
+        own = self.traits[np.asarray(pools)]
+        same = (own == own[:, :1]).all(axis=1)  # whose mean may be rounded
+        return np.where(same, own[:, 0], own.mean(axis=1))
+
     def take(self, which: ArrayLike) -> Truth:
         """Select episodes by a mask of shape (E,) or by their indices."""
         names = ("distracted", "accepted", "counter", "intended", "traits")

@@ -1,4 +1,4 @@
-"""Record demonstrations of drivers with an HMI that alerts at random.
+"""Record demonstrations of drivers, by default with an HMI that alerts at random.
 
 Random alerts show a driver's receptivity: driving with and without an alert in alike situations.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -23,22 +23,23 @@ from hmi_marl.agents.catalogue import (
 from hmi_marl.agents.learned.policy import LearnedPolicy
 from hmi_marl.agents.mixture import Mixture
 from hmi_marl.agents.rollout import Observer, begin, play
-from hmi_marl.checks import Checked, Count, CountOrZero, Share, Steps
+from hmi_marl.checks import Checked, Count, CountOrZero, Share, Steps, shown
 from hmi_marl.demonstrations.dataset import (
     MISSING,
     STATE_PARTS,
     Demonstrations,
     Observed,
     Truth,
+    numbers,
     observed_layout,
 )
+from hmi_marl.demonstrations.population import PopulationTraits
 from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig, TeamSettings
 from hmi_marl.envs.drivers import (
     PAPER_DRIVERS,
     Driver,
     DriverName,
-    TraitDistributions,
     Traits,
     get_driver,
 )
@@ -49,7 +50,7 @@ from hmi_marl.envs.streams import Seed, Stream, episode_seed, mix
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.files import json_value, sha256, sha256_of
 
-POPULATION = "population"
+POPULATION, RANDOM, ALERT_RATE = "population", "random", 0.2
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,13 @@ class CollectSettings(Checked, TeamSettings):
     population-1, ..., to evaluate on drivers that were never seen in training."""
     windows: Count = 16
     """Windows of each driver of the population."""
-    alert_rate: Share = 0.2
-    """Probability of an alert in each step."""
+    traits: PopulationTraits = field(default_factory=PopulationTraits)
+    """Traits of the population."""
+    hmi: str = RANDOM
+    """HMI: random, at --alert-rate, so that the timing of alerts says nothing of the driver; or any
+    other by name, such as average or adapt:expected."""
+    alert_rate: Share = ALERT_RATE
+    """Probability of an alert in each step, with the HMI random."""
     driver_policy: str = "rule"
     """Driver policy: the folder of a training run, trained:driver, rule, random, or
     mixture:NAME,NAME,... of these."""
@@ -91,19 +97,23 @@ class CollectSettings(Checked, TeamSettings):
             raise ValueError("there is no driver: name drivers, or set population")
         team = self.team(PAPER_DRIVERS)
         need_plain(team.alerts, "a dataset of demonstrations")
+        if self.hmi != RANDOM and self.alert_rate != ALERT_RATE:
+            raise ValueError(
+                f"alert_rate is of the HMI {RANDOM!r}, not of {shown(self.hmi)}; give one of both"
+            )
         self.make_hmi(team)
         counts = Counter(driver.name for driver, _ in self.cast())
         if twice := [name for name, count in counts.items() if count > 1]:
             raise ValueError(f"two drivers have the name {twice[0]!r}; rename one")
 
     @property
-    def hmi(self) -> str:
-        """Name of the HMI that collects data."""
-        return f"random:{float(self.alert_rate)!r}"
+    def hmi_name(self) -> str:
+        """Name of the HMI that collects data, with its rate."""
+        return f"{RANDOM}:{float(self.alert_rate)!r}" if self.hmi == RANDOM else self.hmi
 
     def make_hmi(self, config: TeamConfig) -> Policy:
         """Make the HMI that collects data."""
-        return make_hmi(self.hmi, config)
+        return make_hmi(self.hmi_name, config)
 
     def make_driver(self, config: TeamConfig) -> Policy:
         """Make the driver policy, or raise FileNotFoundError or ValueError if there is none."""
@@ -122,7 +132,7 @@ class CollectSettings(Checked, TeamSettings):
         horizon = self.team(PAPER_DRIVERS).horizon
         named = [(get_driver(name), -(-self.steps // horizon)) for name in self.drivers]
         names = [f"{POPULATION}-{k}" for k in range(self.population)]
-        traits = TraitDistributions().draw(self._series(names)).as_array().tolist()
+        traits = self.traits.distributions.draw(self._series(names)).as_array().tolist()
         drawn = (Driver(name, *row) for name, row in zip(names, traits, strict=True))
         return (*named, *((driver, self.windows) for driver in drawn))
 
@@ -141,6 +151,13 @@ class CollectSettings(Checked, TeamSettings):
         who = np.repeat(np.arange(len(cast)), [windows for _, windows in cast])
         number = np.concatenate([np.arange(1, windows + 1) for _, windows in cast])
         return who, episode_seed(self._series([driver.name for driver, _ in cast])[who], number)
+
+    def traits_in(self, who: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the traits of each window, shape (E, 4), of :meth:`episodes`' drivers (E,)."""
+        drawn = np.array([driver.traits for driver, _ in self.cast()])[who]
+        stays = who < len(self.drivers)
+        moved = self.traits.drifted(drawn, numbers(who), self.windows)
+        return np.where(stays[:, None], drawn, moved)
 
     def _series(self, names: list[str]) -> NDArray[np.uint64]:
         digests = (bytes.fromhex(sha256(name.encode())) for name in names)
@@ -182,11 +199,13 @@ def collect(
     hidden = about | {"drivers": json_value(cast), "settings": json_value(settings)}
     hidden["command"] = command_line
     who, seeds = settings.episodes()
+    traits = settings.traits_in(who)
 
     def chunks() -> Iterator[Demonstrations]:
         for start in range(0, len(seeds), settings.num_teams):
             part = slice(start, start + settings.num_teams)
-            yield _play(settings, cast, who[part], seeds[part], (about, hidden), progress)
+            drivers = who[part], traits[part]
+            yield _play(settings, cast, drivers, seeds[part], (about, hidden), progress)
 
     return chunks()
 
@@ -202,7 +221,7 @@ def _about(settings: CollectSettings, config: TeamConfig) -> dict[str, Any]:
         "environment": "merge_v0",
         "team": team,
         "driver_policy": policy,
-        "hmi": settings.hmi,
+        "hmi": settings.hmi_name,
         "seed": settings.seed,
         "population": settings.population,
     }
@@ -218,13 +237,13 @@ def _named(driver_policy: str) -> dict[str, Any]:
 def _play(
     settings: CollectSettings,
     cast: list[Driver],
-    who: NDArray[np.int64],
+    drivers: tuple[NDArray[np.int64], NDArray[np.float64]],
     seeds: NDArray[np.uint64],
     about: tuple[dict[str, Any], dict[str, Any]],
     progress: Callable[[int], Any],
 ) -> Demonstrations:
-    traits = Traits.of(cast[k] for k in who)
-    config = settings.team(_Placed(traits))
+    who, traits = drivers
+    config = settings.team(_Placed(Traits.from_array(traits)))
     driver, hmi = settings.make_driver(config), settings.make_hmi(config)
     teaming = begin(config, driver, hmi, seeds, "batched")
     recorder = StepRecorder(config, len(seeds), progress)
@@ -233,7 +252,7 @@ def _play(
     steps = r.states, r.applied, r.alerts, teaming.steps.copy(), r.crash_step
     observed = Observed(r.layout, *steps, who, names, seeds, about[0])
     hidden = r.distracted, r.accepted, r.counter, r.intended
-    return Demonstrations(observed, Truth(*hidden, traits.as_array(), about[1]))
+    return Demonstrations(observed, Truth(*hidden, traits, about[1]))
 
 
 class StepRecorder(Observer):

@@ -75,6 +75,8 @@ NETWORK_R2: Mapping[str, float] = MappingProxyType(
     {"beta": 0.90, "alpha": 0.70, "eta": 0.57, "inflation": 0.93}
 )
 """The same by a small network."""
+KEPT_R2 = 0.9
+"""Least share of the R² of a trait that a shift leaves, if the trait is still read."""
 NAMED_POOLS, NAMED_WINDOWS = 0.98, 0.88
 """Least share of types named right from one labelled pool each: of pools, and of single windows."""
 KL_INFLUENCE = 2.0

@@ -86,6 +86,11 @@ EXPERIMENTS.register(
     Where("hmi_marl.experiments.driver_map.experiment:DriverMap", (), in_suite=False),
 )
 EXPERIMENTS.register(
+    "shifts",
+    "Compare what z and exact posteriors say of traits when drivers, HMIs or traits shift.",
+    Where("hmi_marl.experiments.trait_shifts.experiment:TraitShifts", ("sklearn",), in_suite=False),
+)
+EXPERIMENTS.register(
     "protocols",
     "Train by every protocol with equal environment steps and several seeds, and compare them.",
     Where("hmi_marl.experiments.protocols.experiment:ProtocolComparison", in_suite=False),

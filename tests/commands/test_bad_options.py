@@ -58,6 +58,10 @@ LEARNER = {
     "threads": ["0", "1000"],
     "checkpoint-every": ["nan", "-1", "inf"],
 }
+SAMPLING = {
+    "groups": ["1"],
+    **{name: ["0"] for name in ("shared", "rounds", "most-rounds", "effective")},
+}
 WEIGHTS = ("reconstruct", "information", "contrast", "regularise", "cohesion", "imitate")
 MACHINE = {"workers": ["0", "many"]}
 RAY = {"ray": ["nope", "ray://nope", "127.0.0.1:9"]}
@@ -193,7 +197,11 @@ BAD: dict[str, dict[str, list[str]]] = {
         "steps": ["0"],
         "population": ["-1"],
         "windows": ["0"],
+        "hmi": ["nope", "optimal", "/no/such", "average --alert-rate 0.3"],
         "alert-rate": ["2", "nan"],
+        **{trait: ["0 2", "0.5 0.4", "nan 1"] for trait in ("beta", "alpha", "eta")},
+        "inflation": ["0 3", "5 4", "3 21"],
+        "drift": ["2", "nan"],
         "driver-policy": ["nope", "/no/such"],
         "seed": ["-1"],
         "num-teams": ["0"],
@@ -322,6 +330,21 @@ BAD: dict[str, dict[str, list[str]]] = {
         "seeds": ["0"],
         "hmi-steps": ["0"],
         "quick": [*QUICK, "--hmi-steps 7"],
+    },
+    "reproduce shifts": {
+        **MACHINE,
+        **RAY,
+        **OUT,
+        "driver-run": ["/no/such", "nope", "trained:homer"],
+        "traits-model": ["/no/such", "trained:driver"],
+        "shifts": ["nope", "rule-driver", "none none"],
+        "fitted": ["2"],
+        "strangers": ["2", "9"],
+        "posteriors": ["2", "301"],
+        "windows": ["1"],
+        **within("sampling", SAMPLING),
+        "seed": ["-1"],
+        "quick": [*QUICK, "--fitted 7"],
     },
     "reproduce map": {
         **MACHINE,
@@ -455,11 +478,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "windows": ["0", "99"],
         "seconds": ["0", "nan"],
         "driver-policy": ["/no/such", "nope"],
-        "sampling.groups": ["1"],
-        "sampling.shared": ["0"],
-        "sampling.rounds": ["0"],
-        "sampling.most-rounds": ["0"],
-        "sampling.effective": ["0"],
+        **within("sampling", SAMPLING),
         "seed": ["-1"],
     },
     "play": {

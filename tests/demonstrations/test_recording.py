@@ -103,7 +103,7 @@ def test_by_default_the_papers_drivers_drive_as_long_as_the_papers() -> None:
         (name, 3000) for name in ("lisa", "marge", "bart", "homer")
     ]
     assert settings.total_steps == 4 * 300_000
-    assert settings.hmi == "random:0.2"
+    assert settings.hmi_name == "random:0.2"
 
 
 def test_steps_are_rounded_up_to_whole_windows() -> None:

@@ -129,6 +129,12 @@ COMMANDS = (
         f"{_prefixed('learn', _LEARN)} {_prefixed('evaluation', _ASSESS)}",
     ),
     _command(
+        "reproduce identify",
+        TRAIN,
+        "--driver-run trained:driver --driver-steps 1600 --num-teams 16 --windows 8 --strangers 3 "
+        "--episodes 2 --workers 1",
+    ),
+    _command(
         "reproduce graded",
         TRAIN,
         "--hmi-steps 1600 --episodes 2 --num-teams 16 --seeds 1 --workers 1",
@@ -138,6 +144,13 @@ COMMANDS = (
         CORE,
         "--windows 2 --shares 0.5 --etas 0.1 --horizon 3 --seen-cells 1 --hidden-cells 1 "
         "--points 2",
+    ),
+    _command(
+        "reproduce shifts",
+        DATA,
+        "--driver-run trained:driver --shifts none rule-driver --fitted 3 --strangers 3 "
+        "--posteriors 3 --windows 2 --sampling.groups 8 --sampling.rounds 1 "
+        "--sampling.most-rounds 1 --workers 1",
     ),
     _command("reproduce protocols", TRAIN, _COMPARED),
     _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}"),

@@ -177,7 +177,7 @@ def evaluate_posteriors(
         seed=seed,
         progress=progress,
     )
-    true = truth.traits[rows][np.unique(person, return_index=True)[1]]
+    true = truth.traits_of(rows[np.argsort(person, kind="stable")].reshape(-1, windows))
     return PosteriorRow(
         case,
         windows,

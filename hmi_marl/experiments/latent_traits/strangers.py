@@ -35,7 +35,7 @@ class TraitReading:
     means: NDArray[np.float64]
     """Posterior means of z, shape (P, Z)."""
     traits: NDArray[np.float64]
-    """True traits, shape (P, T)."""
+    """True traits, shape (P, T); means over a pool if they drift."""
     predicted: NDArray[np.float64]
     """Traits as a small network reads them from z, shape (P, T)."""
     drivers: int
@@ -92,7 +92,7 @@ def read_traits(
         raise ValueError("traits can be regressed only where the truth is known")
     pools, fits = strangers_pools(population.observed.driver, size)
     z = model.latents(model.encode(population.observed), pools).mean
-    traits = truth.traits[pools[:, 0]]
+    traits = truth.traits_of(pools)
     sides = z[fits], traits[fits], z[~fits]
     predicted = predict_traits(*sides, seed)
     return TraitReading(
