@@ -124,7 +124,7 @@ class Store(Database):
             Number of rows deleted of each table.
 
         Raises:
-            ValueError: nobody has this code.
+            ValueError: no visitor has this code.
         """
         with self.writing() as base:
             found = base.execute(

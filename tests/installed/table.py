@@ -160,12 +160,6 @@ COMMANDS = (
         "--out agents",
         not_run="copies what a whole hmi-marl reproduce has learned",
     ),
-    _command(
-        "reproduce identify",
-        TRAIN,
-        "--driver-run trained:driver --driver-steps 1600 --num-teams 16 --windows 8 --strangers 3 "
-        "--episodes 2 --workers 1",
-    ),
     _command("study make", CORE, _CLIPS.removeprefix("study make ") + " --format gif"),
     _command(
         "study serve", PEOPLE, "study people.db", not_run="serves until a signal; see check_served"

@@ -17,7 +17,7 @@ _WIDTH, _HEIGHT = 200, 22
 
 
 def traits_table(person: Mapping[str, Any], texts: Texts) -> Markup:
-    """Show β, α and η with their 95 % intervals, beside the four drivers."""
+    """Show β, α and η with their 95 % intervals, with those of the four drivers."""
     rows: list[Content] = []
     for trait, symbol in _SYMBOLS.items():
         found = person["estimates"][trait]

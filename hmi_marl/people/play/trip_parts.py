@@ -30,7 +30,7 @@ def stage(site: Site) -> Markup:
 
 
 def facts(texts: Texts, driving: bool) -> Markup:
-    """Return the numbers beside the road."""
+    """Return the numbers at the side of the road."""
     names = ["speed", "lane", "time", "score", *(["points"] if driving else [])]
     if not driving:
         names += ["eyes", "intent", "effect"]
