@@ -43,7 +43,7 @@ class Database:
         self.path, self._tables, self._version, self._make = path, tables, version, make
         self._lock = threading.RLock()
         if make and not path.parent.is_dir():
-            raise FileNotFoundError(f"{path.parent} is no folder; make it, or name another file")
+            raise FileNotFoundError(f"{path} cannot be made: make its folder first")
         if make and not path.exists():
             path.touch(mode=0o600)  # what people did is not for other users
         with opened(path):  # no pipe, which SQLite would wait for
