@@ -132,7 +132,7 @@ SUBCOMMANDS = (
     ),
     Subcommand(
         "collect",
-        "Record demonstrations of drivers with an HMI that alerts at random.",
+        "Record demonstrations of drivers, by default with an HMI that alerts at random.",
         "commands.collect:Collect",
         _PARQUET,
         (Option("--minari", _MINARI, lambda command: command.minari),),
