@@ -23,11 +23,13 @@ at most 5 %. The thresholds are in
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Literal
 
+from hmi_marl.checks import shown
 from hmi_marl.files import json_value
 from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, t_interval, wilson_interval
 from hmi_marl.typed_json import read_as
@@ -37,6 +39,7 @@ EPISODES, SEEDS = "episodes", "training seeds"
 """Units that most parts are repeated over."""
 _LARGEST = 700.0
 """Largest exponent of an end of an interval; larger ones overflow."""
+_FORM = re.compile(r"[+ -]?z?(\.\d{1,2})?[%efg]?")
 _SHOWN = 6
 """Most parts that a verdict tells in one line."""
 
@@ -76,6 +79,10 @@ class Part:
     """Training seeds of what was learned; 0 if the quantity depends on nothing learned."""
     form: str = "z.4g"
     """Format in which it is shown."""
+
+    def __post_init__(self) -> None:
+        if not _FORM.fullmatch(self.form):
+            raise ValueError(f"form is a format of numbers such as z.1f, not {shown(self.form)}")
 
     @classmethod
     def exact(cls, what: str, value: float, **more: Any) -> Part:

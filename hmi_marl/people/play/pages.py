@@ -306,7 +306,7 @@ class PlayPages:
         title = texts("replay.title", number=number)
         controls = tag(
             "div",
-            tag("button", texts("trip.replay.play"), id="play", type="button", class_="primary"),
+            tag("button", texts("trip.replay.play"), id="play", class_="primary", disabled=True),
             tag("label", texts("replay.place"), for_="place", class_="hidden-label"),
             tag("input", type="range", id="place", min=0, max=1, value=0, step=1),
             class_="row",

@@ -58,6 +58,7 @@ try {
   place.step = "0.1";
   show();
   requestAnimationFrame(frame);
+  button.disabled = false;
 } catch {
   find("status").textContent = t("trip.replay.failed");
 }
