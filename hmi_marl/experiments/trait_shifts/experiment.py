@@ -94,7 +94,8 @@ class TraitShifts(ShiftsReport):
     def quick(cls) -> TraitShifts:
         """See :meth:`Experiment.quick`."""
         some = (NONE.name, "control-driver", "average-hmi", "drift-large", "high-inflation")
-        return cls(shifts=some, fitted=100, strangers=100, posteriors=3)
+        few = Sampling(32, 4, most_rounds=8, effective=30)
+        return cls(shifts=some, fitted=100, strangers=100, posteriors=3, sampling=few)
 
     def check(self, place: Place) -> None:
         """See :meth:`Experiment.check`."""
