@@ -355,6 +355,7 @@ def test_texts_have_contrast_and_fields_and_buttons_have_names(chrome, tmp_path,
     ):
 
         def check():
+            page.wait_for_load_state("load")  # with its styles
             assert page.evaluate(CONTRAST) == []
             nameless = page.locator("button, a, input:not([type=hidden]), select, canvas")
             for each in nameless.all():
