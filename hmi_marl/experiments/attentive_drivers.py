@@ -26,7 +26,7 @@ from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import UNKNOWN, Estimate
-from hmi_marl.reporting.verdicts import EPISODES, Part, Verdict
+from hmi_marl.reporting.verdicts import Part, Verdict
 from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.two_stage import TwoStage
 
@@ -125,7 +125,9 @@ class AttentiveDrivers(SeededExperiment[list[DriverRow]]):
             part = learned_part("speed return", row.speed_return, self.seeds, above=least)
             fast.append(Verdict(f"{row.driver}: speed return of at least {least:.0f}", (part,)))
         most, crashes = criteria.MOST_CRASHES, confident.crash_rate
-        few = learned_part("crash rate", crashes, self.seeds, share=True, below=most, form="z.2%")
+        few = learned_part(
+            "crash rate", crashes, self.seeds, alone=Part.share, below=most, form="z.2%"
+        )
         keeps = headway_part(cautious.headway_ratio, self.seeds)
         return [
             *fast,
@@ -157,9 +159,7 @@ def headway_part(ratio: Estimate, seeds: int = 1) -> Part:
     """State that the cautious driver keeps more headway than the confident one."""
     least = criteria.LEAST_HEADWAY_RATIO
     what = "headway, times the confident driver's"
-    if seeds > 1:
-        return learned_part(what, ratio, seeds, above=least, form="z.2f")
-    return Part.ratio(what, ratio, EPISODES, above=least, seeds=1, form="z.2f")
+    return learned_part(what, ratio, seeds, alone=Part.ratio, above=least, form="z.2f")
 
 
 def assess(policy: Path, steps: int, episodes: int) -> list[DriverRow]:

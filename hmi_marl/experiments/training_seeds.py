@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Self, TypeVar, cast
@@ -81,13 +81,12 @@ class SeededExperiment(Experiment[Repeated[R]], Generic[R]):
         """Settings of each seed alone, and where it learns."""
         if self.seeds == 1:
             return [(self, place)]
-        return list(self._by_seed(place))
-
-    def _by_seed(self, place: Place) -> Iterator[tuple[Self, Place]]:
-        for number in range(self.seeds):
-            seed = int(part_seed(self.seed, number)) if number else self.seed
-            folder = place.folder / SEED_FOLDER.format(number) if number else place.folder
-            yield replace(cast(Any, self), seed=seed, seeds=1), replace(place, folder=folder)
+        found = [(replace(cast(Any, self), seeds=1), place)]
+        for number in range(1, self.seeds):
+            alone = replace(cast(Any, self), seed=int(part_seed(self.seed, number)), seeds=1)
+            folder = place.folder / SEED_FOLDER.format(number)
+            found.append((alone, replace(place, folder=folder)))
+        return found
 
     def run(self, place: Place) -> Repeated[R]:
         """See :meth:`Experiment.run`."""
@@ -116,7 +115,7 @@ def learned_part(
     estimate: Estimate,
     seeds: int,
     unit: str = EPISODES,
-    share: bool = False,
+    alone: Callable[..., Part] = Part.mean,
     **more: Any,
 ) -> Part:
     """State something of what was learned, with any number of seeds.
@@ -126,14 +125,12 @@ def learned_part(
         estimate: over units, or, of several seeds, averaged by :func:`over_seeds`.
         seeds: number of training seeds; 0 if it depends on nothing learned.
         unit: what is repeated within a seed.
-        share: whether it is a share of independent trials, tested by Wilson's score with one seed.
+        alone: makes the part of one seed, such as :meth:`Part.share`.
         more: as :meth:`Part.mean` takes it.
     """
     if seeds > 1 and estimate.count == seeds:
         return Part.mean(what, estimate, SEEDS, seeds=seeds, **more)
-    if share:
-        return Part.share(what, estimate, unit, seeds=seeds, **more)
-    return Part.mean(what, estimate, unit, seeds=seeds, **more)
+    return alone(what, estimate, unit, seeds=seeds, **more)
 
 
 def over_seeds(results: Sequence[T]) -> T:

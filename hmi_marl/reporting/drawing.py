@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
 COLOURS = ("#9aa1ab", "#e0a030", "#5aa9e0", "#32a050", "#b0508c", "#6a5acd", "#c05040")
-"""Colours of data in their order, to be told apart on light and on dark."""
+"""Colours of data in their order, distinct on light and on dark."""
 PAPER, DARK_PAPER = "#ffffff", "#16181c"
 """Backgrounds of pages and figures."""
 _DARK_INK = "#dddddd"

@@ -24,7 +24,7 @@ from hmi_marl.experiments.training_seeds import (
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Text
 from hmi_marl.reporting.statistics import UNKNOWN, Estimate
-from hmi_marl.reporting.verdicts import EPISODES, SEEDS, Verdict
+from hmi_marl.reporting.verdicts import EPISODES, SEEDS, Part, Verdict
 
 
 class Pair(NamedTuple):
@@ -123,7 +123,7 @@ def test_a_part_names_its_unit() -> None:
         SEEDS,
         2,
     )
-    assert learned_part("crashes", statistics.share(1, 9), 1, share=True).test == "Wilson"
+    assert learned_part("crashes", statistics.share(1, 9), 1, alone=Part.share).test == "Wilson"
     assert learned_part("gain", one, 1, "drivers").unit == "drivers"
 
 

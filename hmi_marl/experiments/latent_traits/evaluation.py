@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ class TraitEvaluation(TraitReport):
 
     def check(self, place: Place) -> None:
         """See :meth:`Experiment.check`; what the demonstrations hold is checked in the run."""
-        self._fitting_models()
+        _ = self._fitting_models
         if self.driver_policy is not None:
             make_driver_policy(self.driver_policy, TeamConfig())
 
@@ -69,7 +70,7 @@ class TraitEvaluation(TraitReport):
         """
         from hmi_marl.demonstrations.parquet import read_demonstrations
 
-        models, share = self._fitting_models()
+        models, share = self._fitting_models
         data = read_demonstrations(self.demonstrations)
         pool = models[0].card.pool
         split = Split.of(data, share, self.size.windows)
@@ -115,6 +116,7 @@ class TraitEvaluation(TraitReport):
         check_fits(models[0], unknown.observed)
         return unknown
 
+    @cached_property
     def _fitting_models(self) -> tuple[list[TraitModel], float]:
         """Load the models, and find the share of windows that they held out.
 
