@@ -33,7 +33,7 @@
     const text = e.textContent.trim(), range = document.createRange();
     range.selectNodeContents(e);  // its own height, not that of its row
     const lines = range.getBoundingClientRect().height / (parseFloat(getComputedStyle(e).fontSize) * 1.6);
-    if (lines > 6 && text.length / lines < 4)
+    if (text && lines > 6 && text.length / lines < 4)  // a picture alone is no text
       problems.push(`is a column of letters (${e.clientWidth} wide): ${name(e)}`);
   }
   for (const image of main.querySelectorAll('img'))

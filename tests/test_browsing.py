@@ -8,6 +8,7 @@ pytestmark = [
     pytest.mark.skipif(not chromium(), reason="no Chromium here: apt-get install chromium"),
 ]
 WIDE = "<table><tr>" + "<td>entry</td>" * 200 + "</tr></table>"
+PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="
 FAULTS = {
     "wide": (WIDE, "wide"),
     "cut": (f'<div style="overflow: hidden">{WIDE}</div>', "cut off"),
@@ -30,6 +31,7 @@ FAULTS = {
 }
 FINE = {
     "high row": "<table><tr><td>short</td><td>" + "a line<br>" * 20 + "</td></tr></table>",
+    "picture": '<table><tr><td><img width="90" height="300" src="' + PIXEL + '"></td></tr></table>',
     "scrolls": f'<div style="overflow-x: auto">{WIDE}</div>',
     "code": '<pre style="overflow-x: auto"><code>' + "long " * 100 + "</code></pre>",
 }
