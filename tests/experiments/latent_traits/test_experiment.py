@@ -38,6 +38,7 @@ pytestmark = pytest.mark.usefixtures("few_folds")
 
 SMALL = AssessSettings(windows=10, episodes=2, ranked=2)
 TINY = LatentTraits(
+    seeds=1,
     demonstrated=2000,
     strangers=3,
     population=4,
