@@ -243,10 +243,12 @@ class Store(Database):
         """
         with self.writing() as base:
             for number, new in progress.items():
+                if not new.steps:
+                    continue
                 last = self._last_step(base, number)
                 if new.first != (0 if last is None else last[0] + 1):
-                    raise self._went_otherwise(number)
-                self._add(base, number, new, bool(new.steps) and new.steps[0][2] is not None)
+                    raise self._went_otherwise(base, number)
+                self._add(base, number, new, new.steps[0][2] is not None)
 
     def trip(self, number: int) -> StoredTrip:
         """Return a trip by its number.
@@ -318,7 +320,7 @@ class Store(Database):
         last = self._last_step(base, number)
         first = 0 if last is None else last[0] + 1
         if first > len(steps) or (last is not None and last[1:] != steps[first - 1]):
-            raise self._went_otherwise(number)
+            raise self._went_otherwise(base, number)
         self._add(
             base,
             number,
@@ -333,7 +335,9 @@ class Store(Database):
             (number,),
         ).fetchone()
 
-    def _went_otherwise(self, number: int) -> ValueError:
+    def _went_otherwise(self, base: sqlite3.Connection, number: int) -> ValueError:
+        if not base.execute("SELECT 1 FROM trips WHERE number = ?", (number,)).fetchone():
+            return ValueError(f"{self.path} has no trip {number}")  # its visitor deleted it
         return ValueError(f"trip {number} in {self.path} is further, or went otherwise")
 
     def _add(self, base: sqlite3.Connection, number: int, new: Progress, seen: bool) -> None:

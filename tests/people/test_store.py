@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from people.trips import a_trip
 
+from hmi_marl.people.record import Progress
 from hmi_marl.people.store import Store, visitor_name
 
 
@@ -110,6 +111,14 @@ def test_a_running_trip_grows_by_what_is_new(store, records):
             assert store.trip(number).record == record
     assert [trip.number for trip in store.trips(finished=True)] == numbers
     assert list(store.trips(finished=False)) == []
+
+
+def test_no_decisions_change_nothing(store, records):
+    seen = next(record for record in records if record.looking_away is not None)
+    number = store.begin_trip(store.new_session(store.new_visitor().number, "play"), seen)
+    before = dump(store.path)
+    store.add_decisions({number: Progress(len(seen), (), False, "", False)})
+    assert dump(store.path) == before
 
 
 def test_a_trip_that_goes_back_or_otherwise_is_refused_and_nothing_of_the_batch_is_kept(

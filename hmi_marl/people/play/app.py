@@ -268,7 +268,7 @@ class Play:
             if stage == "measuring":
                 records = self._records(visit.calibration)
                 person = measured.measured(visitor_name(visit.visitor), records)
-                visit = self._keep(guest.session, visit.measured(person, self.settings.seed))
+                visit = self._keep(guest.session, visit.measured(person, self.settings))
             if visit.stage(self.settings) == "result" and visit.result is None:
                 visit = self._keep(guest.session, visit.judged(self._judged(visit)))
         stage = visit.stage(self.settings)
@@ -283,11 +283,8 @@ class Play:
 
     def _judged(self, visit: Visit) -> dict[str, Any]:
         hmis = {
-            hmi: [
-                measured.summary(record)
-                for record in self._records(visit.of_hmi(hmi, self.settings))
-            ]
-            for hmi in visit.order
+            hmi: [measured.summary(record) for record in self._records(visit.of_hmi(hmi))]
+            for hmi in visit.hmis
         }
         believed = measured.belief(self._records(visit.calibration + visit.trial))
         return {"hmis": hmis, "belief": believed}

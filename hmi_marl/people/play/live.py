@@ -9,6 +9,7 @@ on the disk.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -27,6 +28,7 @@ IDLE = 60.0
 """Time after which a trip without a visitor leaves the memory [s]; it goes on from the database."""
 TAKEN_OVER, FAILED, FULL = 4001, 1011, 1013
 """Codes with which connections are closed."""
+_LOG = logging.getLogger(__name__)
 
 
 @lru_cache(maxsize=16)
@@ -210,6 +212,7 @@ class LiveTrip:
 
     def failed(self, reason: str) -> None:
         """See :class:`~hmi_marl.people.play.commits.Saved`."""
+        _LOG.warning("trip %d: nothing more can be stored: %s", self.number, reason)
         if self._timer is not None:
             self._timer.cancel()
         if self._outbox is not None:
@@ -300,8 +303,8 @@ class LiveTrips:
         question = f"{_prefix(live.number)}{found.puzzle}"
         try:
             await asyncio.to_thread(self._store.answer, live.session, question, answer)
-        except (OSError, ValueError):
-            live.failed("")
+        except (OSError, ValueError) as error:
+            live.failed(str(error))
             return
         live.answered(right)
 

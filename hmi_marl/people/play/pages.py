@@ -189,7 +189,7 @@ class PlayPages:
         if visit.person is None:
             number, of = len(visit.calibration) + 1, settings.calibration_trips
             return tag("p", texts("trip.calibration", number=number, of=of), class_="note")
-        number, of = len(visit.trial) + 1, 3 * settings.trial_trips
+        number, of = len(visit.trial) + 1, len(visit.order)
         return tag("p", texts("trip.trial", number=number, of=of), class_="note")
 
     def next(
@@ -212,7 +212,7 @@ class PlayPages:
             ]
         elif at == "trial":
             assert visit.person is not None
-            done, of = len(visit.trial), len(visit.order) * settings.trial_trips
+            done, of = len(visit.trial), len(visit.order)
             title = texts("trial.title")
             parts += [
                 traits_table(visit.person, texts),
@@ -238,7 +238,7 @@ class PlayPages:
         texts = self._texts
         return [
             tag("p", texts("result.lead"), class_="lead"),
-            order_table(visit.result["hmis"], visit.order, texts),
+            order_table(visit.result["hmis"], visit.hmis, texts),
             traits_table(visit.person, texts),
             belief_table(visit.result["belief"], texts),
             tag(

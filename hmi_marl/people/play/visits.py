@@ -67,7 +67,7 @@ class Visit:
     person: dict[str, Any] | None = None
     """What was measured, see :mod:`hmi_marl.people.play.measured`."""
     order: tuple[str, ...] = ()
-    """Order of the HMIs of the trial."""
+    """The HMI of each trip of the trial, in their order."""
     trial: tuple[int, ...] = ()
     """Numbers of the trial's trips."""
     result: dict[str, Any] | None = None
@@ -99,7 +99,7 @@ class Visit:
             return "calibration"
         if self.person is None:
             return "measuring"
-        if len(self.trial) < len(self.order) * settings.trial_trips:
+        if len(self.trial) < len(self.order):
             return "trial"
         return "result"
 
@@ -150,7 +150,7 @@ class Visit:
             return Plan(config, "driver", calibration_alerts(config), "calibration", seed)
         if stage == "trial":
             assert self.person is not None
-            hmi = self.order[len(self.trial) // settings.trial_trips]
+            hmi = self.order[len(self.trial)]
             return Plan(config, "driver", self.person["hmis"][hmi]["partner"], "trial", seed)
         raise VisitError("there is no trip to begin now")
 
@@ -173,11 +173,16 @@ class Visit:
         """Leave the way chosen; a trip under way stays as it is, and is not counted."""
         return replace(self, current=None, way="")
 
-    def measured(self, person: dict[str, Any], seed: int) -> Visit:
-        """Note the measured traits, and draw the order of the trial's HMIs."""
+    def measured(self, person: dict[str, Any], settings: PlaySettings) -> Visit:
+        """Note the measured traits, and draw the order of the trial's HMIs.
+
+        The visit keeps it, so that a server that is started anew with other settings goes on alike.
+        """
         if self.person is not None:
             return self
-        return replace(self, person=person, order=blinded_order(self.visitor - 1, seed))
+        hmis = blinded_order(self.visitor - 1, settings.seed)
+        order = tuple(hmi for hmi in hmis for _ in range(settings.trial_trips))
+        return replace(self, person=person, order=order)
 
     def judged(self, result: dict[str, Any]) -> Visit:
         """Note the trial's result."""
@@ -193,10 +198,15 @@ class Visit:
         """Numbers of the trial's trips while their HMIs are not to be known."""
         return self.trial if self.result is None else ()
 
-    def of_hmi(self, hmi: str, settings: PlaySettings) -> tuple[int, ...]:
+    @property
+    def hmis(self) -> tuple[str, ...]:
+        """The HMIs of the trial, in their order."""
+        return tuple(dict.fromkeys(self.order))
+
+    def of_hmi(self, hmi: str) -> tuple[int, ...]:
         """Numbers of the trial's trips with an HMI."""
-        first = self.order.index(hmi) * settings.trial_trips
-        return self.trial[first : first + settings.trial_trips]
+        trips = zip(self.trial, self.order, strict=False)  # the trial may go on
+        return tuple(number for number, its in trips if its == hmi)
 
     def _trip(self) -> int:
         if self.current is None:

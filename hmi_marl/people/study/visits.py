@@ -134,10 +134,9 @@ class Visits:
 
     def delete(self, code: str) -> bool:
         """Delete everything of the person with a code; False if there is none."""
-        try:
-            self._store.delete_visitor(code)
-        except ValueError:
+        if self._store.find_visitor(code) is None:
             return False
+        self._store.delete_visitor(code)
         return True
 
     def _is_own(self, session: Any) -> bool:

@@ -283,7 +283,7 @@ def test_a_full_server_says_so_and_lets_those_inside_go_on(store):
             wheel.drive()
 
 
-def test_deletion_in_mid_trip_ends_it_and_harms_no_one(store):
+def test_deletion_in_mid_trip_ends_it_and_harms_no_one(store, caplog):
     app = service(store).app()
     with client(app) as one:
         number = trip_number(begin(one))
@@ -305,6 +305,8 @@ def test_deletion_in_mid_trip_ends_it_and_harms_no_one(store):
             with pytest.raises(WebSocketDisconnect) as closed:
                 wheel.next()
             assert closed.value.code == 1011
+            assert f"trip {number}: nothing more can be stored: " in caplog.text
+            assert f"no trip {number}" in caplog.text
         assert one.get("/trip").url.path == "/"
         assert "no visit" in one.get(f"/trips/{number}").text
         drive(other)

@@ -166,6 +166,18 @@ def test_a_code_deletes_later_from_anywhere(client, study, store):
     assert "agree" in client.get("/").text, "the cookie of a deleted rater leads to the beginning"
 
 
+def test_a_database_that_fails_is_not_an_unknown_code(client, store, monkeypatch):
+    page = client.post("/consent", data={"agree": "yes"})
+    (code,) = re.findall(r'id="code">(\w+)<', page.text)
+
+    def fail(code):
+        raise ValueError("the file is damaged")
+
+    monkeypatch.setattr(type(store), "delete_visitor", fail)
+    assert client.post("/delete", data={"code": code}).status_code >= 500
+    assert store.visitors() == [1]
+
+
 def test_codes_cannot_be_tried_in_masses(client):
     statuses = [client.post("/delete", data={"code": str(k)}).status_code for k in range(12)]
     assert statuses[:10] == [404] * 10
