@@ -2,7 +2,8 @@
 
 All seeds play the same episodes. An average over seeds therefore has the interval of Student's t
 over seeds, to which the luck of the episodes is added, since it is the same for all of them
-(:func:`hmi_marl.reporting.statistics.mean_of_same`). With one seed the results are those of the
+(:func:`hmi_marl.reporting.statistics.mean_of_same`). It is known from many episodes, so that few
+seeds that hardly differ are enough. With one seed the results are those of the
 agents that were learned, with intervals over episodes.
 """
 

@@ -31,25 +31,34 @@ class Estimate:
     """Standard error; NaN where it is not known, and of a share, whose interval is Wilson's."""
     count: int = field(default=0, compare=False)
     """Independent units (episodes, training seeds) that it is over; 0 where that is not known."""
+    luck: float = field(default=0.0, compare=False)
+    """Part of the standard error that all training seeds share: the luck of their episodes."""
+    luck_count: int = field(default=0, compare=False)
+    """Units that ``luck`` is over."""
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Estimate:
         """Read what :meth:`as_json` wrote."""
         known = {name: math.nan if value is None else value for name, value in content.items()}
+        ends = known["mean"], known["low"], known["high"]
         error, count = known.get("error", math.nan), int(known.get("count", 0))
-        return cls(known["mean"], known["low"], known["high"], error, count)
+        return cls(*ends, error, count, known.get("luck", 0.0), int(known.get("luck_count", 0)))
 
     def __neg__(self) -> Estimate:
         """Turn a difference around."""
-        return Estimate(-self.mean, -self.high, -self.low, self.error, self.count)
+        return replace(self, mean=-self.mean, low=-self.high, high=-self.low)
 
     def agrees(self, other: float, share: float) -> bool:
         """Check that ``other`` is in the interval, or the mean within this share of ``other``."""
         return self.low <= other <= self.high or abs(self.mean - other) <= share * abs(other)
 
     def as_json(self) -> dict[str, float | None]:
-        """JSON content, with None for what is not known."""
-        return {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
+        """JSON content, with None for what is not known; without luck where there is none."""
+        return {
+            name: value if math.isfinite(value) else None
+            for name, value in vars(self).items()
+            if self.luck_count or not name.startswith("luck")
+        }
 
     def shown(self, form: str = "z.1f") -> str:
         """Write as ``mean [low, high]``, as far as they are known, each in this format."""
@@ -156,8 +165,8 @@ def mean_share(shares: Sequence[Estimate]) -> Estimate:
     """Average shares of the same trials over several training seeds, with Student's t interval.
 
     The luck of the trials is the same for all seeds, so that it does not average out over them: a
-    standard deviation of the mean share of as many trials is added to the standard error. One seed
-    has no interval.
+    standard deviation of the mean share of as many trials is added (:func:`interval_with_luck`).
+    One seed has no interval.
 
     Args:
         shares: one of each seed, as :func:`share` makes them.
@@ -165,8 +174,9 @@ def mean_share(shares: Sequence[Estimate]) -> Estimate:
     over = mean([each.mean for each in shares])
     if over.count < 2:
         return over
-    low, high = wilson_interval(over.mean, shares[0].count, _ONE_DEVIATION)
-    found = _with_luck(over, (high - low) / 2)
+    trials = shares[0].count
+    low, high = wilson_interval(over.mean, trials, _ONE_DEVIATION)
+    found = _with_luck(over, (high - low) / 2, trials)
     return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
 
 
@@ -174,20 +184,22 @@ def mean_of_same(estimates: Sequence[Estimate]) -> Estimate:
     """Average estimates from the same units over several training seeds, with Student's t interval.
 
     As in :func:`mean_share` the luck of the units does not average out over seeds: the mean
-    standard error within a seed, from its 95 % interval, is added. One seed has no interval.
+    standard error within a seed, from its 95 % interval, is added (:func:`interval_with_luck`). One
+    seed has no interval.
     """
     over = mean([each.mean for each in estimates])
     if over.count < 2:
         return over
     half = float(np.mean([(each.high - each.low) / 2 for each in estimates]))
-    return _with_luck(over, half / _z_quantile((1.0 + CONFIDENCE) / 2.0))
+    units = max(over.count, min(each.count for each in estimates))
+    return _with_luck(over, half / _z_quantile((1.0 + CONFIDENCE) / 2.0), units)
 
 
-def _with_luck(over: Estimate, luck: float) -> Estimate:
+def _with_luck(over: Estimate, luck: float, units: int) -> Estimate:
     """Add the standard error of what all seeds share to that of a mean over seeds."""
     error = math.hypot(over.error, luck)
-    low, high = t_interval(over.mean, error, over.count)
-    return Estimate(over.mean, low, high, error, over.count)
+    low, high = interval_with_luck(over.mean, error, over.count, luck, units)
+    return Estimate(over.mean, low, high, error, over.count, luck, units)
 
 
 def geometric_ratio(ones: ArrayLike, others: ArrayLike) -> Estimate:
@@ -207,6 +219,32 @@ def t_interval(
 ) -> tuple[float, float]:
     """Student's t interval of a mean over two or more units, from its standard error."""
     half = _t_quantile((1.0 + confidence) / 2.0, count - 1) * error
+    return mean - half, mean + half
+
+
+def interval_with_luck(
+    mean: float,
+    error: float,
+    count: int,
+    luck: float,
+    luck_count: int,
+    confidence: float = CONFIDENCE,
+) -> tuple[float, float]:
+    """Interval of a mean over a few seeds that share the luck of many units.
+
+    The half intervals of Student's t, over seeds and over units, add up as their squares, so that
+    each part has its own degrees of freedom.
+
+    Args:
+        mean, error, count: over seeds; the standard error includes ``luck``.
+        luck, luck_count: standard error that all seeds share, and the units that it is over.
+        confidence: of the interval.
+    """
+    if luck == 0.0:
+        return t_interval(mean, error, count, confidence)
+    own = math.sqrt(max(0.0, error**2 - luck**2))
+    tail = (1.0 + confidence) / 2.0
+    half = math.hypot(_t_quantile(tail, count - 1) * own, _t_quantile(tail, luck_count - 1) * luck)
     return mean - half, mean + half
 
 

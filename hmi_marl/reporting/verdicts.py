@@ -31,7 +31,7 @@ from typing import Any, Literal
 
 from hmi_marl.checks import shown
 from hmi_marl.files import json_value
-from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, t_interval, wilson_interval
+from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, interval_with_luck, wilson_interval
 from hmi_marl.typed_json import read_as
 
 Test = Literal["exact", "t", "paired t", "paired t of logarithms", "Wilson"]
@@ -68,6 +68,10 @@ class Part:
     error: float | None = None
     """Standard error, of logarithms where these are tested; None for shares, exact values, and
     where it is not known."""
+    luck: float = 0.0
+    """Part of the standard error that all training seeds share: the luck of their episodes."""
+    luck_count: int = 0
+    """Units that ``luck`` is over."""
     above: float | None = None
     """Threshold that it lies above; None for none."""
     below: float | None = None
@@ -96,7 +100,8 @@ class Part:
         """State something of a mean, by Student's t; ``paired`` for a mean of differences."""
         error = None if math.isnan(estimate.error) else estimate.error
         test: Test = "paired t" if paired else "t"
-        return cls(what, _known(estimate.mean), test, unit, estimate.count, error, **more)
+        over = estimate.count, error, estimate.luck, estimate.luck_count
+        return cls(what, _known(estimate.mean), test, unit, *over, **more)
 
     @classmethod
     def ratio(cls, what: str, estimate: Estimate, unit: str, **more: Any) -> Part:
@@ -125,10 +130,11 @@ class Part:
         value, error = self.value or 0.0, self.error or 0.0
         if self.test == "Wilson":
             return wilson_interval(value, self.count, confidence)
+        over = error, self.count, self.luck, self.luck_count
         if self.test == "paired t of logarithms":
-            low, high = t_interval(math.log(value), error, self.count, confidence)
+            low, high = interval_with_luck(math.log(value), *over, confidence)
             return math.exp(low), math.exp(min(high, _LARGEST))
-        return t_interval(value, error, self.count, confidence)
+        return interval_with_luck(value, *over, confidence)
 
     def outcome(self, confidence: float = CONFIDENCE) -> Outcome:
         """Judge it by the rule of this module."""
@@ -160,7 +166,8 @@ class Part:
         """Write the unit, the number of units and the test."""
         if self.test == "exact":
             return "exact"
-        return f"{self.test} over {self.count} {self.unit}"
+        lucky = f" and over what they share, {self.luck_count} units" if self.luck else ""
+        return f"{self.test} over {self.count} {self.unit}{lucky}"
 
 
 @dataclass(frozen=True)

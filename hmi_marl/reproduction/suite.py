@@ -36,7 +36,7 @@ from hmi_marl.training.cluster.cluster import Cluster
 from hmi_marl.training.runs.folder import check_same
 
 STAGES, TIMINGS = "stages", "timings.json"
-RECORD_FORMAT = 2
+RECORD_FORMAT = 3
 """Format of records; those of another are made again, from what is learned already."""
 _RECORD_BYTES = 256 * 2**20
 """Largest record; it holds figures."""

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hmi_marl.reporting.statistics import (
     accuracy,
     average,
     geometric_ratio,
+    interval_with_luck,
     mean,
     mean_of_same,
     mean_share,
@@ -209,7 +211,7 @@ def test_a_ratio_of_two_episodes_worked_by_hand() -> None:
 
 def test_a_ratio_of_equal_counts_is_a_mean() -> None:
     one, other = ratio([1.0, 2.0, 6.0], [4, 4, 4]), mean([0.25, 0.5, 1.5])
-    assert vars(one) == pytest.approx(vars(other))
+    assert vars(one) == pytest.approx(vars(other), nan_ok=True)
 
 
 def test_a_ratio_without_counts_is_not_known() -> None:
@@ -248,3 +250,36 @@ def test_the_luck_of_the_same_units_does_not_average_out_over_seeds() -> None:
     assert same.error == pytest.approx(0.1, abs=1e-4)
     assert (same.high - same.mean) / same.error == pytest.approx(2.776, abs=1e-3)
     assert math.isnan(mean_of_same([one]).low)
+
+
+def test_luck_that_many_units_show_has_their_degrees_of_freedom() -> None:
+    one = Estimate(0.5, 0.304, 0.696, 0.1, 2001)
+    same = mean_of_same([one] * 5)
+    assert (same.high - same.mean) / same.error == pytest.approx(1.961, abs=1e-3)
+    apart = mean_of_same([replace(one, mean=one.mean + far) for far in (-9.0, 0.0, 9.0)])
+    over = mean([-8.5, 0.5, 9.5])
+    assert apart.high == pytest.approx(over.high, rel=1e-3), "seeds that differ much are all"
+    assert apart.high > over.high
+    half = math.hypot(over.high - over.mean, 1.961 * 0.1)  # squares of half intervals add up
+    assert apart.high - apart.mean == pytest.approx(half, abs=1e-4)
+    read = Estimate.from_json(apart.as_json())
+    assert (read.luck, read.luck_count) == (apart.luck, 2001)
+    assert (-apart).luck == apart.luck
+    assert "luck" not in mean([1.0, 2.0]).as_json()
+
+
+@pytest.mark.parametrize("confidence", [0.95, 0.998])
+@pytest.mark.parametrize("between", [0.0, 0.5, 1.0, 2.0, 4.0, 8.0])
+def test_intervals_over_seeds_that_share_luck_hold_the_truth(
+    between: float, confidence: float
+) -> None:
+    """Of 4000 simulated experiments; the shared luck has a standard deviation of 1."""
+    rng, missed = np.random.default_rng(int(10 * between)), 0
+    for _ in range(4000):
+        means = rng.normal() + between * rng.normal(size=5)
+        found = mean_of_same([Estimate(m, m - 1.96, m + 1.96, 1.0, 2000) for m in means])
+        over = found.error, found.count, found.luck, found.luck_count
+        low, high = interval_with_luck(found.mean, *over, confidence)
+        missed += not low <= 0.0 <= high
+    allowed = 4000 * (1.0 - confidence)
+    assert missed <= allowed + 3.5 * math.sqrt(allowed)

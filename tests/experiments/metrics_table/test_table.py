@@ -235,7 +235,8 @@ def test_a_cell_as_json_has_the_promised_keys(cells: list[Cell]) -> None:
         assert content["hmi"] == cell.hmi
         assert content["episodes"] == 5
         for name in ESTIMATES:
-            assert content[name].keys() == {"mean", "low", "high", "error", "count"}
+            fields = {"mean", "low", "high", "error", "count", "luck", "luck_count"}
+            assert content[name].keys() == fields
         assert content["speed_return"] == vars(cell.speed_return)
         assert content["distraction_return"] == vars(cell.distraction_return)
         assert content["alerts"] == cell.alerts.mean
@@ -253,7 +254,7 @@ def test_what_is_not_known_is_null_in_json(tmp_path: Path) -> None:
     )
     write_json(tmp_path / "cell.json", cell.as_json())
     content = json.loads((tmp_path / "cell.json").read_text())
-    nothing = {"low": None, "high": None, "error": None}
+    nothing = {"low": None, "high": None, "error": None, "luck": 0.0, "luck_count": 0}
     assert content["min_time_headway"] == {"mean": None, "count": 0, **nothing}
     assert content["speed_return"] == {"mean": 0.0, "count": 1, **nothing}
     assert content["alerts"] == 0.0
