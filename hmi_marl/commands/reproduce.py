@@ -123,7 +123,7 @@ class ReproduceShip:
     """
 
     out: Path
-    """Folder for the agents and their index; what was in it before is replaced."""
+    """Folder for the agents and their index; those of the same names in it are replaced."""
     run_folder: Annotated[Path, tyro.conf.arg(name="run")] = RUNS / "all"
     """Folder of the reproduction."""
     report: Path | None = None

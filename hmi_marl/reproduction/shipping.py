@@ -28,7 +28,9 @@ _PLACE = re.compile(r"(?<![^\s'\"=])(?:[A-Za-z]:[\\/]|[/~])[^\s'\"]*")
 
 
 def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
-    """Copy the agents of all experiments into ``out``, in place of what was there, and index them.
+    """Copy the agents of all experiments into ``out``, in place of those of the same names.
+
+    Others, such as the pairs of a comparison, come from runs of their own and stay.
 
     Args:
         suite, run: experiments of the reproduction, and its folder.
@@ -38,9 +40,10 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
     Raises:
         ValueError: an experiment is not finished, or ``out`` holds something else.
     """
+    others = {}
     if out.exists() and any(out.iterdir()):
         try:
-            shipped_agents(out)
+            others = shipped_agents(out)
         except (OSError, ValueError) as error:
             raise ValueError(
                 f"{out} holds other things than shipped agents; choose another --out ({error})"
@@ -54,7 +57,8 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
             )
         agents += experiment.agents(place)
     check_free(run)
-    _write(agents, {}, out)
+    made = {agent.name for agent in agents}
+    _write(agents, {name: agent for name, agent in others.items() if name not in made}, out)
     return agents
 
 

@@ -99,3 +99,6 @@ def test_more_agents_are_added_to_those_that_are_there(run: Path, tmp_path: Path
     assert shipped_agents(out)["mine"].what == "drives in its place"
     weights = (out / "mine" / "driver.safetensors").read_bytes()
     assert weights == other.with_suffix(".safetensors").read_bytes()
+    ship(stages, run, run, out)
+    assert shipped_agents(out)["mine"].what == "drives"
+    assert shipped_agents(out)["other"].what == "drives too", "of a run of its own: it stays"
