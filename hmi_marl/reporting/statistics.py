@@ -53,12 +53,8 @@ class Estimate:
         return self.low <= other <= self.high or abs(self.mean - other) <= share * abs(other)
 
     def as_json(self) -> dict[str, float | None]:
-        """JSON content, with None for what is not known; without luck where there is none."""
-        return {
-            name: value if math.isfinite(value) else None
-            for name, value in vars(self).items()
-            if self.luck_count or not name.startswith("luck")
-        }
+        """JSON content, with None for what is not known."""
+        return {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
 
     def shown(self, form: str = "z.1f") -> str:
         """Write as ``mean [low, high]``, as far as they are known, each in this format."""
