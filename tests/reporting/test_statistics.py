@@ -113,12 +113,12 @@ def test_an_accuracy_has_the_interval_of_independent_trials() -> None:
 
 
 def test_json_says_none_where_nothing_is_known() -> None:
-    nothing = {"low": None, "high": None, "error": None}
+    nothing = {"low": None, "high": None, "error": None, "luck": 0.0, "luck_count": 0}
     assert mean([5.0]).as_json() == {"mean": 5.0, "count": 1, **nothing}
     assert mean([]).as_json() == {"mean": None, "count": 0, **nothing}
     known = Estimate(1.0, 0.5, 1.5, 0.25, 9)
     content = {"mean": 1.0, "low": 0.5, "high": 1.5, "error": 0.25, "count": 9}
-    assert known.as_json() == content
+    assert known.as_json() == content | {"luck": 0.0, "luck_count": 0}
     again = Estimate.from_json(content)
     assert (again, again.error, again.count) == (known, 0.25, 9)
     assert math.isnan(Estimate.from_json(mean([]).as_json()).mean)
