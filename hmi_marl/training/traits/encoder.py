@@ -94,12 +94,16 @@ class ContextEncoder(torch.nn.Module):
         both = [(likely * which).sum(dim=-1, keepdim=True) for which in (done, before)]
         return torch.cat([extra, done, repeated * since, *both], dim=-1)
 
+    def observed(self, x: torch.Tensor) -> torch.Tensor:
+        """Return features of the observed states of situations (..., D + EXTRA)."""
+        return torch.relu(self.state_layer(x[..., :-EXTRA]))
+
     def sums(self, batch: Batch) -> torch.Tensor:
         """Return features summed over the steps of each window, and their number: (P, n, F + 1)."""
         x, actions, length = batch
         pools, windows, steps, _ = x.shape
-        state = torch.relu(self.state_layer(x[..., :-EXTRA]))
-        each = torch.relu(self.step_layer(torch.cat([self.behaviour(x, actions), state], dim=-1)))
+        read = [self.behaviour(x, actions), self.observed(x)]
+        each = torch.relu(self.step_layer(torch.cat(read, dim=-1)))
         total = self.over_time(each.reshape(pools * windows, steps, -1), length.reshape(-1))
         count = length.reshape(-1, 1).to(x.dtype)
         return torch.cat([total, count], dim=1).reshape(pools, windows, -1)
