@@ -27,6 +27,8 @@ from hmi_marl.training.traits.settings import TraitSettings
 Array = NDArray[np.float64]
 STRANGERS, JUDGED, NAMED = "strangers", "judged", "named"
 """Recordings: what is learned from, strangers by whom it is judged, and types to be named."""
+_SEED = 0
+"""Seed of the probes, and of the choice of labelled pools, the same for all encoders."""
 
 
 @dataclass(frozen=True)
@@ -102,14 +104,14 @@ class Part:
             pools, fits = strangers_pools(judged.driver, size)
             z, traits = encoder.latents(sums, pools).mean, truth.traits_of(pools)
             who = judged.driver[pools[:, 0]]
-            errors[size] = read_errors(z, traits, who, fits, self.settings.seed)
+            errors[size] = read_errors(z, traits, who, fits, _SEED)
         sums_named = encoder.encode(recordings / NAMED)
         naming = name_by(
             lambda pools: encoder.latents(sums_named, pools),
             named.driver,
             self.settings.pool,
             self.pools,
-            self.settings.seed,
+            _SEED,
             SCORES.get(self.design.loss),
         )
         return Judged(errors, {each.windows: each.named for each in naming})
