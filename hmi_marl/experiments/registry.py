@@ -98,6 +98,11 @@ EXPERIMENTS.register(
     ),
 )
 EXPERIMENTS.register(
+    "unsupervised",
+    "Compare what names drivers without labels, by losses, budget and size of z.",
+    Where("hmi_marl.experiments.unsupervised_traits:UnsupervisedTraits", _TRAITS, in_suite=False),
+)
+EXPERIMENTS.register(
     "protocols",
     "Train by every protocol with equal environment steps and several seeds, and compare them.",
     Where("hmi_marl.experiments.protocols.experiment:ProtocolComparison", in_suite=False),

@@ -135,7 +135,7 @@ class LatentTraits(TraitReport):
             self.collect(place.driver_run, out)
         with watch.timing("all training of this call, in parallel"):
             tasks = [
-                RunTask(_learn, (job, place.command_line), folder, (_data(out, job).absolute(),))
+                RunTask(learn_in, (job, place.command_line), folder, (_data(out, job).absolute(),))
                 for folder, job in runs.items()
             ]
             side_by_side(tasks, place.workers, place.cluster)
@@ -186,7 +186,10 @@ def _data(folder: Path, job: TraitSettings) -> Path:
     return folder / (STRANGERS if job.supervision == "self" else DEMONSTRATIONS)
 
 
-def _learn(settings: TraitSettings, command_line: str, folder: Path, demonstrations: Path) -> None:
+def learn_in(
+    settings: TraitSettings, command_line: str, folder: Path, demonstrations: Path
+) -> None:
+    """Learn a trait model in ``folder``; to be called in a process of its own."""
     from hmi_marl.training.traits.run import learn_traits  # torch, with the threads just set
 
     settings = replace(settings, threads=1)
