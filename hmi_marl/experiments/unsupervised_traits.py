@@ -1,8 +1,8 @@
 """Experiment "unsupervised": what names drivers without labels, by losses, budget and size of z.
 
 Every way is the paper's unsupervised setting with one or two settings changed; labelled ones stand
-next to them. All are judged as ``hmi-marl reproduce traits`` does, by a linear probe of z from pools
-of held-out windows.
+next to them. All are judged as ``hmi-marl reproduce traits`` does, by a linear probe of z from
+pools of held-out windows.
 """
 
 from __future__ import annotations
@@ -63,6 +63,7 @@ WAYS: tuple[Way, ...] = (
     Way("imitate-8", "and imitation, z of 8", _IMITATE | {"latent": 8}),
     Way("id", "a fifth labelled by driver", {"supervision": "id"}),
     Way("preference", "a fifth labelled by preference", {"supervision": "preference"}),
+    Way(f"paper-8-cars-{_FULL}", "the paper's losses, full budget of 8 cars", {"num_teams": 8}),
     Way(f"paper-{_FULL}", "the paper's losses, full budget"),
     Way(f"imitate-{_FULL}", "and imitation, full budget", _IMITATE),
     Way(f"id-{_FULL}", "labelled by driver, full budget", {"supervision": "id"}),
@@ -87,6 +88,8 @@ class Named:
     name: str
     what: str
     labelled: bool
+    cars: float
+    """Cars that the policy drives in a round."""
     steps: float
     """Environment steps of the policy."""
     updates: float
@@ -140,9 +143,9 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
     uses_driver = True
     paper = (
         "The paper's unsupervised setting learns from the adversarial and the information loss "
-        "(Sec. VIII-B) in 10^6 steps. With 500 steps a round, as its text can be read, these are "
-        "2,000 rounds with 4,000 updates of the discriminator; with the 64 cars of ours they are "
-        "157 rounds. Below, both budgets, and what else separates drivers without labels."
+        "(Sec. VIII-B) until 10^6 steps, with two updates of the discriminator in each round and "
+        "500 steps of the generator: 2,000 rounds and 4,000 updates. With the 64 cars of ours 10^6 "
+        "steps are 157 rounds. Below, both budgets, and what else separates drivers without labels."
     )
 
     @classmethod
@@ -171,10 +174,10 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
             imitation_updates=self.imitation_updates,
             seed=self.seed,
         )
-        if way.name.endswith(f"-{_FULL}"):
-            steps = self.rounds * base.num_teams * TeamConfig().horizon
-            base = replace(base, steps=steps)
-        return replace(base, **way.changes)
+        found = replace(base, **way.changes)
+        if not way.name.endswith(f"-{_FULL}"):
+            return found
+        return replace(found, steps=self.rounds * found.num_teams * TeamConfig().horizon)
 
     def run_of(self, way: Way, place: Place) -> Path:
         """Folder of a way's run, with the first seed."""
@@ -238,6 +241,7 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
                     way.name,
                     way.what,
                     settings.supervision != "none",
+                    float(settings.num_teams),
                     float(settings.steps),
                     float(rounds * settings.updates),
                     float(settings.latent_size),
@@ -279,6 +283,7 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
         columns = {
             "way": lambda way: way.what,
             "labels": lambda way: "a fifth" if way.labelled else "none",
+            "cars": lambda way: f"{way.cars:.0f}",
             "steps": lambda way: f"{way.steps:,.0f}",
             "updates": lambda way: f"{way.updates:,.0f}",
             "z": lambda way: f"{way.latent:.0f}",
