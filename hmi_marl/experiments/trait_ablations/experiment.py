@@ -19,6 +19,7 @@ from hmi_marl.experiments.experiment import Place
 from hmi_marl.experiments.recordings import record
 from hmi_marl.experiments.trait_ablations.judging import (
     JUDGED,
+    MANY,
     NAMED,
     STRANGERS,
     Judged,
@@ -120,10 +121,10 @@ class TraitAblations(AblationReport):
         return [each for each in VARIANTS if each.name in self.variants]
 
     def datasets(self, place: Place) -> dict[str, CollectSettings]:
-        """Return what to record, by folder."""
+        """Return what to record, by folder; that of many strangers only if it is needed."""
         people = CollectSettings(
             drivers=(),
-            population=max(each.strangers or self.strangers for each in self.chosen),
+            population=self.strangers,
             windows=self.windows,
             driver_policy=str(place.driver_run),
             seed=self.recorded_seed,
@@ -131,6 +132,8 @@ class TraitAblations(AblationReport):
         judged, named = (
             int(part_seed(self.recorded_seed, part)) for part in (_JUDGED_PART, _NAMED_PART)
         )
+        most = max(each.strangers or 0 for each in self.chosen)
+        many = {MANY: replace(people, population=most)} if most > self.strangers else {}
         return {
             NAMED: CollectSettings(
                 steps=self.named * TeamConfig().horizon,
@@ -139,6 +142,7 @@ class TraitAblations(AblationReport):
             ),
             JUDGED: replace(people, population=self.judged, windows=max(POOLS), seed=judged),
             STRANGERS: people,
+            **many,
         }
 
     def part(self, variant: Variant) -> Part:
@@ -150,10 +154,12 @@ class TraitAblations(AblationReport):
             drivers_per_update=self.drivers_per_update,
             seed=self.seed,
         )
+        strangers = variant.strangers or self.strangers
         return Part(
             variant.design,
             settings,
-            variant.strangers or self.strangers,
+            MANY if strangers > self.strangers else STRANGERS,
+            strangers,
             variant.windows or self.windows,
             POOLS if variant is BASELINE else (_POOL,),
         )
@@ -165,16 +171,19 @@ class TraitAblations(AblationReport):
     def learn(self, each: Sequence[tuple[TraitAblations, Place]], place: Place) -> None:
         """Record, then learn and judge what is not judged yet, seed by seed."""
         need_training()
-        with place.watch.timing("collecting"):
-            record(self.datasets(place), place.driver_run, place.folder / RECORDINGS)
+        recordings, datasets = place.folder / RECORDINGS, self.datasets(place)
+        many = {name: datasets.pop(name) for name in (MANY,) if name in datasets}
         tasks = [
-            (alone.part(variant), where.folder / RECORDINGS, alone.file(variant, where))
+            (alone.part(variant), recordings, alone.file(variant, where))
             for alone, where in each
             for variant in alone.chosen
         ]
         with place.playing(len(tasks), "encoders") as progress:
-            for _ in calls(score, tasks, place.workers):
-                progress(1)
+            for now, of_many in ((datasets, False), (many, True)):  # which takes longest, last
+                record(now, place.driver_run, recordings)
+                own = [task for task in tasks if (task[0].dataset == MANY) == of_many]
+                for _ in calls(score, own, place.workers) if own else ():
+                    progress(1)
 
     def file(self, variant: Variant, place: Place) -> Path:
         """File of a variant's results, with the first seed."""

@@ -25,8 +25,9 @@ from hmi_marl.training.ablations.design import EncoderDesign
 from hmi_marl.training.traits.settings import TraitSettings
 
 Array = NDArray[np.float64]
-STRANGERS, JUDGED, NAMED = "strangers", "judged", "named"
-"""Recordings: what is learned from, strangers by whom it is judged, and types to be named."""
+STRANGERS, MANY, JUDGED, NAMED = "strangers", "many", "judged", "named"
+"""Recordings: strangers to learn from, many more of them, others by whom an encoder is judged, and
+types to be named."""
 _SEED = 0
 """Seed of the probes, and of the choice of labelled pools, the same for all encoders."""
 
@@ -80,6 +81,8 @@ class Part:
 
     design: EncoderDesign
     settings: TraitSettings
+    dataset: str
+    """Recording to learn from."""
     strangers: int
     """Strangers to learn from."""
     windows: int
@@ -92,7 +95,7 @@ class Part:
         from hmi_marl.demonstrations.stored import ObservedFile, TruthFile
         from hmi_marl.training.ablations.learning import learn_encoder
 
-        learned = recordings / STRANGERS
+        learned = recordings / self.dataset
         encoder = learn_encoder(self.design, self.settings, learned, self.strangers, self.windows)
         judged, named = ObservedFile(recordings / JUDGED), ObservedFile(recordings / NAMED)
         truth, sums = (
@@ -167,7 +170,7 @@ def score(part: Part, recordings: Path, path: Path) -> Judged:
     """Run one part, or read from ``path`` what it found before."""
     about = {"version": hmi_marl.__version__, "part": json_value(part)}
     about["recordings"] = {
-        name: _checksum(recordings / name) for name in (STRANGERS, JUDGED, NAMED)
+        name: _checksum(recordings / name) for name in (part.dataset, JUDGED, NAMED)
     }
     with suppress(FileNotFoundError, ValueError):  # a damaged file is made again
         content = without_checksum(read_json(path))
