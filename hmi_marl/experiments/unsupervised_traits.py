@@ -8,7 +8,7 @@ pools of held-out windows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -48,7 +48,7 @@ class Way:
     name: str
     what: str
     """Description for a reader."""
-    changes: Mapping[str, Any] = MappingProxyType({})
+    changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     """Fields of :class:`TraitSettings`."""
 
 
