@@ -93,17 +93,17 @@ def test_ways_are_learned_judged_and_not_learned_twice(tmp_path):
     short = Short(ways=("paper", "imitate"), demonstrated=800, steps=1, seeds=2)
     place = Place(tmp_path / "out", driver)
     report = conduct(short, place)
-    assert [way["name"] for way in report.content["ways"]] == ["paper", "imitate"]
-    assert len(report.content["by_seed"]) == 2
-    for way in report.content["ways"]:
+    assert [way["name"] for way in report.numbers["ways"]] == ["paper", "imitate"]
+    assert len(report.numbers["by_seed"]) == 2
+    for way in report.numbers["ways"]:
         assert 0.0 <= way["drivers"]["mean"] <= 1.0
         assert way["updates"] == 2.0
-    assert report.content["exact"]["mean"] <= 1.0
+    assert report.numbers["exact"]["mean"] <= 1.0
     runs = [p for p in (tmp_path / "out").iterdir() if (p / "traits.json").is_file()]
     assert len(runs) == 4
     before = {path: (path / "checkpoint.safetensors").stat().st_mtime_ns for path in runs}
     again = conduct(short, place)
-    assert again.content["ways"] == report.content["ways"]
+    assert again.numbers["ways"] == report.numbers["ways"]
     assert before == {p: (p / "checkpoint.safetensors").stat().st_mtime_ns for p in runs}
 
 

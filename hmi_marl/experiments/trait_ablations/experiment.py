@@ -178,11 +178,12 @@ class TraitAblations(AblationReport):
             for alone, where in each
             for variant in alone.chosen
         ]
-        with place.playing(len(tasks), "encoders") as progress:
-            for now, of_many in ((datasets, False), (many, True)):  # which takes longest, last
+        for now in filter(None, (datasets, many)):  # what takes longest, last
+            own = [task for task in tasks if task[0].dataset in now]
+            with place.watch.timing("recording"):
                 record(now, place.driver_run, recordings)
-                own = [task for task in tasks if (task[0].dataset == MANY) == of_many]
-                for _ in calls(score, own, place.workers) if own else ():
+            with place.playing(len(own), "encoders") as progress:
+                for _ in calls(score, own, place.workers):
                     progress(1)
 
     def file(self, variant: Variant, place: Place) -> Path:
