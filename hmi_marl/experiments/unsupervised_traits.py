@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 from hmi_marl.agents.learned.trait_model import load_traits
-from hmi_marl.checks import Check, Count, Steps, shown
+from hmi_marl.checks import Check, Count, Steps, Whole, shown
 from hmi_marl.demonstrations.dataset import Split
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.config import TeamConfig
@@ -131,7 +131,7 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
     """Rounds of the full budget, with two updates of the discriminator each."""
     imitation_updates: Count = TraitSettings.imitation_updates
     """Updates of imitation before the policy drives."""
-    recorded_seed: Seed = 0
+    recorded_seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
     """Seed of the demonstrations, which all ways and training seeds read."""
     seed: Seed = 0
     """Seed of the first training, from which the others are mixed."""
@@ -147,6 +147,17 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
         "500 steps of the generator: 2,000 rounds and 4,000 updates. With the 64 cars of ours 10^6 "
         "steps are 157 rounds. Below, both budgets, and what else separates drivers without labels."
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        size = max(self.training(way).latent_size for way in self.chosen)
+        judged = (size + 2) * TraitSettings.pool  # held-out windows of each, for a Gaussian in z
+        least = round(judged / PAPER_HELD_OUT) * TeamConfig().horizon
+        if self.demonstrated < least:
+            raise ValueError(
+                f"demonstrated is at least {least} steps to judge z of size {size} by, but got "
+                f"{self.demonstrated}"
+            )
 
     @classmethod
     def quick(cls) -> UnsupervisedTraits:
@@ -192,7 +203,6 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
         need_training()
         with place.watch.timing("collecting"):
             record({DEMONSTRATIONS: self.dataset(place)}, place.driver_run, place.folder)
-        self._split(place)
         data = (place.folder / DEMONSTRATIONS).absolute()
         runs = {
             alone.run_of(way, place): alone.training(way)
@@ -208,18 +218,11 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
         place.note_training(runs)
 
     def _split(self, place: Place) -> Split:
-        """Read the demonstrations as the runs divide them.
-
-        Raises:
-            ValueError: there are too few to judge by.
-        """
+        """Read the demonstrations as the runs divide them."""
         from hmi_marl.demonstrations.parquet import read_demonstrations
 
         data = read_demonstrations(place.folder / DEMONSTRATIONS)
-        split = Split.of(data, PAPER_HELD_OUT, AssessSettings.windows)
-        largest = max(self.training(way).latent_size for way in self.chosen)
-        assessment.pool_sizes(split, TraitSettings.pool, largest)
-        return split
+        return Split.of(data, PAPER_HELD_OUT, AssessSettings.windows)
 
     def play(self, place: Place) -> WaysResults:
         """See :meth:`SeededExperiment.play`."""

@@ -83,7 +83,7 @@ class TraitAblations(AblationReport):
     """Updates of each encoder."""
     drivers_per_update: Annotated[int, Whole(2, 100_000)] = TraitSettings.drivers_per_update
     """Drivers in each of these."""
-    recorded_seed: Seed = 0
+    recorded_seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
     """Seed of the recordings, which all variants and training seeds read."""
     seed: Seed = 0
     """Seed of the first training, from which the others are mixed."""
