@@ -359,6 +359,7 @@ BAD: dict[str, dict[str, list[str]]] = {
         "average-updates": ["-1"],
         "encoder-updates": ["0"],
         "drivers-per-update": ["1"],
+        "posteriors": ["2", "501"],
         "recorded-seed": ["-1"],
         "seed": ["-1"],
         "seeds": ["0"],

@@ -156,7 +156,7 @@ COMMANDS = (
         "reproduce ablations",
         TRAIN | DATA,
         "--driver-run trained:driver --variants baseline loss-cosine --strangers 3 --judged 4 "
-        "--named 24 --average-updates 1 --encoder-updates 1 --seeds 1 --workers 1",
+        "--named 24 --average-updates 1 --encoder-updates 1 --posteriors 0 --seeds 1 --workers 1",
     ),
     _command(
         "reproduce unsupervised",

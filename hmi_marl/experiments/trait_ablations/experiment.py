@@ -17,6 +17,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import Seed, part_seed
 from hmi_marl.experiments.experiment import Place
 from hmi_marl.experiments.recordings import record
+from hmi_marl.experiments.trait_ablations.exact import exact_r2
 from hmi_marl.experiments.trait_ablations.judging import (
     JUDGED,
     MANY,
@@ -27,7 +28,7 @@ from hmi_marl.experiments.trait_ablations.judging import (
     score,
 )
 from hmi_marl.experiments.trait_ablations.report import AblationReport
-from hmi_marl.experiments.trait_ablations.rows import Row, rows_of
+from hmi_marl.experiments.trait_ablations.rows import AblationResults, rows_of
 from hmi_marl.experiments.trait_ablations.variants import (
     BASELINE,
     BY_NAME,
@@ -83,6 +84,8 @@ class TraitAblations(AblationReport):
     """Updates of each encoder."""
     drivers_per_update: Annotated[int, Whole(2, 100_000)] = TraitSettings.drivers_per_update
     """Drivers in each of these."""
+    posteriors: CountOrZero = 100
+    """Judged strangers whose exact posterior stands next to the encoders; 0 to leave it out."""
     recorded_seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
     """Seed of the recordings, which all variants and training seeds read."""
     seed: Seed = 0
@@ -94,6 +97,11 @@ class TraitAblations(AblationReport):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not (self.posteriors == 0 or 3 <= self.posteriors <= self.judged // 2):
+            raise ValueError(
+                "posteriors are of the judged half of the strangers: 0, or 3 to "
+                f"{self.judged // 2}, not {self.posteriors}"
+            )
         for variant in self.chosen:
             if (variant.windows or 0) > self.windows:
                 raise ValueError(
@@ -112,6 +120,7 @@ class TraitAblations(AblationReport):
             named=96,
             average_updates=100,
             encoder_updates=60,
+            posteriors=0,
             seeds=1,
         )
 
@@ -185,12 +194,20 @@ class TraitAblations(AblationReport):
             with place.playing(len(own), "encoders") as progress:
                 for _ in calls(score, own, place.workers):
                     progress(1)
+        if self.posteriors:
+            with place.watch.timing("exact posteriors"):
+                list(calls(exact_r2, [self._exact(place)], 1))
+
+    def _exact(self, place: Place) -> tuple[Path, int, int, Path, Path]:
+        """Arguments of :func:`exact_r2`."""
+        recordings, file = place.folder / RECORDINGS, place.folder / PARTS / "exact.json"
+        return recordings, self.posteriors, _POOL, place.driver_run, file
 
     def file(self, variant: Variant, place: Place) -> Path:
         """File of a variant's results, with the first seed."""
         return place.folder / PARTS / f"{variant.name}-{self.seed}.json"
 
-    def play(self, place: Place) -> list[Row]:
+    def play(self, place: Place) -> AblationResults:
         """See :meth:`SeededExperiment.play`; reads what has been judged."""
         recordings = place.folder / RECORDINGS
         found: dict[str, Judged] = {
@@ -202,4 +219,5 @@ class TraitAblations(AblationReport):
             "windows": self.windows,
             "latent": TraitSettings().latent_size,
         }
-        return rows_of(found, self.chosen, places, _POOL)
+        exact = exact_r2(*self._exact(place)) if self.posteriors else None
+        return AblationResults(rows_of(found, self.chosen, places, _POOL), exact)

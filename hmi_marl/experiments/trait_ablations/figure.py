@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.trait_ablations.rows import Row
-from hmi_marl.experiments.trait_ablations.variants import AXES, NUMERIC
+from hmi_marl.experiments.trait_ablations.variants import AXES, NUMERIC, POOL
 from hmi_marl.reporting.drawing import COLOURS, canvas, faint, ink, png
+from hmi_marl.reporting.statistics import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,12 +22,17 @@ _APART = 0.13
 """Distance of the four traits at a place without a number."""
 
 
-def ablation_figure(rows: Sequence[Row], columns: int = 4) -> bytes:
-    """Draw R² by the small network, with intervals; the default is marked by a line."""
-    return png(draw(rows, columns))
+def ablation_figure(
+    rows: Sequence[Row], exact: Mapping[str, Estimate] | None, columns: int = 4
+) -> bytes:
+    """Draw R² by the small network, with intervals.
+
+    The default is marked by a broad line, the exact posterior by dotted ones.
+    """
+    return png(draw(rows, exact, columns))
 
 
-def draw(rows: Sequence[Row], columns: int) -> Drawing:
+def draw(rows: Sequence[Row], exact: Mapping[str, Estimate] | None, columns: int) -> Drawing:
     """Draw a panel for every axis that has rows."""
     by_axis = {name: [row for row in rows if row.axis == name] for name in AXES}
     shown = {name: own for name, own in by_axis.items() if own}
@@ -37,6 +43,9 @@ def draw(rows: Sequence[Row], columns: int) -> Drawing:
         axes.remove()
     for number, (axes, (name, own)) in enumerate(zip(panels, shown.items(), strict=False)):
         _panel(axes, name, own)
+        if exact is not None and name != POOL:  # where all read as many windows
+            for trait in TRAIT_NAMES:
+                axes.axhline(exact[trait].mean, color=_OF_TRAIT[trait], linewidth=1.0, ls=":")
         axes.set_ylabel("R²" if number % columns == 0 else "")
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(TRAIT_NAMES)

@@ -18,7 +18,7 @@ from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.latent_traits.probes import predict_traits
 from hmi_marl.experiments.latent_traits.strangers import name_by, strangers_pools
 from hmi_marl.experiments.trait_shifts.scoring import read_linearly
-from hmi_marl.files import json_value, with_checksum, without_checksum, write_json
+from hmi_marl.files import json_value, write_json
 from hmi_marl.reading import read_json
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.training.ablations.design import EncoderDesign
@@ -170,7 +170,7 @@ def score(part: Part, recordings: Path, path: Path) -> Judged:
     """Run one part, or read from ``path`` what it found before."""
     about = {"version": hmi_marl.__version__, "part": json_value(part)}
     about["recordings"] = {
-        name: _checksum(recordings / name) for name in (part.dataset, JUDGED, NAMED)
+        name: checksum(recordings / name) for name in (part.dataset, JUDGED, NAMED)
     }
     with suppress(FileNotFoundError, ValueError):  # a damaged file is made again
         content = without_checksum(read_json(path))
@@ -181,7 +181,7 @@ def score(part: Part, recordings: Path, path: Path) -> Judged:
     return found
 
 
-def _checksum(dataset: Path) -> str:
+def checksum(dataset: Path) -> str:
     """Return the checksum of the observed data of a recording, as its truth has it."""
     from hmi_marl.demonstrations.step_file import TRUTH_SCHEMA, StepFile
     from hmi_marl.demonstrations.stored import TRUTH

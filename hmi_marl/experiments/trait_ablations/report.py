@@ -8,7 +8,7 @@ from typing import Any
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.training_seeds import SeededExperiment
 from hmi_marl.experiments.trait_ablations.figure import ablation_figure
-from hmi_marl.experiments.trait_ablations.rows import Row
+from hmi_marl.experiments.trait_ablations.rows import AblationResults, Row
 from hmi_marl.experiments.trait_ablations.variants import AXES
 from hmi_marl.files import json_value
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
@@ -20,7 +20,7 @@ _SOURCES = ("/rows",)
 _NAMED = "types named [%]"
 
 
-class AblationReport(SeededExperiment[list[Row]]):
+class AblationReport(SeededExperiment[AblationResults]):
     """Report of the experiment."""
 
     name = "ablations"
@@ -30,16 +30,17 @@ class AblationReport(SeededExperiment[list[Row]]):
         "the self-supervised encoder of ours is learned again with one part changed."
     )
 
-    def numbers_of(self, results: list[Row]) -> Mapping[str, Any]:
+    def numbers_of(self, results: AblationResults) -> Mapping[str, Any]:
         """See :meth:`SeededExperiment.numbers_of`."""
-        return {"rows": json_value(results)}
+        return dict(json_value(results))
 
-    def judge_of(self, results: list[Row]) -> Sequence[Verdict]:
+    def judge_of(self, results: AblationResults) -> Sequence[Verdict]:
         """Judge nothing: there is no claim, but a table."""
         return ()
 
-    def blocks_of(self, results: list[Row]) -> list[Block]:
+    def blocks_of(self, results: AblationResults) -> list[Block]:
         """Show the figure, and tables of R² and of differences from the default."""
+        rows, exact = results.rows, results.exact
         return [
             Text(
                 "Every encoder learns from strangers, by which windows are of one person, with the "
@@ -51,20 +52,39 @@ class AblationReport(SeededExperiment[list[Row]]):
             Figure(
                 "ablations",
                 "R² of traits of strangers by loss, pooling, inputs, population, windows and "
-                "dimensions; the default is marked",
-                lambda: ablation_figure(results),
-                lambda: ablation_figure(results, 2),
-                sources=_SOURCES,
+                "dimensions; the default and the exact posterior are marked",
+                lambda: ablation_figure(rows, exact),
+                lambda: ablation_figure(rows, exact, 2),
+                sources=("/rows", "/exact"),
             ),
-            r2_table("R² of traits, by a small network", results, lambda row: row.network, True),
-            r2_table("R² of traits, by a linear probe", results, lambda row: row.linear),
+            r2_table("R² of traits, by a small network", rows, lambda row: row.network, True),
+            *([] if exact is None else [exact_table(exact)]),
+            r2_table("R² of traits, by a linear probe", rows, lambda row: row.linear),
             r2_table(
                 "R² less that of the default, by a small network, paired by stranger",
-                [row for row in results if not row.default],
+                [row for row in rows if not row.default],
                 lambda row: row.more,
                 form="+.2f",
             ),
         ]
+
+
+def exact_table(exact: Mapping[str, Estimate]) -> Table:
+    """Show R² of the exact posterior."""
+
+    def column(trait: str) -> Callable[[Mapping[str, Estimate]], str]:
+        return lambda found: found[trait].shown("z.2f")
+
+    columns: dict[str, Callable[[Mapping[str, Estimate]], str]] = {
+        "reader": lambda found: "exact posterior",
+        **{trait: column(trait) for trait in TRAIT_NAMES},
+        "strangers": lambda found: str(found[TRAIT_NAMES[0]].count),
+    }
+    note = (
+        "Its mean, from as many windows as the default reads; it knows the driver policy. No "
+        "estimate from the same driving has a smaller squared error."
+    )
+    return Table.of("R² of the exact posterior", [exact], columns, note, ("/exact",))
 
 
 def r2_table(

@@ -44,6 +44,15 @@ class Row:
         return float(self.what)
 
 
+@dataclass(frozen=True)
+class AblationResults:
+    """Results of all variants."""
+
+    rows: Sequence[Row]
+    exact: Mapping[str, Estimate] | None
+    """R² of the exact posterior by trait, from as many windows; None if it was not computed."""
+
+
 def rows_of(
     found: Mapping[str, Judged], variants: Sequence[Variant], places: Mapping[str, int], pool: int
 ) -> list[Row]:

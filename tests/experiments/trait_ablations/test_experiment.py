@@ -11,11 +11,12 @@ from trait_models import save_driver
 from hmi_marl.cli import main
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.experiment import Place
+from hmi_marl.experiments.training_seeds import over_seeds
 from hmi_marl.experiments.trait_ablations import experiment as running
 from hmi_marl.experiments.trait_ablations.experiment import PARTS, RECORDINGS, TraitAblations
 from hmi_marl.experiments.trait_ablations.figure import draw
 from hmi_marl.experiments.trait_ablations.judging import JUDGED, MANY, NAMED, STRANGERS, score
-from hmi_marl.experiments.trait_ablations.rows import Row
+from hmi_marl.experiments.trait_ablations.rows import AblationResults, Row
 from hmi_marl.experiments.trait_ablations.variants import AXES, BY_NAME
 from hmi_marl.reporting.statistics import Estimate, share
 
@@ -38,6 +39,9 @@ ROWS = [
     row("pool", "8", 0.8, True),
 ]
 
+EXACT = {trait: Estimate(0.91, 0.88, 0.94, 0.015, 40) for trait in TRAIT_NAMES}
+RESULTS = AblationResults(ROWS, EXACT)
+
 
 @pytest.fixture
 def here(monkeypatch):
@@ -53,6 +57,8 @@ def test_settings_that_cannot_be_are_refused():
     with pytest.raises(ValueError, match="windows is at least 8 for 'windows-8', but got 4"):
         TraitAblations(windows=4)
     TraitAblations(variants=("baseline", "latent-2"), windows=4)
+    with pytest.raises(ValueError, match="0, or 3 to 20, not 21"):
+        TraitAblations(judged=40, posteriors=21)
     TraitAblations.quick()
 
 
@@ -81,7 +87,7 @@ def test_every_variant_learns_from_the_first_of_one_population():
 
 
 def test_the_figure_has_a_panel_for_each_axis():
-    drawing = draw(ROWS, columns=2)
+    drawing = draw(ROWS, EXACT, columns=2)
     assert isinstance(drawing, matplotlib.figure.Figure)
     assert [axes.get_title() for axes in drawing.axes] == [
         AXES[n] for n in ("loss", "strangers", "pool")
@@ -95,10 +101,14 @@ def test_the_figure_has_a_panel_for_each_axis():
 
 def test_every_number_of_the_report_has_its_source():
     experiment = TraitAblations(seeds=1)
-    blocks = experiment.blocks_of(ROWS)
-    assert not missing(blocks, experiment.numbers_of(ROWS))
+    blocks = experiment.blocks_of(RESULTS)
+    assert not missing(blocks, experiment.numbers_of(RESULTS))
     text = "\n".join(block.as_text() for block in blocks)
     assert "2000 (default)" in text
+    assert "0.91 [0.88, 0.94]" in text
+    without = AblationResults(ROWS, None)
+    assert not missing(experiment.blocks_of(without), experiment.numbers_of(without))
+    assert over_seeds([RESULTS, RESULTS]).exact == EXACT
     assert "0.70 [0.60, 0.80]" in text
 
 
@@ -107,9 +117,10 @@ def test_the_command_learns_judges_and_resumes(tmp_path, capsys, monkeypatch):
     driver, out = save_driver(tmp_path / "driver"), tmp_path / "out"
     command = [
         *("reproduce", "ablations", "--driver-run", str(driver), "--out", str(out)),
-        *("--variants", "baseline", "loss-cosine", "--strangers", "3", "--judged", "4"),
+        *("--variants", "baseline", "loss-cosine", "--strangers", "3", "--judged", "6"),
         *("--windows", "2", "--named", "24", "--average-updates", "1", "--encoder-updates", "1"),
         *("--drivers-per-update", "2", "--seeds", "2", "--workers", "1"),
+        *("--posteriors", "3"),
     ]
     assert main(command) == 0
     assert "R² of traits, by a small network" in capsys.readouterr().out
@@ -121,7 +132,9 @@ def test_the_command_learns_judges_and_resumes(tmp_path, capsys, monkeypatch):
         assert 0 <= each["named"]["mean"] <= 1
     assert sorted(path.name for path in (out / RECORDINGS).iterdir()) == [JUDGED, NAMED, STRANGERS]
     files = sorted((out / PARTS).iterdir())
-    assert len(files) == 4
+    assert len(files) == 5
+    assert files.pop().name == "exact.json"
+    assert set(content["exact"]) == set(TRAIT_NAMES)
     # The second time one encoder alone is learned again: the one whose file is damaged.
     files[2].write_text("{}")
     made = []
