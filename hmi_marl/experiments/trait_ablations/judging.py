@@ -18,7 +18,7 @@ from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.experiments.latent_traits.probes import predict_traits
 from hmi_marl.experiments.latent_traits.strangers import name_by, strangers_pools
 from hmi_marl.experiments.trait_shifts.scoring import read_linearly
-from hmi_marl.files import json_value, write_json
+from hmi_marl.files import json_value, with_checksum, without_checksum, write_json
 from hmi_marl.reading import read_json
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.training.ablations.design import EncoderDesign
