@@ -98,10 +98,8 @@ class Part:
         learned = recordings / self.dataset
         encoder = learn_encoder(self.design, self.settings, learned, self.strangers, self.windows)
         judged, named = ObservedFile(recordings / JUDGED), ObservedFile(recordings / NAMED)
-        truth, sums = (
-            TruthFile(recordings / JUDGED, judged).read(),
-            encoder.encode(recordings / JUDGED),
-        )
+        truth = TruthFile(recordings / JUDGED, judged).read()
+        sums = encoder.encode(recordings / JUDGED)
         errors = {}
         for size in self.pools:
             pools, fits = strangers_pools(judged.driver, size)

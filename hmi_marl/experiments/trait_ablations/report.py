@@ -18,6 +18,14 @@ from hmi_marl.reporting.verdicts import Verdict
 _SOURCES = ("/rows",)
 """Place of the numbers in the JSON file."""
 _NAMED = "types named [%]"
+_NOTE = (
+    "Loss: InfoNCE by the likelihood of both posteriors, by the distance or the cosine of their "
+    "means with a learned temperature, or the paper's contrastive loss with each stranger as a "
+    "label, as a mean over pairs (margin) or with equal and other pairs weighted alike (balanced). "
+    "Pooling is within a window; a pool is the mean of its windows. Without the state the average "
+    "driver still reads it; with actions and alerts there is no average driver either; without the "
+    "time of alerts neither reads it."
+)
 
 
 class AblationReport(SeededExperiment[AblationResults]):
@@ -57,7 +65,13 @@ class AblationReport(SeededExperiment[AblationResults]):
                 lambda: ablation_figure(rows, exact, 2),
                 sources=("/rows", "/exact"),
             ),
-            r2_table("R² of traits, by a small network", rows, lambda row: row.network, True),
+            r2_table(
+                "R² of traits, by a small network",
+                rows,
+                lambda row: row.network,
+                named=True,
+                note=_NOTE,
+            ),
             *([] if exact is None else [exact_table(exact)]),
             r2_table("R² of traits, by a linear probe", rows, lambda row: row.linear),
             r2_table(
@@ -93,6 +107,7 @@ def r2_table(
     of: Callable[[Row], Mapping[str, Estimate]],
     named: bool = False,
     form: str = "z.2f",
+    note: str = "",
 ) -> Table:
     """Show one measure of all rows, by trait."""
 
@@ -106,4 +121,4 @@ def r2_table(
     }
     if named:
         columns[_NAMED] = lambda row: row.named.percent()
-    return Table.of(title, rows, columns, sources=_SOURCES)
+    return Table.of(title, rows, columns, note, _SOURCES)
