@@ -62,7 +62,7 @@ EXPERIMENTS.register(
 )
 EXPERIMENTS.register(
     "adapt",
-    "Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.",
+    "Learn to infer the driver, and an HMI conditioned on z, for unknown drivers; judge both.",
     Where("hmi_marl.experiments.adaptation.experiment:Adaptation"),
 )
 EXPERIMENTS.register(
