@@ -34,7 +34,7 @@ def reading(settings: S, places: Sequence[Path]) -> S:
 
 
 def models_read(settings: Any) -> tuple[Path, ...]:
-    """Return the path of the trait model that settings name, if it does not come with the package."""
+    """Return the path of the settings' trait model, or none if it comes with the package."""
     return () if is_shipped(settings.traits) else (Path(settings.traits).absolute(),)
 
 
@@ -44,9 +44,10 @@ def with_models(settings: S, places: Sequence[Path]) -> tuple[S, tuple[Path, ...
     Returns:
         The settings, and the places that are left.
     """
-    count = len(models_read(settings))
-    changed = {"traits": str(place) for place in places[:count]}
-    return replace(settings, **changed), tuple(places[count:])  # type: ignore[type-var]
+    if not models_read(settings):
+        return settings, tuple(places)
+    moved = replace(settings, traits=str(places[0]))  # type: ignore[type-var,call-arg]
+    return moved, tuple(places[1:])
 
 
 def _named(settings: Any) -> Iterator[tuple[str, tuple[str, ...]]]:

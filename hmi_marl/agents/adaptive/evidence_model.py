@@ -3,7 +3,8 @@ r"""Learned evidence about the driver from each turn, for any candidate traits.
 The context encoder of a trait model (:mod:`hmi_marl.agents.learned.trait_encoder`) reads the trip
 under way; its features w_t of the last steps, what z follows from, and what only the vehicle AI's
 seat shows, a^H_t, are read by a small network that returns a vector e_t for each turn. Another
-network maps every driver θ = (β, α, η, inflation) to a vector w(θ) in the same space. The evidence is
+network maps every driver θ = (β, α, η, inflation) to a vector w(θ) in the same space. The evidence
+is
 
 .. math::
     \log p(\text{turn}_t | \text{turns before}, θ) \approx e_t \cdot w(θ) + \text{const}
@@ -33,7 +34,7 @@ from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, 
 from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, digest_of, part_of
 from hmi_marl.agents.learned.situations import LONG_AGO
 from hmi_marl.agents.learned.trait_model import TraitModel
-from hmi_marl.checks import Checked, Count, Units
+from hmi_marl.checks import Checked, Units
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits
 from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout

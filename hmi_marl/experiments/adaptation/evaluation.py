@@ -10,7 +10,7 @@ the driver at the wheel; see :mod:`hmi_marl.exact.hidden_attention`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
@@ -21,7 +21,7 @@ from hmi_marl.agents.adaptive.hmis import CAUTION, DOUBT, TYPES, Trained
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.checks import Checked, Count, Share, Whole
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions, Traits, get_driver
+from hmi_marl.envs.drivers import DRIVERS, Driver, Traits, get_driver
 from hmi_marl.envs.streams import Seed, Stream, mix, part_seed
 from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments.adaptation.hmis import (

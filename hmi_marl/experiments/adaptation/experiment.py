@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,23 +25,17 @@ from hmi_marl.experiments.adaptation import evaluation
 from hmi_marl.experiments.adaptation.evaluation import (
     POPULATION,
     QUICK,
-    REGRET_AT,
     TEAM,
-    WHEN,
     AdaptSettings,
     Result,
 )
 from hmi_marl.experiments.adaptation.figure import figure
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
-    AVERAGE,
-    CHOOSING,
     CONDITIONED,
     EXPECTED,
-    KNOWING,
-    LEARNED_AVERAGE,
-    NONE,
 )
+from hmi_marl.experiments.adaptation.tables import tables
 from hmi_marl.experiments.adaptation.trips import Closed
 from hmi_marl.experiments.experiment import (
     HIDDEN_EXPERIMENT,
@@ -53,8 +46,7 @@ from hmi_marl.experiments.experiment import (
 )
 from hmi_marl.experiments.training_seeds import SeededExperiment, learned_part
 from hmi_marl.files import json_value
-from hmi_marl.reporting.blocks import Block, Table, Text
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.blocks import Block, Text
 from hmi_marl.reporting.verdicts import Part, Verdict
 from hmi_marl.training.conditioned.run_tasks import conditioned_task
 from hmi_marl.training.conditioned.settings import ConditionedSettings
@@ -71,14 +63,12 @@ NOTE = (
     "same roads. Shares are of the gap between two exact rules, AvgHMI's and that of the driver at "
     "the wheel, and may exceed 100 % by chance; where there is no clear gap, no share is given. "
     "HMIs marked Bayes use the exact evidence of the chain instead of the learned one, which reads "
-    "the features of the encoder and a^H. Verdicts are on HMIs with the learned evidence: the one of "
-    "expected value, and, where it says so, the one conditioned on z. Intervals are over drivers "
+    "the features of the encoder and a^H. Verdicts are on HMIs with the learned evidence: the one "
+    "of expected value and, where it says so, the one conditioned on z. Intervals are over drivers "
     "and, where evidence and HMI were trained several times, over these trainings."
 )
 DRIVES = "drivers"
 """Unit of replication: drivers of the population, or drives of one type."""
-LEARNED_ADAPTIVE = CHOOSING, CONDITIONED, EXPECTED
-SHARE_COLUMNS = [f"after {when}" for when in WHEN]
 
 
 def closed_parts(who: str, found: Closed, least: float, seeds: int = 1) -> tuple[Part, Part]:
@@ -206,8 +196,8 @@ class Adaptation(_Judged):
     seed: Seed = 0
     """Seed of the first training, from which the others are mixed."""
     seeds: Count = 5
-    """Trainings of evidence model and HMI; encoder, driver policy and the HMIs for known drivers are
-    the same for all."""
+    """Trainings of evidence model and HMI; encoder, driver policy and the HMIs for known drivers
+    are the same for all."""
     evaluation: AdaptSettings = field(default_factory=AdaptSettings)
     """Size of the evaluation."""
     hidden: str = ""
@@ -218,8 +208,8 @@ class Adaptation(_Judged):
     paper = (
         "The paper proposes to infer a driver's traits from their driving and to pick the HMI by "
         "them (Sec. III), and leaves that loop open. Below it is closed: the driver is not known, "
-        "the encoder of z reads every step, and the HMI adapts. It is compared with what the exact Bayes "
-        "posterior would earn, and with an HMI that knows the driver."
+        "the encoder of z reads every step, and the HMI adapts. It is compared with what the exact "
+        "Bayes posterior would earn, and with an HMI that knows the driver."
     )
 
     @classmethod
@@ -331,70 +321,3 @@ def record_change(
     teaming = begin(config, driver, hmi, np.array([seed], np.uint64), "highway")
     change = config.horizon // 2, Traits.of([get_driver(second)])
     clip.record(path, config, clip.moments(teaming, driver, hmi, change), 1)
-
-
-def tables(results: Sequence[Result]) -> list[Table]:
-    """Show returns, closed shares of the gaps, and regret after a change of driver."""
-    steady = [result for result in results if result.shares]
-    changing = [result for result in results if result.after_change]
-
-    def last(hmi: str) -> Callable[[Result], str]:
-        return lambda result: result.returns[hmi][-1].shown(".1f")
-
-    worth: dict[str, Callable[[Result], str]] = {
-        "driver": lambda result: result.group,
-        "exact worth": lambda r: "" if r.exact_worth is None else f"{r.exact_worth:.1f}",
-        "played": lambda result: result.shares[AVERAGE]["3 trips"].gap.shown(".1f"),
-        **{hmi: last(hmi) for hmi in (KNOWING, AVERAGE, LEARNED_AVERAGE, NONE)},
-    }
-    shares = [
-        [result.group, hmi, *_closed(closed), closed["3 trips"].regret.shown(".1f")]
-        for result in steady
-        for hmi, closed in result.shares.items()
-        if hmi in ADAPTIVE
-    ]
-    learned = [
-        [result.group, hmi, *_closed(closed), closed["3 trips"].gap.shown(".1f")]
-        for result in steady
-        for hmi, closed in result.learned_shares.items()
-        if hmi in LEARNED_ADAPTIVE
-    ]
-    first = [
-        [result.group, *(result.first_seconds[hmi].shown(".1f") for hmi in ADAPTIVE)]
-        for result in steady
-    ]
-    regret = [
-        [result.group, hmi, *(total.shown(".1f") for total in result.total_regret[hmi].values())]
-        for result in steady
-        for hmi in (AVERAGE, *ADAPTIVE)
-    ]
-    change = [
-        [result.group, *(_percent(result.after_change[hmi]) for hmi in (AVERAGE, *ADAPTIVE))]
-        for result in changing
-    ]
-    worth_title = "What knowing the driver is worth: attention return per trip, attention hidden"
-    shares_title = "Share of the gap from AvgHMI to the knowing HMI that is closed [%]"
-    learned_title = (
-        "The same between learned HMIs: learned AvgHMI and the one learned for the driver [%]"
-    )
-    regret_title = "Regret against the exact rule for the driver, by time at the wheel: return lost"
-    change_title = (
-        "Regret from 20 to 40 s after a change of driver, of what the knowing HMI earns [%]"
-    )
-    head, sources = ["driver", "HMI", *SHARE_COLUMNS], ["/results"]
-    return [
-        Table.of(worth_title, steady, worth, sources=sources),
-        Table(shares_title, [*head, "regret per trip, last"], shares, sources=sources),
-        Table(learned_title, [*head, "gap per trip"], learned, sources=sources),
-        Table(regret_title, ["driver", "HMI", *REGRET_AT], regret, sources=sources),
-        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first, sources=sources),
-        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change, sources=sources),
-    ]
-
-
-def _closed(shares: Mapping[str, Closed]) -> list[str]:
-    return [_percent(shares[when].share) for when in WHEN]
-
-
-def _percent(estimate: Estimate, unit: str = "") -> str:
-    return "no gap" if math.isnan(estimate.mean) else f"{estimate.percent('.1f')}{unit}"

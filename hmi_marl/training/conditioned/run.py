@@ -2,8 +2,8 @@
 
 Each round's trips are driven by the HMI as it is learned so far, drawing its alerts, so that it
 learns what to do in the situations that it gets into (DAgger). It drives exactly as a
-:class:`ConditionedHMI` does later: z comes from an estimator that reads the trip under way. The exact
-rules of the simulated drivers are its teachers, in training alone.
+:class:`ConditionedHMI` does later: z comes from an estimator that reads the trip under way. The
+exact rules of the simulated drivers are its teachers, in training alone.
 
 Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the policy,
 ``vehicle_ai.json`` with its weights.

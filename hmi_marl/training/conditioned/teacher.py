@@ -1,7 +1,7 @@
 r"""Exact rules of known drivers, which an HMI learns from.
 
-In training the traits of every simulated driver are known, and with them the rule that is optimal on
-the exact belief p(d = 1) for this driver (:mod:`hmi_marl.exact.hidden_attention`). It gives the
+In training the traits of every simulated driver are known, and with them the rule that is optimal
+on the exact belief p(d = 1) for this driver (:mod:`hmi_marl.exact.hidden_attention`). It gives the
 advantage A of alerting now over silence, if the rule is followed afterwards. The regret of an HMI's
 trip is, with the rule's own model of the steps that reveal attention,
 
