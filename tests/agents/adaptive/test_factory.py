@@ -85,8 +85,8 @@ def test_candidates_and_settings_reach_it(kind, exact, trained):
         assert hmi.caution == 1.5
         assert hmi._default._rule.revealing == 0.2
     if kind == "conditioned":
-        places = load_evidence(trained.evidence).places(Traits.of(candidates))
-        np.testing.assert_array_equal(hmi.places, places)
+        latents = load_evidence(trained.evidence).expected(Traits.of(candidates))
+        np.testing.assert_array_equal(hmi.latents, latents)
 
 
 def test_the_hmis_that_are_chosen_among_are_those_of_the_types(trained):
@@ -133,8 +133,15 @@ def test_an_hmi_whose_z_means_something_else_is_refused(trained):
         if digest == own:
             assert isinstance(make_adaptive("conditioned", HIDDEN, trained=trained), ConditionedHMI)
         else:
-            with pytest.raises(ValueError, match="the latent space of another evidence model"):
+            with pytest.raises(ValueError, match="the z of another evidence model"):
                 make_adaptive("conditioned", HIDDEN, trained=trained)
+
+
+def test_evidence_that_reads_another_encoder_is_refused(trained):
+    other = replace(trained, traits="trained:traits-id")
+    with pytest.raises(ValueError, match="reads the encoder of another trait model"):
+        make_adaptive("expected", HIDDEN, trained=other)
+    make_adaptive("conditioned", HIDDEN, True, trained=other)  # which reads no encoder
 
 
 def test_hmis_to_choose_among_are_objects_of_their_own(trained):
