@@ -75,8 +75,8 @@ def test_by_default_it_reads_what_everybody_may_see():
     ids=str,
 )
 def test_impossible_cards_are_refused(changes, found):
+    given = {"reads": (("speed", 1),), "encoder": "", "features": 2, "context": 2}
     with pytest.raises(ValueError, match=found):
-        given = {"reads": (("speed", 1),), "encoder": "", "features": 2, "context": 2}
         EvidenceCard(**(given | changes))
 
 
