@@ -125,7 +125,7 @@ def test_learning_that_diverges_is_reported(tmp_path, evidence):
 
 
 def driven(drivers, traits=None, seed=0):
-    """Trips of ``drivers`` with an untrained HMI; ``traits`` are what the teacher takes them for."""
+    """Trips of ``drivers`` with an untrained HMI; the teacher takes them for ``traits``."""
     model = untrained_evidence(TEAM)
     evidence = LearnedEvidence(model, trait_model(), TYPES, TEAM)
     card = TINY.card(model.card.context)

@@ -50,10 +50,6 @@ def test_the_driver_decides():
     teams = standing_teams(2, driver="bart", ai_sees_attention=False, duration=4.0)
     teams.reset(seeds(2))
     teacher = Teacher([DRIVERS["bart"], DRIVERS["lisa"]], HIDDEN, 0.35)
-    found = np.array(
-        [
-            teacher.advantage(seen)
-            for seen in turns(teams, any_intents(15, 2), np.zeros((15, 2), int))
-        ]
-    )
+    trip = turns(teams, any_intents(15, 2), np.zeros((15, 2), np.int64))
+    found = np.array([teacher.advantage(seen) for seen in trip])
     assert (np.sign(found[:, 0]) != np.sign(found[:, 1])).any()
