@@ -46,7 +46,7 @@ def with_models(settings: S, places: Sequence[Path]) -> tuple[S, tuple[Path, ...
     """
     if not models_read(settings):
         return settings, tuple(places)
-    moved = replace(settings, traits=str(places[0]))  # type: ignore[type-var,call-arg]
+    moved = replace(settings, traits=str(places[0]))  # type: ignore[type-var]
     return moved, tuple(places[1:])
 
 

@@ -234,7 +234,7 @@ MAKE = {
     "expected": lambda: ExpectedValueHMI(estimator(), CONFIG),
     "choosing": lambda: choosing(estimator()),
     "conditioned": lambda: conditioned(
-        estimator(), 3 * untrained_evidence(CONFIG).expected(Traits.of(FOUR))
+        estimator(), 3 * np.random.default_rng(0).standard_normal((4, 3))
     ),
 }
 
