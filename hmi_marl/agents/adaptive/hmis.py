@@ -288,10 +288,10 @@ def make_adaptive(
     if kind == CONDITIONED:
         policy = load_policy(trained.conditioned, VEHICLE_AI, config)
         model = load_evidence(trained.evidence)
-        if policy.card.training.get(CONTEXT_OF, model.digest) != model.digest:
+        if policy.card.training.get(CONTEXT_OF, model.card.encoder) != model.card.encoder:
             raise ValueError(
-                f"{trained.conditioned} was trained with the z of another evidence model than "
-                f"{trained.evidence}; name the one that it was trained with"
+                f"{trained.conditioned} was trained with the z of another encoder than the one that "
+                f"{trained.evidence} reads; name an evidence model that reads the same"
             )
         return ConditionedHMI(estimator(candidates), policy, model.expected(Traits.of(candidates)))
     raise ValueError(unknown("kind of adaptive HMI", kind, KINDS))

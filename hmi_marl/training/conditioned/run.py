@@ -1,7 +1,8 @@
 """Learning, in a folder, of an HMI that is conditioned on z; resumable.
 
-Each round's trips are driven by the HMI as it is learned so far, drawing its alerts, so that it
-learns what to do in the situations that it gets into (DAgger). It drives exactly as a
+Half of each round's trips are driven by the HMI as it is learned so far, drawing its alerts, so
+that it learns what to do in the situations that it gets into (DAgger); AvgHMI drives the others,
+with exceptions at random. The HMI drives exactly as a
 :class:`ConditionedHMI` does later: z comes from an estimator that reads the trip under way. The
 exact rules of the simulated drivers are its teachers, in training alone.
 
@@ -77,7 +78,11 @@ class _Run(ModelRun):
     ) -> None:
         self._evidence, self._traits = load_evidence(evidence), load_traits(settings.traits)
         self._evidence.check_encoder(self._traits)
-        about = {"protocol": "conditioned", CONTEXT_OF: self._evidence.digest}
+        about = {
+            "protocol": "conditioned",
+            CONTEXT_OF: self._evidence.card.encoder,
+            "evidence": self._evidence.digest,
+        }
         super().__init__(settings, folder, about, **shown)
         self._settings = settings
         self._driver = make_driver_policy(settings.driver_policy, settings.team)
@@ -108,7 +113,8 @@ class _Run(ModelRun):
                     )
                 ]
                 row = {"loss": self._update(TaughtTrips.joined(trips))}
-                row |= {"regret": trips[0].regret, "regret_types": trips[1].regret}
+                regrets = [self._regret(part) for part in trips]
+                row |= {"regret": regrets[0], "regret_types": regrets[1]}
                 steps = int(sum(part.driving.sum() for part in trips))
                 rate = self.count(began, steps)
                 state.curve.append({"rounds": state.iteration} | row | rate)
@@ -149,7 +155,20 @@ class _Run(ModelRun):
         first = self.draw(Stream.TRAINING, 2 * self.state.iteration + number)
         counters = np.arange(len(drivers) * settings.trips, dtype=np.uint64)
         seeds = mix(first, Stream.TRAINING, counters).reshape(len(drivers), settings.trips)
-        return drive(team, self._driver, hmi, drivers, teacher, seeds, settings.threads)
+        return drive(
+            team,
+            self._driver,
+            hmi,
+            drivers,
+            teacher,
+            settings.revealing,
+            seeds,
+            settings.threads,
+        )
+
+    def _regret(self, trips: TaughtTrips) -> float:
+        """Mean regret of a group's trips with the learned HMI, which every second driver has."""
+        return float(trips.regret.reshape(self._settings.trips, -1)[:, ::2].mean())
 
     def _update(self, trips: TaughtTrips) -> float:
         """Take this round's gradient steps; return the mean loss."""

@@ -45,8 +45,9 @@ def with_any_inflation(drivers: tuple[str, ...], inflations: int) -> tuple[Drive
 class ConditionedSettings(Checked):
     """Settings of learning an HMI π(a^A | a^H, s, z) for a population of drivers.
 
-    In each round the HMI that is learned drives with all drivers, unknown at the start of their
-    first trip, with z as it is inferred under way; then it learns from these trips.
+    In each round all drivers take some trips, unknown at the start of the first one; half of them
+    with the HMI as it is learned so far, with z as it is inferred under way, the others with AvgHMI
+    and random exceptions. Then it learns from all of these trips.
 
     Raises:
         ValueError, TypeError: a value out of its range, by name.
@@ -66,9 +67,9 @@ class ConditionedSettings(Checked):
     """Inflations tried for each candidate."""
     trips: Count = 2
     """Trips of each driver in a round; what is known of the driver is kept from one to the next."""
-    rounds: Count = 30
+    rounds: Count = 40
     """Rounds of driving and learning."""
-    updates: Count = 40
+    updates: Count = 50
     """Gradient steps in each round."""
     batch: Count = 128
     """Trips in each gradient step."""

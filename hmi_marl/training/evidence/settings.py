@@ -51,7 +51,7 @@ class EvidenceSettings(Checked):
     """Trait model whose encoder is read: a run of ``hmi-marl traits train``, or trained:NAME."""
     drives: Count = 12_000
     """Episodes to learn from."""
-    known: Share = 0.4
+    known: Share = 0.25
     """Share of the episodes with one of the named drivers; the other drivers' traits are drawn
     uniformly."""
     held_out: OpenShare = 0.05

@@ -126,14 +126,14 @@ def test_a_folder_of_that_name_is_not_taken_for_a_run(tmp_path, monkeypatch):
 
 def test_an_hmi_whose_z_means_something_else_is_refused(trained):
     card, weights = read_policy(Path(trained.conditioned) / "vehicle_ai.json")
-    own = load_evidence(trained.evidence).digest
+    own = load_evidence(trained.evidence).card.encoder
     for digest in (own, "of another model"):
         about = replace(card, training={"context_of": digest})
         save_policy(Path(trained.conditioned), about, weights)
         if digest == own:
             assert isinstance(make_adaptive("conditioned", HIDDEN, trained=trained), ConditionedHMI)
         else:
-            with pytest.raises(ValueError, match="the z of another evidence model"):
+            with pytest.raises(ValueError, match="the z of another encoder"):
                 make_adaptive("conditioned", HIDDEN, trained=trained)
 
 
