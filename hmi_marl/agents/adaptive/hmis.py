@@ -290,8 +290,8 @@ def make_adaptive(
         model = load_evidence(trained.evidence)
         if policy.card.training.get(CONTEXT_OF, model.card.encoder) != model.card.encoder:
             raise ValueError(
-                f"{trained.conditioned} was trained with the z of another encoder than the one that "
-                f"{trained.evidence} reads; name an evidence model that reads the same"
+                f"{trained.conditioned} was trained with the z of another encoder than "
+                f"{trained.evidence} reads; name an evidence model that reads the same one"
             )
         return ConditionedHMI(estimator(candidates), policy, model.expected(Traits.of(candidates)))
     raise ValueError(unknown("kind of adaptive HMI", kind, KINDS))
