@@ -26,7 +26,7 @@ from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.policy import CONTEXT_OF, LearnedPolicy, save_policy
 from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.envs.config import VEHICLE_AI
-from hmi_marl.envs.drivers import Traits, get_driver
+from hmi_marl.envs.drivers import Driver, Traits, get_driver
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.extras import needing
 from hmi_marl.training.conditioned.settings import (
@@ -137,14 +137,14 @@ class _Run(ModelRun):
         self._student.load_state_dict(tensors["model"])
         self._descent.load(tensors["learner"])
 
-    def _candidates(self) -> tuple[Any, ...]:
+    def _candidates(self) -> tuple[Driver, ...]:
         """Drivers that the estimator considers for strangers in this round."""
         settings = self._settings
         seed = self.draw(Stream.CANDIDATES, self.state.iteration)
         return with_any_inflation(strangers(settings.candidates, seed), settings.inflations)
 
     def _drive(
-        self, number: int, drivers: list[Any], teacher: Teacher, candidates: tuple[Any, ...]
+        self, number: int, drivers: list[Driver], teacher: Teacher, candidates: tuple[Driver, ...]
     ) -> TaughtTrips:
         """Drive this round's trips of one group of drivers."""
         settings, team = self._settings, self._settings.team

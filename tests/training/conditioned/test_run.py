@@ -200,11 +200,11 @@ def test_the_loss_by_hand():
 @pytest.mark.slow
 def test_it_learns_to_lose_less(tmp_path, evidence):
     settings = ConditionedSettings(
-        driver_policy="random", strangers=24, types=4, candidates=4, rounds=6, updates=30, batch=40
+        driver_policy="random", strangers=24, types=4, candidates=4, rounds=8, updates=40, batch=40
     )
     learned(tmp_path / "run", evidence, settings)
     rows = json.loads((tmp_path / "run" / "curve.json").read_text())
-    assert rows[-1]["regret"] < 0.5 * rows[0]["regret"]
+    assert rows[-1]["regret"] < 0.6 * rows[0]["regret"]
 
 
 def test_the_hmi_reads_no_column_that_shows_traits_or_attention():
