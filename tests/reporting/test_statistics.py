@@ -268,6 +268,13 @@ def test_luck_that_many_units_show_has_their_degrees_of_freedom() -> None:
     assert mean([1.0, 2.0]).as_json()["luck"] == 0.0
 
 
+@pytest.mark.parametrize("luck", [1e300, -1e300, 5e-324])
+@pytest.mark.parametrize("error", [0.0, 1e300, 5e-324])
+def test_luck_of_any_size_has_an_interval(luck: float, error: float) -> None:
+    low, high = interval_with_luck(0.0, error, 5, luck, 100)
+    assert low <= 0.0 <= high
+
+
 @pytest.mark.parametrize("confidence", [0.95, 0.998])
 @pytest.mark.parametrize("between", [0.0, 0.5, 1.0, 2.0, 4.0, 8.0])
 def test_intervals_over_seeds_that_share_luck_hold_the_truth(
