@@ -238,9 +238,7 @@ def interval_with_luck(
     """
     if luck == 0.0:
         return t_interval(mean, error, count, confidence)
-    # Squares of numbers in a damaged file could overflow, a share cannot.
-    shared = min(1.0, abs(luck / error)) if error != 0.0 else 1.0
-    own = abs(error) * math.sqrt(1.0 - shared**2)
+    own = math.sqrt(max(0.0, error * error - luck * luck))  # ** would raise where these overflow
     tail = (1.0 + confidence) / 2.0
     half = math.hypot(_t_quantile(tail, count - 1) * own, _t_quantile(tail, luck_count - 1) * luck)
     return mean - half, mean + half
