@@ -40,10 +40,10 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
     Raises:
         ValueError: an experiment is not finished, or ``out`` holds something else.
     """
-    others = {}
+    before = {}
     if out.exists() and any(out.iterdir()):
         try:
-            others = shipped_agents(out)
+            before = shipped_agents(out)
         except (OSError, ValueError) as error:
             raise ValueError(
                 f"{out} holds other things than shipped agents; choose another --out ({error})"
@@ -57,8 +57,7 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
             )
         agents += experiment.agents(place)
     check_free(run)
-    made = {agent.name for agent in agents}
-    _write(agents, {name: agent for name, agent in others.items() if name not in made}, out)
+    _write(agents, before, out)
     return agents
 
 
@@ -68,8 +67,7 @@ def ship_more(agents: Sequence[Agent], out: Path) -> None:
     Raises:
         FileNotFoundError, ValueError: ``out`` holds no shipped agents, or a card is damaged.
     """
-    names = {agent.name for agent in agents}
-    _write(agents, {n: a for n, a in shipped_agents(out).items() if n not in names}, out)
+    _write(agents, shipped_agents(out), out)
 
 
 def read_report(folder: Path) -> dict[str, bytes]:
@@ -95,8 +93,10 @@ def write_report(folder: Path, files: Mapping[str, bytes]) -> None:
         write_bytes(folder / name, content)
 
 
-def _write(agents: Sequence[Agent], kept: Mapping[str, Shipped], out: Path) -> None:
-    """Write agents, and those in ``out`` that are kept, in place of what is in ``out``."""
+def _write(agents: Sequence[Agent], before: Mapping[str, Shipped], out: Path) -> None:
+    """Write agents, and those of other names that were in ``out``, in place of what is there."""
+    names = {agent.name for agent in agents}
+    kept = {name: agent for name, agent in before.items() if name not in names}
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
         folder = Path(made) / out.name
@@ -104,11 +104,11 @@ def _write(agents: Sequence[Agent], kept: Mapping[str, Shipped], out: Path) -> N
         index |= {agent.name: _copy(agent, folder) for agent in agents}
         about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
         write_json(folder / INDEX, with_checksum(about))
-        before = out.with_name(f".{out.name}-before")
+        aside = out.with_name(f".{out.name}-before")
         if out.exists():
-            out.replace(before)  # still there if what comes next is interrupted
+            out.replace(aside)  # still there if what comes next is interrupted
         folder.replace(out)
-        shutil.rmtree(before, ignore_errors=True)
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _keep(agent: Shipped, out: Path, folder: Path) -> dict[str, Any]:

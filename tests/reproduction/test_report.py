@@ -22,8 +22,7 @@ from hmi_marl.reproduction.report import NUMBERS, full_report
 from hmi_marl.reproduction.suite import TIMINGS, Record, full_suite, shared_driver
 
 FEWER_SEEDS = {"adapt": 3, "traits": 1}
-"""Experiments that the shipped report learned fewer times than by default; docs/results.md says so.
-"""
+"""Experiments of the shipped report with fewer seeds than by default; docs/results.md says so."""
 SHIPPED = Path(__file__).parents[2] / "docs" / "report"
 
 
