@@ -57,6 +57,7 @@ NO_SETTINGS = {
     "hmi_marl.experiments.metrics_table.table.Cell": "results",
     "hmi_marl.experiments.speed.bench._Contestant": "results",
     "hmi_marl.experiments.trait_shifts.scoring.Estimates": "results",
+    "hmi_marl.experiments.trait_ablations.variants.Variant": "constants of the experiment",
 }
 """Dataclasses with numbers by default that nobody sets, and why."""
 

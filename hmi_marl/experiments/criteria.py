@@ -65,6 +65,9 @@ IDENTITY_MARGIN, PREFERENCE_MARGIN = 0.03, 0.02
 """Largest gap of supervised accuracies to the exact classifier's: for drivers, for preferences."""
 ABOVE_CHANCE = 0.20
 """Least difference of the unsupervised accuracy from chance."""
+NAMED_WITHOUT_LABELS = 0.90
+"""Least share of pools whose driver is named right from which z counts as naming drivers without
+labels."""
 KL_FACTOR = 6.0
 """Least ratio of a supervised setting's average KL to the unsupervised one's, as in the paper."""
 LINEAR_R2: Mapping[str, float] = MappingProxyType(

@@ -91,6 +91,18 @@ EXPERIMENTS.register(
     Where("hmi_marl.experiments.trait_shifts.experiment:TraitShifts", ("sklearn",), in_suite=False),
 )
 EXPERIMENTS.register(
+    "ablations",
+    "Learn the self-supervised encoder again with one part changed at a time, and compare.",
+    Where(
+        "hmi_marl.experiments.trait_ablations.experiment:TraitAblations", _TRAITS, in_suite=False
+    ),
+)
+EXPERIMENTS.register(
+    "unsupervised",
+    "Compare what names drivers without labels, by losses, budget and size of z.",
+    Where("hmi_marl.experiments.unsupervised_traits:UnsupervisedTraits", _TRAITS, in_suite=False),
+)
+EXPERIMENTS.register(
     "protocols",
     "Train by every protocol with equal environment steps and several seeds, and compare them.",
     Where("hmi_marl.experiments.protocols.experiment:ProtocolComparison", in_suite=False),

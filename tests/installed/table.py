@@ -152,6 +152,18 @@ COMMANDS = (
         "--posteriors 3 --windows 2 --sampling.groups 8 --sampling.rounds 1 "
         "--sampling.most-rounds 1 --workers 1",
     ),
+    _command(
+        "reproduce ablations",
+        TRAIN | DATA,
+        "--driver-run trained:driver --variants baseline loss-cosine --strangers 3 --judged 4 "
+        "--named 24 --average-updates 1 --encoder-updates 1 --posteriors 0 --seeds 1 --workers 1",
+    ),
+    _command(
+        "reproduce unsupervised",
+        TRAIN | DATA,
+        "--driver-run trained:driver --ways paper --demonstrated 16000 --steps 1 "
+        "--imitation-updates 1 --seeds 1 --workers 1",
+    ),
     _command("reproduce protocols", TRAIN, _COMPARED),
     _command("reproduce sweep", TRAIN | DATA, f"--protocols joint {_SWEPT}"),
     _command(

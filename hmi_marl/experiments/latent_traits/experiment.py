@@ -4,36 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
-
-from tqdm import tqdm
 
 from hmi_marl.checks import Count, Steps
 from hmi_marl.demonstrations.dataset import Split
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
-from hmi_marl.experiments.experiment import Agent, Place, driver_job, driver_weights
+from hmi_marl.experiments.experiment import Agent, Place, driver_job
 from hmi_marl.experiments.latent_traits import assessment
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.evaluation import SUPERVISIONS, TraitEvaluation
 from hmi_marl.experiments.latent_traits.report import TraitReport
 from hmi_marl.experiments.latent_traits.results import TraitResults
 from hmi_marl.experiments.latent_traits.strangers import MIN_STRANGERS, strangers_pools
-from hmi_marl.files import json_value, sha256_of
-from hmi_marl.ownership import owned
+from hmi_marl.experiments.recordings import record
 from hmi_marl.training.jobs import Job, need_training, own_line, side_by_side
 from hmi_marl.training.run_tasks import RunTask
-from hmi_marl.training.runs.folder import check_same
 from hmi_marl.training.runs.start import check_machine
 from hmi_marl.training.traits.settings import TraitSettings
 
 DEMONSTRATIONS, POPULATION, STRANGERS = "demonstrations", "population", "strangers"
 _POPULATION_PART, _STRANGERS_PART = 2**32, 2**32 + 1
 """Parts of the experiment that their episodes are; the first parts are its runs."""
-_FREE = ("driver_policy", "num_teams")
-"""Settings that a recorded dataset may differ in: the policy's folder (its weights are compared
-instead), and memory."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +136,7 @@ class LatentTraits(TraitReport):
             self.collect(place.driver_run, out)
         with watch.timing("all training of this call, in parallel"):
             tasks = [
-                RunTask(_learn, (job, place.command_line), folder, (_data(out, job).absolute(),))
+                RunTask(learn_in, (job, place.command_line), folder, (_data(out, job).absolute(),))
                 for folder, job in runs.items()
             ]
             side_by_side(tasks, place.workers, place.cluster)
@@ -161,34 +153,10 @@ class LatentTraits(TraitReport):
             FileNotFoundError: there is no such driver policy.
             ValueError: a dataset that is there was recorded otherwise, or there is too little.
         """
-        from hmi_marl.demonstrations.parquet import (  # needs the data extra
-            TRUTH,
-            read_about,
-            read_demonstrations,
-            write_demonstrations,
-        )
-        from hmi_marl.demonstrations.recording import collect
+        from hmi_marl.demonstrations.parquet import read_demonstrations  # needs the data extra
         from hmi_marl.demonstrations.stored import ObservedFile
 
-        for name, dataset in self.datasets(driver_run).items():
-            truth = folder / name / TRUTH
-            if truth.is_file():  # which is written last
-                about = read_about(truth)
-                before = _binding(about.get("settings", {}))
-                check_same(before, _binding(json_value(dataset)), truth.parent)
-                (weights,) = driver_weights(Place(folder, driver_run))
-                if about["driver_policy"].get("sha256") != sha256_of(weights):
-                    raise ValueError(
-                        f"{truth.parent} was recorded with another driver policy than that of "
-                        f"{driver_run}; choose another --out, or remove the folder"
-                    )
-                continue
-            total = dataset.total_steps
-            with (
-                owned(folder / name),
-                tqdm(total=total, unit=" steps", unit_scale=True, desc=name) as bar,
-            ):
-                write_demonstrations(folder / name, collect(dataset, bar.update))
+        record(self.datasets(driver_run), driver_run, folder)
         learn, demonstrations = self.learn, read_demonstrations(folder / DEMONSTRATIONS)
         share = replace(learn, supervision="none").held_out_share
         split = Split.of(demonstrations, share, self.evaluation.windows)
@@ -219,11 +187,10 @@ def _data(folder: Path, job: TraitSettings) -> Path:
     return folder / (STRANGERS if job.supervision == "self" else DEMONSTRATIONS)
 
 
-def _binding(settings: dict[str, Any]) -> dict[str, Any]:
-    return {"settings": {name: value for name, value in settings.items() if name not in _FREE}}
-
-
-def _learn(settings: TraitSettings, command_line: str, folder: Path, demonstrations: Path) -> None:
+def learn_in(
+    settings: TraitSettings, command_line: str, folder: Path, demonstrations: Path
+) -> None:
+    """Learn a trait model in ``folder``; to be called in a process of its own."""
     from hmi_marl.training.traits.run import learn_traits  # torch, with the threads just set
 
     settings = replace(settings, threads=1)

@@ -9,7 +9,7 @@ if both estimate one z, :math:`μ_k - μ_l \sim N(0, σ_k^2 + σ_l^2)`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,12 +121,37 @@ def name_types(
         seed: draws the labelled pools.
 
     Raises:
+        ValueError: see :func:`name_by`.
+    """
+    return name_by(lambda pools: model.latents(sums, pools), driver, model.card.pool, sizes, seed)
+
+
+def name_by(
+    latents: Callable[[NDArray[np.int64]], Latent],
+    driver: NDArray[np.int64],
+    known: int,
+    sizes: Sequence[int],
+    seed: int = 0,
+    scores: Callable[[Latent, Latent], NDArray[np.float64]] | None = None,
+) -> list[Naming]:
+    """Name types as :func:`name_types` does, by any encoder and any scores.
+
+    Args:
+        latents: returns the posteriors of pools, given the indices of their windows, (P, n).
+        driver: type of each window, shape (E,); -1 if not known.
+        known: windows of the labelled pools.
+        sizes: windows of the pools that are named.
+        seed: draws the labelled pools.
+        scores: returns for P pools and C labelled ones how well they go together, (P, C); by
+            default :func:`log_likelihoods`.
+
+    Raises:
         ValueError: fewer than two types, or a type with no pool beside a labelled one.
     """
-    types = np.unique(driver[driver != MISSING])
+    types, compare = np.unique(driver[driver != MISSING]), scores or log_likelihoods
     if len(types) < 2:
         raise ValueError("naming types takes two or more who are known by name")
-    rng, known = np.random.default_rng(seed), model.card.pool
+    rng = np.random.default_rng(seed)
     fewest, least = min(int((driver == who).sum()) for who in types), known + max(sizes)
     if fewest < least:
         raise ValueError(
@@ -140,10 +165,10 @@ def name_types(
         )
         rest = driver.copy()
         rest[labelled] = MISSING
-        prototypes = model.latents(sums, labelled)
+        prototypes = latents(labelled)
         for size in sizes:
             pools = disjoint_pools(rest, size)
-            named = types[log_likelihoods(model.latents(sums, pools), prototypes).argmax(axis=1)]
+            named = types[compare(latents(pools), prototypes).argmax(axis=1)]
             right[size].append(named == driver[pools[:, 0]])
     # The draws judge the same windows, so they count once.
     return [

@@ -90,7 +90,18 @@ def explained(
         true: shape (P,), not all equal.
         wrong: estimate less truth, shape (P,).
     """
-    squares, spread = wrong**2, (true - true.mean()) ** 2
+    return share_explained(wrong**2, (true - true.mean()) ** 2)
+
+
+def share_explained(
+    squares: NDArray[np.float64], spread: NDArray[np.float64]
+) -> tuple[Estimate, NDArray[np.float64]]:
+    """Return R² and deviations as :func:`explained` does, from sums over each stranger's pools.
+
+    Args:
+        squares: squared errors, shape (P,).
+        spread: squared distances of the truth from its mean over all strangers, shape (P,).
+    """
     missed = statistics.ratio(squares, spread)
     deviations = -(squares - missed.mean * spread) / spread.mean()
     return Estimate(1 - missed.mean, 1 - missed.high, 1 - missed.low), deviations

@@ -12,7 +12,7 @@ from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.training.runs.divergence import check_finite
 from hmi_marl.training.runs.run import flat_moments, with_moments
-from hmi_marl.training.traits.encoder import SMALLEST_SPREAD, Posterior
+from hmi_marl.training.traits.encoder import Posterior
 from hmi_marl.training.traits.losses import (
     adversarial_loss,
     cohesion_loss,
@@ -63,11 +63,7 @@ class DiscriminatorLearner:
 
     def prepare(self, batch: Batch) -> None:
         """Take the units of the encoder's means from a batch of demonstrations."""
-        encoder = self.model.encoder
-        with torch.no_grad():
-            raw = encoder.raw(encoder.sums(batch).sum(dim=1)).mean
-            encoder.centre.copy_(raw.mean(dim=0))
-            encoder.scale.copy_(raw.std(dim=0) + SMALLEST_SPREAD)
+        self.model.encoder.prepare(batch)
 
     def encode(self, batch: Batch) -> Posterior:
         """Return q(z | τ) of every pool."""

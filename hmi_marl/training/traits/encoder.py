@@ -24,6 +24,11 @@ FORGETTING = 0.05
 """Weight of the current batch in the running averages of the means' units."""
 
 
+def real_steps(each: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
+    """Mark the steps before the end of windows (N, T, .) of these lengths (N,); shape (N, T)."""
+    return torch.arange(each.shape[1], device=each.device) < length[:, None]
+
+
 class Posterior(NamedTuple):
     """q(z | τ) of P pools; both of shape (P, Z)."""
 
@@ -89,19 +94,33 @@ class ContextEncoder(torch.nn.Module):
         both = [(likely * which).sum(dim=-1, keepdim=True) for which in (done, before)]
         return torch.cat([extra, done, repeated * since, *both], dim=-1)
 
+    def observed(self, x: torch.Tensor) -> torch.Tensor:
+        """Return features of the observed states of situations (..., D + EXTRA)."""
+        return torch.relu(self.state_layer(x[..., :-EXTRA]))
+
     def sums(self, batch: Batch) -> torch.Tensor:
         """Return features summed over the steps of each window, and their number: (P, n, F + 1)."""
         x, actions, length = batch
         pools, windows, steps, _ = x.shape
-        state = torch.relu(self.state_layer(x[..., :-EXTRA]))
-        each = torch.relu(self.step_layer(torch.cat([self.behaviour(x, actions), state], dim=-1)))
-        each = each.reshape(pools * windows, steps, -1).transpose(1, 2)
-        (span,) = self.span_layer.kernel_size
-        features = torch.relu(self.span_layer(pad(each, (span - 1, 0))))
-        there = torch.arange(steps, device=x.device) < length.reshape(-1, 1)
-        total = (features * there[:, None]).sum(dim=2)
+        read = [self.behaviour(x, actions), self.observed(x)]
+        each = torch.relu(self.step_layer(torch.cat(read, dim=-1)))
+        total = self.over_time(each.reshape(pools * windows, steps, -1), length.reshape(-1))
         count = length.reshape(-1, 1).to(x.dtype)
         return torch.cat([total, count], dim=1).reshape(pools, windows, -1)
+
+    def over_time(self, each: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
+        """Return features summed over the steps of windows, shape (N, F).
+
+        Args:
+            each: features of every step, shape (N, T, step_features).
+            length: steps of each window, shape (N,).
+        """
+        return (self.spans(each) * real_steps(each, length)[:, None]).sum(dim=2)
+
+    def spans(self, each: torch.Tensor) -> torch.Tensor:
+        """Return features of some steps each, (N, F, T), given those of every step (N, T, .)."""
+        (span,) = self.span_layer.kernel_size
+        return torch.relu(self.span_layer(pad(each.transpose(1, 2), (span - 1, 0))))
 
     def raw(self, sums: torch.Tensor) -> Posterior:
         """Return the posterior of pools, given their sums (P, F + 1), before :meth:`units`."""
@@ -114,6 +133,13 @@ class ContextEncoder(torch.nn.Module):
         """Return the posterior of pools, given their sums (P, F + 1), in units of :meth:`units`."""
         mean, log_variance = self.raw(sums)
         return Posterior((mean - centre) / scale, log_variance)
+
+    def prepare(self, batch: Batch) -> None:
+        """Take the units of the means from a batch of demonstrations."""
+        with torch.no_grad():
+            raw = self.raw(self.sums(batch).sum(dim=1)).mean
+            self.centre.copy_(raw.mean(dim=0))
+            self.scale.copy_(raw.std(dim=0) + SMALLEST_SPREAD)
 
     def units(self, sums: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return centre and scale of a batch's raw means, and update their running averages."""

@@ -142,8 +142,17 @@ def same_driver_loss(
     """
     variance = log_variance.exp()[:, None] + other_log_variance.exp()[None]
     squares = (mean[:, None] - other_mean[None]) ** 2 / variance
-    log_likelihood = -0.5 * (squares + variance.log()).sum(dim=2)
-    of_one, of_other = (torch.log_softmax(log_likelihood, dim=axis).diagonal() for axis in (1, 0))
+    return found_again_loss(-0.5 * (squares + variance.log()).sum(dim=2))
+
+
+def found_again_loss(scores: torch.Tensor) -> torch.Tensor:
+    r"""Return InfoNCE: the cross-entropy of finding the other pool of a driver by scores.
+
+    Args:
+        scores: log likelihood, up to a constant, that pools k and l are of one driver, shape
+            (P, P); those on the diagonal are.
+    """
+    of_one, of_other = (torch.log_softmax(scores, dim=axis).diagonal() for axis in (1, 0))
     return -0.5 * (of_one.mean() + of_other.mean())
 
 

@@ -42,11 +42,9 @@ with needing("training"):
     from hmi_marl.training.traits.episodes import PIECE, Episodes
     from hmi_marl.training.traits.generator import Generator
     from hmi_marl.training.traits.model import weights_of_model
-    from hmi_marl.training.traits.self_supervision import AverageLearner, SelfSupervision
+    from hmi_marl.training.traits.self_supervision import EncoderLearning
     from hmi_marl.training.traits.windows import Batch, Windows, make_labels
 
-PREPARING_POOLS = 64
-"""Pools from which the encoder takes its units."""
 DISCRIMINATOR, GENERATOR = "discriminator", "generator"
 _AVERAGE_DRIVER, _ENCODER = "average", "encoder"
 _SHOWN_EVERY = 10
@@ -139,8 +137,7 @@ class _Run(ModelRun):
             self._card, settings, self._generator.policy, self._device
         )
         encoder = self._discriminator.model.encoder
-        self._average = AverageLearner(encoder, settings.imitation_rate)
-        self._self = SelfSupervision(encoder, settings.encoder_rate, settings.weight_decay)
+        self._first = EncoderLearning(encoder, self._windows, settings, self._device)
         if settings.supervision == "self":
             self._windows.draw_drivers(rng, settings.drivers_per_update, settings.pool)  # or raise
         self._about_data = {"drivers": list(episodes.names), "about": json_value(episodes.about)}
@@ -151,10 +148,10 @@ class _Run(ModelRun):
         state, settings, name = self.state, self._settings, self.folder.name
         per_round = settings.num_teams * self._generator.horizon
         with self.progress(name, per_round * self._rounds, state.steps) as progress:
-            self._updates(_AVERAGE, settings.average_updates, self._learn_average, progress)
+            self._updates(_AVERAGE, settings.average_updates, self._first.learn_average, progress)
             self._prepare()
             count = settings.encoder_updates if settings.supervision == "self" else 0
-            self._updates(_SELF, count, self._learn_self, progress)
+            self._updates(_SELF, count, self._first.learn_self, progress)
             self._updates(_IMITATING, settings.imitation_updates, self._imitate, progress)
             progress.phase(name)
             while state.iteration < self._rounds:
@@ -197,25 +194,13 @@ class _Run(ModelRun):
         if state.phase == phase:
             self.finish_phase()
 
-    def _learn_average(self, rng: np.random.Generator, progress: float) -> dict[str, float]:
-        settings, windows = self._settings, self._windows
-        which = windows.draw(rng, settings.expert_pools, settings.pool)
-        return self._average.learn(windows.batch(which, self._device), progress)
-
-    def _learn_self(self, rng: np.random.Generator, progress: float) -> dict[str, float]:
-        settings, windows = self._settings, self._windows
-        which = windows.draw_drivers(rng, settings.drivers_per_update, settings.pool)
-        return self._self.learn(windows.batch(which, self._device), progress)
-
     def _imitate(self, rng: np.random.Generator, progress: float) -> dict[str, float]:
         return self._discriminator.learn(*self._demonstrated(rng))
 
     def _prepare(self) -> None:
         """Take the units of the encoder's means, once the average driver is known."""
         if self.state.phase == _SELF and self.state.iteration == 0:
-            rng = np.random.default_rng(self.draw(Stream.LEARNING, 2))
-            pools = self._windows.draw(rng, PREPARING_POOLS, self._settings.pool)
-            self._discriminator.prepare(self._windows.batch(pools, self._device))
+            self._first.prepare(np.random.default_rng(self.draw(Stream.LEARNING, 2)))
 
     def _round(self) -> dict[str, float]:
         settings, iteration = self._settings, self.state.iteration
@@ -259,16 +244,16 @@ class _Run(ModelRun):
         return {
             DISCRIMINATOR: self._discriminator.tensors(),
             GENERATOR: self._generator.learner.tensors(),
-            _AVERAGE_DRIVER: self._average.descent.tensors(),
-            _ENCODER: self._self.descent.tensors(),
+            _AVERAGE_DRIVER: self._first.average.descent.tensors(),
+            _ENCODER: self._first.self_supervision.descent.tensors(),
         }
 
     def restore(self, tensors: Tensors) -> None:
         """See :meth:`Run.restore`."""
         self._discriminator.load(tensors[DISCRIMINATOR])
         self._generator.learner.load(tensors[GENERATOR])
-        self._average.descent.load(tensors.get(_AVERAGE_DRIVER, {}))
-        self._self.descent.load(tensors.get(_ENCODER, {}))
+        self._first.average.descent.load(tensors.get(_AVERAGE_DRIVER, {}))
+        self._first.self_supervision.descent.load(tensors.get(_ENCODER, {}))
 
     def check(self, before: dict[str, Any]) -> None:
         """See :meth:`Run.check`; checksums of demonstrations would say nothing to a reader."""
