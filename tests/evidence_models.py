@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, EvidenceModel,
 from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import PolicyCard, make_card, save_policy
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.teaming import Teaming
@@ -21,10 +23,16 @@ from hmi_marl.envs.teaming import Teaming
 HIDDEN = TeamConfig(driver="bart", ai_sees_attention=False, duration=4.0)
 SMALL: dict[str, Any] = {
     "latent": 3,
-    "segment": 5,
-    "encoder": NetworkConfig((6,), rnn_hidden_dim=4),
+    "reader": NetworkConfig((6,)),
     "place": NetworkConfig((5,), "tanh"),
+    "expected": NetworkConfig((4,)),
 }
+
+
+@cache
+def trait_model() -> TraitModel:
+    """Load the trait model that comes with the package."""
+    return load_traits(Trained().traits)
 
 
 def drawn(shapes: dict[str, tuple[int, ...]], seed: int = 0) -> dict[str, NDArray[np.float32]]:
@@ -44,7 +52,7 @@ def evidence_weights(card: EvidenceCard, seed: int = 0) -> dict[str, NDArray[np.
 
 def untrained_evidence(config: TeamConfig = HIDDEN, seed: int = 0, **sizes: Any) -> EvidenceModel:
     """Make a small evidence model."""
-    card = EvidenceCard.for_team(config, **(SMALL | sizes))
+    card = EvidenceCard.for_team(config, trait_model(), **(SMALL | sizes))
     return EvidenceModel(card, evidence_weights(card, seed))
 
 
@@ -57,7 +65,7 @@ def save_trained(folder: Path, config: TeamConfig = HIDDEN) -> Trained:
     """Save all learned models that adaptive HMIs need in ``folder``."""
     model = untrained_evidence(config)
     save_evidence(folder / "evidence", model.card, model.weights)
-    conditioned = hidden_card(config, model.card.latent)
+    conditioned = hidden_card(config, 2 * model.card.context)
     save_policy(folder / "conditioned", conditioned, drawn(conditioned.shapes, seed=1))
     plain = hidden_card(config)
     for number, name in enumerate(DRIVERS):

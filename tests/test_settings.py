@@ -92,7 +92,12 @@ EXAMPLES = {
     "Choice": {"values": (0.5, 1.0)},
     "PolicyCard": {"seat": "driver", "reads": (("speed", 1),)},
     "TraitCard": {"reads": (("speed", 1),)},
-    "EvidenceCard": {"reads": (("intended_action", 5),)},
+    "EvidenceCard": {
+        "reads": (("intended_action", 5),),
+        "encoder": "",
+        "features": 2,
+        "context": 2,
+    },
     "TableConfig": {"hmis": ("never",)},
     "_Header": dict.fromkeys(("format", "sha256", "settings"), "")
     | {"phase": 0, "iteration": 0, "steps": 0, "seconds": 0.0, "curve": []},

@@ -234,6 +234,18 @@ class DriverList:
         return np.array([driver.traits for driver in self.drivers]).T
 
 
+@dataclass(frozen=True, eq=False)
+class FixedDrivers:
+    """A population of fixed drivers: the same in every episode."""
+
+    traits: Traits
+    """Traits of the drivers of N teams."""
+
+    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
+        """See :meth:`Population.draw`; the seeds change nothing."""
+        return self.traits
+
+
 @dataclass(frozen=True)
 class Uniform(Checked):
     """Evenly between ``low`` and ``high``, both in [0, 20]; a constant when they are equal."""

@@ -104,8 +104,10 @@ GAP_DRIVERS = ("lisa", "bart")
 """Drivers for whom knowing them is worth much."""
 GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.90, "3 trips": 0.97})
 """Least share of the gap between AvgHMI and an HMI that knows the driver that is closed."""
-POPULATION_GAP_CLOSED = 0.80
-"""The same for the continuous population after three trips."""
+POPULATION_GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.90, "3 trips": 0.90})
+"""The same for the continuous population."""
+CONDITIONED_GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.80, "3 trips": 0.90})
+"""The same for the continuous population, by the HMI conditioned on z."""
 FIRST_SECONDS_LOSS = 3.0
 """Loss of attention return against AvgHMI in the first 5 s that counts as none: a tenth of what one
 accepted alert earns."""

@@ -43,6 +43,15 @@ HIDDEN_RUN = "hmi-{}"
 """Folder of the run of each of these HMIs, {} for the driver model."""
 HIDDEN_EXPERIMENT = "hidden"
 """Experiment that learns them, and its folder in a reproduction."""
+TRAITS_EXPERIMENT = "traits"
+"""Experiment that learns latent traits, and its folder in a reproduction."""
+
+
+def traits_run(supervision: str, number: int = 0) -> str:
+    """Folder of a trait model in its experiment's; ``number`` counts training seeds from 0."""
+    return f"traits-{supervision}{f'-{number}' if number else ''}"
+
+
 _DEPENDED_ON = (".safetensors", ".parquet")
 
 

@@ -34,10 +34,13 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import Part, Verdict
-from hmi_marl.training.evidence.conditioned import HIDDEN_PPO, HMI_READS
+from hmi_marl.training.conditioned.settings import HMI_READS
 from hmi_marl.training.jobs import Job
+from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 
+HIDDEN_PPO = PPOSettings(learning_rate=2e-3, num_mini_batches=8)
+"""PPO for recurrent HMIs."""
 LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
     "learned, own",
     "learned, AvgHMI",

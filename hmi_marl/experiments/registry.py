@@ -61,14 +61,14 @@ EXPERIMENTS.register(
     Where("hmi_marl.experiments.hidden_attention:HiddenAttention"),
 )
 EXPERIMENTS.register(
-    "adapt",
-    "Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.",
-    Where("hmi_marl.experiments.adaptation.experiment:Adaptation"),
-)
-EXPERIMENTS.register(
     "traits",
     "Learn latent traits in the paper's three settings and self-supervised, and judge them.",
     Where("hmi_marl.experiments.latent_traits.experiment:LatentTraits", _TRAITS),
+)
+EXPERIMENTS.register(
+    "adapt",
+    "Learn to infer the driver, and an HMI conditioned on z, for unknown drivers; judge both.",
+    Where("hmi_marl.experiments.adaptation.experiment:Adaptation"),
 )
 EXPERIMENTS.register(
     "identify",

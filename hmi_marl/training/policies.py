@@ -1,4 +1,4 @@
-"""Driver policies that the settings of a training name, and where they are on this machine."""
+"""Driver policies and trait models that the settings of a training name, and where they are."""
 
 from __future__ import annotations
 
@@ -31,6 +31,23 @@ def reading(settings: S, places: Sequence[Path]) -> S:
         mixed = mixed_names(getattr(settings, setting))
         changed[setting] = f"mixture:{','.join(there)}" if mixed else there[0]
     return replace(settings, **changed)  # type: ignore[type-var]
+
+
+def models_read(settings: Any) -> tuple[Path, ...]:
+    """Return the path of the settings' trait model, or none if it comes with the package."""
+    return () if is_shipped(settings.traits) else (Path(settings.traits).absolute(),)
+
+
+def with_models(settings: S, places: Sequence[Path]) -> tuple[S, tuple[Path, ...]]:
+    """Return settings that read the trait model of :func:`models_read` at the first place instead.
+
+    Returns:
+        The settings, and the places that are left.
+    """
+    if not models_read(settings):
+        return settings, tuple(places)
+    moved = replace(settings, traits=str(places[0]))  # type: ignore[type-var]
+    return moved, tuple(places[1:])
 
 
 def _named(settings: Any) -> Iterator[tuple[str, tuple[str, ...]]]:

@@ -71,7 +71,7 @@ def test_it_plays_writes_and_prints(
     assert content["command"] == shlex.join(["hmi-marl", *arguments])
     assert content["settings"]["population"] == 2
     assert "NaN" not in (out / "adapt.json").read_text("utf-8")
-    assert len(content["verdicts"]) == 9
+    assert len(content["verdicts"]) == 12
 
 
 @pytest.mark.parametrize(

@@ -221,6 +221,7 @@ def test_nothing_of_an_extra_is_imported_where_none_is_needed(tmp_path: Path) ->
         ("from hmi_marl.training.ppo.run import train", "train"),
         ("from hmi_marl.training.traits.run import learn_traits", "train"),
         ("from hmi_marl.training.evidence.run import learn_evidence", "train"),
+        ("from hmi_marl.training.conditioned.run import learn_conditioned", "train"),
         ("from hmi_marl.agents.learned.onnx_export import export_onnx", "train"),
         ("from hmi_marl.demonstrations.parquet import read_observed", "data"),
         ("from hmi_marl.demonstrations.minari import export_minari", "data"),

@@ -58,8 +58,8 @@ if __name__ == "__main__":
         MetricsTable(1, 1, 4, 16, seeds=1),
         AttentiveDrivers(1, 1, 8, 16, seeds=2),
         HiddenAttention(1, 1, 4, 4, 16, seeds=1),
-        Adaptation(320, 1, 1, 4, 16, seeds=1, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
         LatentTraits(1, 2000, 3, 8, learn, seeds=1, evaluation=AssessSettings(10, 1, 2)),
+        Adaptation(320, 1, 40, 6, 1, 4, seeds=1, evaluation=AdaptSettings(4, 2, 1, 2, 2)),
         DriverIdentification(1, 8, 3, 4, 16),
         GradedAlerts(1, 4, 16, seeds=1),
     ]

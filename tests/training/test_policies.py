@@ -8,7 +8,7 @@ import pytest
 from hmi_marl.experiments.sweep import runs
 from hmi_marl.experiments.sweep.plan import plan_runs
 from hmi_marl.training.evidence.settings import EvidenceSettings
-from hmi_marl.training.policies import policies_read, reading
+from hmi_marl.training.policies import models_read, policies_read, reading, with_models
 from hmi_marl.training.protocols.joint import Joint, Simultaneous
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.run_tasks import RunTask
@@ -37,6 +37,15 @@ def test_every_policy_that_is_a_file_is_read_where_it_is_now(settings, reads, th
     places = (THERE, Path("/node/read-1/b"))[: len(reads)]
     assert reading(settings, places) == replace(settings, **there)
     assert reading(settings, reads) == settings
+
+
+def test_a_trait_model_that_is_a_file_is_read_where_it_is_now():
+    shipped, own = EvidenceSettings(), EvidenceSettings(traits="/runs/traits-self")
+    assert models_read(shipped) == ()
+    assert with_models(shipped, [THERE]) == (shipped, (THERE,))
+    assert models_read(own) == (Path("/runs/traits-self"),)
+    moved = replace(own, traits="/node/read-0/traits-self")
+    assert with_models(own, [Path("/node/read-0/traits-self"), THERE]) == (moved, (THERE,))
 
 
 def test_a_run_of_a_sweep_finds_all_of_its_policies(tmp_path, monkeypatch):

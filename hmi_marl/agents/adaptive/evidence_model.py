@@ -1,19 +1,22 @@
 r"""Learned evidence about the driver from each turn, for any candidate traits.
 
-An encoder reads the turns of a trip and returns a vector e_t for each; another network maps every
-driver θ = (β, α, η, inflation) to a vector w(θ) in the same latent space. The evidence is
+The context encoder of a trait model (:mod:`hmi_marl.agents.learned.trait_encoder`) reads the trip
+under way; its features w_t of the last steps, what z follows from, and what only the vehicle AI's
+seat shows, a^H_t, are read by a small network that returns a vector e_t for each turn. Another
+network maps every driver θ = (β, α, η, inflation) to a vector w(θ) in the same space. The evidence
+is
 
 .. math::
     \log p(\text{turn}_t | \text{turns before}, θ) \approx e_t \cdot w(θ) + \text{const}
 
 and that of several windows of one driver is their sum: given the driver, windows are independent,
-so they are pooled by adding e_t. The encoder's recurrent state is reset every ``segment`` turns, so
-that a previous driver is soon forgotten. For the attention chain alone such a sum is exact: e_t
-would count events and w(θ) hold the logarithms of β, 1 - β, β - η ...
+so they are pooled by adding e_t. For the attention chain alone such a sum is exact: e_t would count
+events and w(θ) hold the logarithms of β, 1 - β, β - η ... A third network maps every driver to the
+z that the encoder gives for a window of theirs on average, so that a belief about drivers is a
+belief about z.
 
-It reads the vehicle AI's observation, including a^H_t, and learns from drives with known traits
-(:mod:`hmi_marl.training.evidence`). So it also uses driving style, which the exact evidence of the
-chain does not.
+It learns from drives with known traits (:mod:`hmi_marl.training.evidence`); the encoder stays as it
+is. No trait, and nothing of d, is an input.
 """
 
 from __future__ import annotations
@@ -26,28 +29,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, digest_of, part_of
 from hmi_marl.agents.learned.situations import LONG_AGO
-from hmi_marl.checks import Checked, Count, Units
+from hmi_marl.agents.learned.trait_model import TraitModel
+from hmi_marl.checks import Checked, Units
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES, Driver, Traits
 from hmi_marl.envs.observations import Layout, traits_part, vehicle_ai_layout
 from hmi_marl.envs.team_step import NO_ACTION
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.bayes_filter import check_candidates
-from hmi_marl.files import sha256
 
 READS = ("intended_action", "previous_intended_action", "applied_action")
-"""Parts of the vehicle AI's observation that an encoder reads by default: intended and applied
-actions. Lidar and speed would improve the estimate of inflation and worsen those of β, α and η."""
+"""Parts of the vehicle AI's observation that are read by default, besides the encoder's features:
+intended and applied actions."""
 HIDDEN = ("traits", *TRAIT_NAMES, "distracted", "accepted", "counter", "fatigue")
 """Observation parts, and columns with names of their own, hidden from driver inference."""
 _ACTIONS = len(VEHICLE_ACTIONS)
 _SINCE = LONG_AGO + 1
-DERIVED = _ACTIONS + 3 * _SINCE
+DERIVED = _ACTIONS + 5 * _SINCE
 """Columns in addition to the read parts: one-hot v_{t-2}; one-hot steps from the last alert to step
-t - 1, and the same where that step revealed an attentive driver or a distracted one."""
+t - 1, and the same where that step revealed a distracted driver or an attentive one; one-hot steps
+from the last step before it that revealed attention, if it showed distraction, and if not."""
 
 
 @dataclass(frozen=True)
@@ -60,14 +65,20 @@ class EvidenceCard(Checked):
 
     reads: tuple[tuple[str, int], ...]
     """Names and sizes of the parts of the vehicle AI's observation that it reads, in order."""
+    encoder: str
+    """Digest of the trait model whose encoder it reads; see :attr:`TraitModel.digest`."""
+    features: Units
+    """Features of that encoder."""
+    context: Units
+    """Z, size of that encoder's z."""
     latent: Units = 16
-    """Z, size of e_t and w(θ)."""
-    segment: Count = 25
-    """Turns after which the encoder's recurrent state is reset."""
-    encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
+    """Size of e_t and w(θ)."""
+    reader: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,)))
     """Network from turns to e_t."""
     place: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
     """Network from traits to w."""
+    expected: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
+    """Network from traits to the expected z."""
     training: dict[str, Any] = field(default_factory=dict)
     """How it was trained."""
 
@@ -79,24 +90,30 @@ class EvidenceCard(Checked):
                 raise ValueError(
                     f"an evidence model may not read {name!r}: driver inference hides it"
                 )
-        if self.place.rnn_hidden_dim:
-            raise ValueError("only the encoder may be recurrent: set place.rnn_hidden_dim to 0")
+        for name in ("reader", "place", "expected"):
+            if getattr(self, name).rnn_hidden_dim:
+                raise ValueError(
+                    f"an evidence model has no recurrent layer: set {name}.rnn_hidden_dim to 0"
+                )
 
     @classmethod
     def for_team(
-        cls, config: TeamConfig, names: Sequence[str] = READS, **sizes: Any
+        cls, config: TeamConfig, traits: TraitModel, names: Sequence[str] = READS, **sizes: Any
     ) -> EvidenceCard:
         """Make the card of a model that reads these parts in teams set up by ``config``.
+
+        Args:
+            config: settings of the teams.
+            traits: the trait model whose encoder it reads.
+            names: parts of the vehicle AI's observation.
+            sizes: other fields of the card.
 
         Raises:
             ValueError: a part that is not in the vehicle AI's observation.
         """
-        layout = vehicle_ai_layout(config)
-        if unknown := [name for name in names if name not in layout]:
-            raise ValueError(
-                f"no part {unknown[0]!r} to read; there are {', '.join(layout.slices)}"
-            )
-        return cls(tuple((n, layout[n].stop - layout[n].start) for n in names), **sizes)
+        card = traits.card
+        of_encoder = traits.digest, card.encoder.features, card.latent
+        return cls(parts_shown(config, names), *of_encoder, **sizes)
 
     @property
     def read_size(self) -> int:
@@ -104,23 +121,47 @@ class EvidenceCard(Checked):
         return sum(size for _, size in self.reads)
 
     @property
+    def standardised(self) -> int:
+        """Number of input columns, the first ones, that are in units of the training drives."""
+        return self.features + self.read_size
+
+    @property
+    def inputs(self) -> int:
+        """Number of input columns: features of the encoder, read parts, derived columns."""
+        return self.standardised + DERIVED
+
+    @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the weights."""
         sizes = {
-            "encoder": (self.read_size + DERIVED, self.latent),
+            "reader": (self.inputs, self.latent),
             "place": (len(TRAIT_NAMES), self.latent),
+            "expected": (len(TRAIT_NAMES), self.context),
         }
-        units = {"read.centre": (self.read_size,), "read.scale": (self.read_size,)}
+        columns = (self.standardised,)
+        units = {"read.centre": columns, "read.scale": columns}
         return units | part_shapes(self, sizes)
 
 
-FORMAT = CardFormat("hmi-marl evidence 3", "evidence model", EvidenceCard)
+def parts_shown(config: TeamConfig, names: Sequence[str]) -> tuple[tuple[str, int], ...]:
+    """Return names and sizes of parts of the vehicle AI's observation.
+
+    Raises:
+        ValueError: a part that it does not have.
+    """
+    layout = vehicle_ai_layout(config)
+    if unknown := [name for name in names if name not in layout]:
+        raise ValueError(f"no part {unknown[0]!r} to read; there are {', '.join(layout.slices)}")
+    return tuple((name, layout[name].stop - layout[name].start) for name in names)
+
+
+FORMAT = CardFormat("hmi-marl evidence 4", "evidence model", EvidenceCard)
 NAME = "evidence.json"
 """File name of the card; the weights are in ``evidence.safetensors`` next to it."""
 
 
 class Turns:
-    """Build the encoder's inputs for N trips from the vehicle AI's observations.
+    """Build a model's inputs, but for the encoder's features, from the vehicle AI's observations.
 
     The parts named in ``reads`` are read unchanged.
     """
@@ -134,11 +175,15 @@ class Turns:
         """Begin trips of ``count`` teams."""
         self._applied_before = np.full(count, NO_ACTION)
         self._since = np.full(count, LONG_AGO)
+        self._shown_ago = np.full(count, LONG_AGO)
+        self._showed = np.zeros(count, np.bool_)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """Begin new trips where ``which``, shape (N,), is set."""
         self._applied_before = np.where(which, NO_ACTION, self._applied_before)
         self._since = np.where(which, LONG_AGO, self._since)
+        self._shown_ago = np.where(which, LONG_AGO, self._shown_ago)
+        self._showed = np.where(which, False, self._showed)
 
     def read(
         self, observations: NDArray[np.float32], new: NDArray[np.bool_]
@@ -154,20 +199,27 @@ class Turns:
         since = np.where(alerted, 0, np.minimum(self._since + 1, LONG_AGO))
         before = self._applied_before
         shows = (before != NO_ACTION) & (intended != before)
+        distracted = shows & (applied == before)
         ago = since[:, None] == np.arange(_SINCE)
+        shown_ago = self._shown_ago[:, None] == np.arange(_SINCE)
         derived = [
             before[:, None] == np.arange(_ACTIONS),
             ago,
             ago & (shows & (applied != before))[:, None],
-            ago & (shows & (applied == before))[:, None],
+            ago & distracted[:, None],
+            shown_ago & self._showed[:, None],
+            shown_ago & ~self._showed[:, None],
         ]
         self._since = np.where(new, since, self._since)
         self._applied_before = np.where(new, applied, self._applied_before)
+        later = np.where(shows, 0, np.minimum(self._shown_ago + 1, LONG_AGO))
+        self._shown_ago = np.where(new, later, self._shown_ago)
+        self._showed = np.where(new & shows, distracted, self._showed)
         return np.concatenate([observations[:, self._columns], *derived], axis=1, dtype=np.float32)
 
 
 class EvidenceModel:
-    """Learned encoder and network of latent vectors; weights as in ``card.shapes``.
+    """Learned networks of evidence; weights as in ``card.shapes``.
 
     Raises:
         ValueError: weights that do not fit the card.
@@ -176,28 +228,42 @@ class EvidenceModel:
     def __init__(self, card: EvidenceCard, weights: Weights) -> None:
         FORMAT.check(card, weights)
         self.card, self.weights = card, weights
-        self._place = Network(card.place, part_of(weights, "place"))
+        self._reader, self._place, self._expected = (
+            Network(getattr(card, part), part_of(weights, part))
+            for part in ("reader", "place", "expected")
+        )
 
     @property
     def digest(self) -> str:
-        """SHA-256 checksum of the weights, which identifies the latent space."""
-        arrays = (np.asarray(self.weights[n], np.float32, order="C") for n in self.card.shapes)
-        return sha256(b"".join(array.tobytes() for array in arrays))
+        """SHA-256 checksum of the weights."""
+        return digest_of(self.weights, self.card.shapes)
 
-    def encoder(self) -> Network:
-        """Return an encoder with a separate recurrent state."""
-        return Network(self.card.encoder, part_of(self.weights, "encoder"))
+    def read(self, turns: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return e_t, shape (N, latent), of turns, shape (N, ``card.inputs``)."""
+        return self._reader(self.standardise(turns))
 
     def standardise(self, turns: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Standardise the read columns of turns (N, columns) by the training drives."""
+        """Standardise features and read columns of turns (N, columns) by the training drives."""
         out = turns.copy()
-        size = self.card.read_size
+        size = self.card.standardised
         out[:, :size] = (out[:, :size] - self.weights["read.centre"]) / self.weights["read.scale"]
         return out
 
     def places(self, traits: Traits) -> NDArray[np.float64]:
-        """Return w of K drivers, shape (K, Z)."""
+        """Return w of K drivers, shape (K, latent)."""
         return self._place(traits_part(traits).astype(np.float32))
+
+    def expected(self, traits: Traits) -> NDArray[np.float64]:
+        """Return the z that a window of each of K drivers has on average, shape (K, Z)."""
+        return self._expected(traits_part(traits).astype(np.float32))
+
+    def check_encoder(self, traits: TraitModel) -> None:
+        """Raise ``ValueError`` unless it has learned to read the encoder of this trait model."""
+        if traits.digest != self.card.encoder:
+            raise ValueError(
+                "this evidence model reads the encoder of another trait model; name the one that "
+                "it was trained with, or learn it anew with hmi-marl reproduce adapt"
+            )
 
 
 def save_evidence(folder: Path, card: EvidenceCard, weights: Weights) -> Path:
@@ -222,45 +288,57 @@ def load_evidence(place: str | Path) -> EvidenceModel:
 class LearnedEvidence:
     """Evidence for K candidates by a learned model; see :class:`Evidence`.
 
+    Args:
+        model: the evidence model.
+        traits: the trait model whose encoder it reads.
+        drivers: the candidates.
+        config: settings of the teams.
+
     Raises:
-        ValueError: no candidates, or teams with other observations than the model reads.
+        ValueError: no candidates, another trait model than the evidence model has learned to read,
+            or teams with other observations than the models read.
     """
 
     def __init__(
-        self, model: EvidenceModel, drivers: Sequence[str | Driver], config: TeamConfig
+        self,
+        model: EvidenceModel,
+        traits: TraitModel,
+        drivers: Sequence[str | Driver],
+        config: TeamConfig,
     ) -> None:
         self.drivers = check_candidates(drivers)
         self.model = model
+        model.check_encoder(traits)
         names = [name for name, _ in model.card.reads]
-        if EvidenceCard.for_team(config, names).reads != model.card.reads:
+        if parts_shown(config, names) != model.card.reads:
             raise ValueError(
                 "this evidence model reads other columns than these teams show; use the scene that "
                 "it was trained in"
             )
+        self.encoder = TripEncoder(traits, config)
+        """The trips so far, from which z follows."""
         self._turns = Turns(names, vehicle_ai_layout(config))
-        self._encoder = model.encoder()
         self.places = model.places(Traits.of(self.drivers))
-        """Vectors w of the candidates, shape (K, Z)."""
+        """Vectors w of the candidates, shape (K, latent)."""
         self.reset(1)
 
     def reset(self, count: int) -> None:
         """See :meth:`Evidence.reset`."""
+        self.encoder.reset(count)
         self._turns.reset(count)
-        self._encoder.forget(count)
-        self._read = np.zeros(count, np.int64)  # turns of the current trip
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`Evidence.begin`."""
+        self.encoder.begin(which)
         self._turns.begin(which)
-        self._encoder.forget(len(which), which)
-        self._read = np.where(which, 0, self._read)
 
     def observe(
         self, observations: NDArray[np.float32], new: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
         """See :meth:`Evidence.observe`."""
-        turns = self.model.standardise(self._turns.read(observations, new))
-        self._encoder.forget(len(new), new & (self._read % self.model.card.segment == 0))
-        self._read = self._read + new
-        gains = self._encoder(turns, new) @ self.places.T
+        features = self.encoder.observe(observations, new)
+        turns = np.concatenate(
+            [features, self._turns.read(observations, new)], axis=1, dtype=np.float32
+        )
+        gains = self.model.read(turns) @ self.places.T
         return np.where(new[:, None], gains, 0.0)

@@ -3,8 +3,8 @@
 Each is a policy that holds a :class:`TraitEstimator` and acts on its belief:
 
 - :class:`ChoosingHMI` acts as the HMI of the likeliest type;
-- :class:`ConditionedHMI` is one learned policy π(a^A | a^H, s, z), whose z is expected under the
-  belief;
+- :class:`ConditionedHMI` is one learned policy π(a^A | a^H, s, z), which reads the z that is
+  expected under the belief, and how uncertain it is;
 - :class:`ExpectedValueHMI` alerts where that is worth more on average over the belief, which
   weighs the gain or loss for each candidate.
 
@@ -25,6 +25,7 @@ from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_eviden
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE, TraitEstimator
 from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.learned.policy import CONTEXT_OF, LearnedPolicy, load_policy
+from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.agents.memory import AttentionWatch
 from hmi_marl.checks import Real
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
@@ -102,32 +103,52 @@ class ChoosingHMI(AdaptiveHMI):
 
 
 class ConditionedHMI(AdaptiveHMI):
-    """One learned HMI π(a^A | a^H, s, z), where z is the expected latent vector under the belief.
+    """One learned HMI π(a^A | a^H, s, z), with z as it is known while driving.
 
-    ``places`` holds z of each candidate, shape (K, Z).
+    Under the belief z has a mean and a standard deviation; the policy reads both
+    (:func:`context_of`).
+
+    Args:
+        estimator: estimates who drives.
+        policy: a policy that is conditioned on 2 Z numbers.
+        latents: z of each candidate, shape (K, Z).
 
     Raises:
-        ValueError: places of another shape, or a policy that takes no such z.
+        ValueError: latents of another shape, or a policy that takes no such z.
     """
 
     def __init__(
-        self, estimator: TraitEstimator, policy: LearnedPolicy, places: NDArray[np.floating]
+        self, estimator: TraitEstimator, policy: LearnedPolicy, latents: NDArray[np.floating]
     ) -> None:
         super().__init__(estimator)
-        wanted = len(estimator.evidence.drivers), policy.card.context
-        if not policy.card.context or places.shape != wanted:
+        context = policy.card.context
+        wanted = len(estimator.evidence.drivers), context // 2
+        if not context or context % 2 or latents.shape != wanted:
             raise ValueError(
-                f"{wanted[0]} candidates and a policy that is conditioned on z of size {wanted[1]} "
-                f"need places of shape {wanted}, but got {places.shape}"
+                f"{wanted[0]} candidates and a policy that is conditioned on {context} numbers, "
+                f"mean and standard deviation of z, need latents of shape {wanted}, but got "
+                f"{latents.shape}"
             )
-        self.policy, self.places = policy, places
+        self.policy, self.latents = policy, latents
 
     def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
         self.policy.reset(seeds, which)
 
     def _act(self, observations: NDArray[np.float32], belief: TraitBelief) -> NDArray[np.int64]:
-        self.policy.context = belief.expected(self.places)
+        self.policy.context = context_of(belief, self.latents)
         return self.policy.act(observations)
+
+
+def context_of(belief: TraitBelief, latents: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return mean and standard deviation of z under a belief, side by side, shape (N, 2 Z).
+
+    Args:
+        belief: about N drivers, with K candidates.
+        latents: z of each candidate, shape (K, Z).
+    """
+    mean = belief.expected(latents)
+    variance = belief.expected(np.square(latents)) - mean**2
+    return np.concatenate([mean, np.sqrt(np.maximum(variance, 0.0))], axis=1)
 
 
 class ExpectedValueHMI(AdaptiveHMI):
@@ -211,11 +232,13 @@ class Trained:
     """Learned models for unknown drivers: training runs, or agents that come with the package."""
 
     evidence: str = "trained:evidence"
-    """Evidence model, an encoder of driving."""
+    """Evidence model, which reads the encoder's features and a^H."""
     conditioned: str = "trained:conditioned"
     """HMI conditioned on z."""
     hidden: str = "trained:hidden-{}"
     """HMIs that do not see attention; {} stands for the driver model."""
+    traits: str = "trained:traits-self"
+    """Trait model, whose encoder reads the trip under way."""
 
     def hidden_hmi(self, model: str, config: TeamConfig) -> Policy:
         """Load the HMI for a driver model."""
@@ -253,7 +276,8 @@ def make_adaptive(
         if exact:
             evidence = ChainEvidence(drivers, config)
         else:
-            evidence = LearnedEvidence(load_evidence(trained.evidence), drivers, config)
+            models = load_evidence(trained.evidence), load_traits(trained.traits)
+            evidence = LearnedEvidence(*models, drivers, config)
         return TraitEstimator(evidence, config, change_rate=change_rate)
 
     if kind == EXPECTED:
@@ -264,13 +288,12 @@ def make_adaptive(
     if kind == CONDITIONED:
         policy = load_policy(trained.conditioned, VEHICLE_AI, config)
         model = load_evidence(trained.evidence)
-        learned_from = policy.card.training.get(CONTEXT_OF, model.digest)
-        if learned_from != model.digest:
+        if policy.card.training.get(CONTEXT_OF, model.card.encoder) != model.card.encoder:
             raise ValueError(
-                f"{trained.conditioned} was trained with the latent space of another evidence "
-                f"model than {trained.evidence}; name the one that it was trained with"
+                f"{trained.conditioned} was trained with the z of another encoder than "
+                f"{trained.evidence} reads; name an evidence model that reads the same one"
             )
-        return ConditionedHMI(estimator(candidates), policy, model.places(Traits.of(candidates)))
+        return ConditionedHMI(estimator(candidates), policy, model.expected(Traits.of(candidates)))
     raise ValueError(unknown("kind of adaptive HMI", kind, KINDS))
 
 

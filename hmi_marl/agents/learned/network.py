@@ -7,7 +7,7 @@ share a batch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.checks import Checked, Units, UnitsOrZero, Whole
+from hmi_marl.files import sha256
 
 Activation = Literal["relu", "elu", "tanh"]
 Weights = Mapping[str, NDArray[np.floating]]
@@ -160,6 +161,12 @@ def part_of(weights: Weights, part: str) -> Weights:
     """Return the weights of one network among several, named ``part.NAME``, by NAME."""
     start = f"{part}."
     return {n.removeprefix(start): values for n, values in weights.items() if n.startswith(start)}
+
+
+def digest_of(weights: Weights, names: Iterable[str]) -> str:
+    """Return the SHA-256 checksum of the weights of these names, in their order."""
+    arrays = (np.asarray(weights[name], np.float32, order="C") for name in names)
+    return sha256(b"".join(array.tobytes() for array in arrays))
 
 
 def below_zero(logits: NDArray[np.float64]) -> NDArray[np.float64]:

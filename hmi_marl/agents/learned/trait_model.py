@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, digest_of, part_of
 from hmi_marl.agents.learned.situations import ACTIONS, EXTRA
 from hmi_marl.agents.learned.trait_encoder import Encoder, EncoderConfig, Latent, standardise
 from hmi_marl.checks import Checked, Count, Share, Units
@@ -78,11 +78,16 @@ class TraitCard(Checked):
         return self.situation_size + (ACTIONS if part == "reward" else 0) + self.latent
 
     @property
+    def encoder_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the weights that z follows from."""
+        units = {"state.centre": (self.state_size,), "state.scale": (self.state_size,)}
+        return units | self.encoder.shapes(self.state_size, self.latent)
+
+    @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the weights."""
-        units = {"state.centre": (self.state_size,), "state.scale": (self.state_size,)}
         sizes = {part: (self.inputs(part), ACTIONS if part == "policy" else 1) for part in PARTS}
-        return units | self.encoder.shapes(self.state_size, self.latent) | part_shapes(self, sizes)
+        return self.encoder_shapes | part_shapes(self, sizes)
 
 
 FORMAT = CardFormat("hmi-marl traits 4", "trait model", TraitCard)
@@ -126,6 +131,11 @@ class TraitModel:
         self._networks = {
             part: Network(getattr(card, part), part_of(weights, part)) for part in PARTS
         }
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 checksum of the encoder's weights, which identifies the space of z."""
+        return digest_of(self.weights, self.card.encoder_shapes)
 
     def standardise(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
         """Standardise the states of situations (..., D + EXTRA) by the demonstrations."""

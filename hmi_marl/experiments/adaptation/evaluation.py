@@ -10,7 +10,7 @@ the driver at the wheel; see :mod:`hmi_marl.exact.hidden_attention`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
@@ -21,7 +21,7 @@ from hmi_marl.agents.adaptive.hmis import CAUTION, DOUBT, TYPES, Trained
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.checks import Checked, Count, Share, Whole
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import DRIVERS, Driver, TraitDistributions, Traits, get_driver
+from hmi_marl.envs.drivers import DRIVERS, Driver, Traits, get_driver
 from hmi_marl.envs.streams import Seed, Stream, mix, part_seed
 from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments.adaptation.hmis import (
@@ -46,7 +46,7 @@ from hmi_marl.experiments.adaptation.trips import (
 )
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.training.evidence.conditioned import strangers
+from hmi_marl.training.conditioned.settings import strangers, with_any_inflation
 from hmi_marl.workers import results
 
 TEAM = TeamConfig(ai_sees_attention=False, observe_traits=True)
@@ -62,6 +62,8 @@ RECOVERED = 100
 """Turns after a change of driver from which regret counts: 20 s."""
 FIRST_TURNS = 25
 """The first 5 s of driving."""
+REGRET_AT: Mapping[str, int] = {"5 s": 25, "10 s": 50, "20 s": 100, "60 s": 300}
+"""Turns driven with an unknown driver up to which regret is summed."""
 _DRIVING, _CANDIDATES = 1, 2
 """Added to the seed for the drivers of the population, and for the candidates."""
 
@@ -94,9 +96,9 @@ class AdaptSettings(Checked):
 
     drivers: Several = 400
     """Drivers of each of the four types."""
-    population: Several = 128
+    population: Several = 512
     """Drivers of the continuous population, all different."""
-    repeats: Count = 4
+    repeats: Count = 1
     """Times that each of them takes their trips."""
     candidates: Count = 128
     """Other drivers of that population, which an estimator considers."""
@@ -147,7 +149,7 @@ def groups(settings: AdaptSettings) -> tuple[Group, ...]:
         POPULATION,
         _random_drivers(settings.population, driving),
         settings.population * settings.repeats,
-        _with_any_inflation(_random_drivers(settings.candidates, considered)),
+        with_any_inflation(strangers(settings.candidates, considered), INFLATIONS),
     )
     changing = [
         Group(
@@ -164,13 +166,6 @@ def groups(settings: AdaptSettings) -> tuple[Group, ...]:
 
 def _random_drivers(count: int, seed: int) -> tuple[Driver, ...]:
     return tuple(get_driver(text) for text in strangers(count, seed))
-
-
-def _with_any_inflation(drivers: Sequence[Driver]) -> tuple[Driver, ...]:
-    """Repeat each driver with several inflations, so that inflation does not decide the rest."""
-    low, high = TraitDistributions().inflation.support
-    middles = np.linspace(low, high, 2 * INFLATIONS + 1)[1::2]
-    return tuple(replace(d, inflation=float(inflation)) for d in drivers for inflation in middles)
 
 
 @dataclass(frozen=True)
@@ -224,6 +219,8 @@ class Result:
     """The same for the gap between learned HMIs, AvgHMI's and the driver's; for types only."""
     first_seconds: dict[str, Estimate]
     """Gain over AvgHMI in the first 5 s."""
+    total_regret: dict[str, dict[str, Estimate]]
+    """Gain of the knowing HMI in attention reward over the first turns; see ``REGRET_AT``."""
     regret: dict[str, list[float]]
     """Gain of the knowing HMI in attention reward per step, by second driven."""
     belief: dict[str, list[float]]
@@ -274,6 +271,17 @@ def summarise(group: Group, played: Mapping[str, Trips], settings: AdaptSettings
         learned_shares=learned,
         first_seconds={
             hmi: statistics.mean(_per_driver(earned_between(trips, 0, FIRST_TURNS) - early, same))
+            for hmi, trips in played.items()
+        },
+        total_regret={
+            hmi: {
+                when: statistics.mean(
+                    _per_driver(
+                        earned_between(knowing, 0, turns) - earned_between(trips, 0, turns), same
+                    )
+                )
+                for when, turns in REGRET_AT.items()
+            }
             for hmi, trips in played.items()
         },
         regret={hmi: _regret(knowing, trips) for hmi, trips in played.items()},

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hmi_marl.agents.adaptive.evidence_model import NAME, load_evidence
+from hmi_marl.agents.adaptive.evidence_model import NAME
 from hmi_marl.agents.adaptive.hmis import Trained, make_adaptive
 from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.agents.learned.policy import find_policy, load_policy
+from hmi_marl.agents.learned.cards import find_card
+from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.agents.rollout import begin
-from hmi_marl.checks import Count, Steps, Units
+from hmi_marl.checks import Count, Units
 from hmi_marl.envs.config import VEHICLE_AI
 from hmi_marl.envs.drivers import Traits, get_driver
 from hmi_marl.envs.streams import Seed
@@ -25,39 +27,35 @@ from hmi_marl.experiments.adaptation.evaluation import (
     POPULATION,
     QUICK,
     TEAM,
-    WHEN,
     AdaptSettings,
     Result,
 )
 from hmi_marl.experiments.adaptation.figure import figure
 from hmi_marl.experiments.adaptation.hmis import (
     ADAPTIVE,
-    AVERAGE,
-    CHOOSING,
     CONDITIONED,
     EXPECTED,
-    KNOWING,
-    LEARNED_AVERAGE,
-    NONE,
 )
+from hmi_marl.experiments.adaptation.tables import tables
 from hmi_marl.experiments.adaptation.trips import Closed
 from hmi_marl.experiments.experiment import (
     HIDDEN_EXPERIMENT,
     HIDDEN_RUN,
     MODELS,
+    TRAITS_EXPERIMENT,
     Agent,
     Place,
+    traits_run,
 )
 from hmi_marl.experiments.training_seeds import SeededExperiment, learned_part
 from hmi_marl.files import json_value
-from hmi_marl.reporting.blocks import Block, Table, Text
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.blocks import Block, Text
 from hmi_marl.reporting.verdicts import Part, Verdict
-from hmi_marl.training.evidence.conditioned import conditioned_hmi
-from hmi_marl.training.evidence.run_tasks import conditioned_task, evidence_task
+from hmi_marl.training.conditioned.run_tasks import conditioned_task
+from hmi_marl.training.conditioned.settings import ConditionedSettings
+from hmi_marl.training.evidence.run_tasks import evidence_task
 from hmi_marl.training.evidence.settings import EvidenceSettings
 from hmi_marl.training.jobs import need_training, side_by_side
-from hmi_marl.training.protocols.two_stage import TwoStage
 
 EVIDENCE_RUN, CONDITIONED_RUN = "evidence", "conditioned"
 """Runs in the experiment's folder."""
@@ -67,14 +65,13 @@ NOTE = (
     "Attention is hidden, and the driver is not known. Every HMI meets the same drivers on the "
     "same roads. Shares are of the gap between two exact rules, AvgHMI's and that of the driver at "
     "the wheel, and may exceed 100 % by chance; where there is no clear gap, no share is given. "
-    "HMIs marked Bayes use the exact evidence of the chain instead of the learned encoder. "
-    "Verdicts are on the HMI of expected value with the learned encoder. Intervals are over "
-    "drivers and, where encoder and HMI were trained several times, over these trainings."
+    "HMIs marked Bayes use the exact evidence of the chain instead of the learned one, which reads "
+    "the features of the encoder and a^H. Verdicts are on HMIs with the learned evidence: the one "
+    "of expected value and, where it says so, the one conditioned on z. Intervals are over drivers "
+    "and, where evidence and HMI were trained several times, over these trainings."
 )
 DRIVES = "drivers"
 """Unit of replication: drivers of the population, or drives of one type."""
-LEARNED_ADAPTIVE = CHOOSING, CONDITIONED, EXPECTED
-SHARE_COLUMNS = [f"after {when}" for when in WHEN]
 
 
 def closed_parts(who: str, found: Closed, least: float, seeds: int = 1) -> tuple[Part, Part]:
@@ -97,18 +94,23 @@ class _Judged(SeededExperiment[list[Result]]):
         return {"results": json_value(results)}
 
     def judge_of(self, results: list[Result]) -> list[Verdict]:
-        """Judge the HMI of expected value with the learned encoder."""
+        """Judge the HMIs of expected value and conditioned on z, with the learned evidence."""
         by_group = {result.group: result for result in results}
         targets = [
             (driver, when, least)
             for driver in criteria.GAP_DRIVERS
             for when, least in criteria.GAP_CLOSED.items()
         ]
-        targets.append((POPULATION, "3 trips", criteria.POPULATION_GAP_CLOSED))
+        population = criteria.POPULATION_GAP_CLOSED
+        targets += [(POPULATION, when, least) for when, least in population.items()]
+        judged = [(group, EXPECTED, when, least) for group, when, least in targets]
+        conditioned = criteria.CONDITIONED_GAP_CLOSED
+        judged += [(POPULATION, CONDITIONED, when, least) for when, least in conditioned.items()]
         verdicts = []
-        for group, when, least in targets:
-            claim = f"{group}: {100 * least:.0f} % of the gap closed after {when}"
-            found = by_group[group].shares[EXPECTED][when]
+        for group, hmi, when, least in judged:
+            by = " by the HMI conditioned on z" if hmi == CONDITIONED else ""
+            claim = f"{group}: {100 * least:.0f} % of the gap closed{by} after {when}"
+            found = by_group[group].shares[hmi][when]
             parts = closed_parts(group, found, least, self.seeds)
             verdicts.append(Verdict(claim, parts))
         for result in results:
@@ -153,8 +155,8 @@ class AdaptEvaluation(_Judged):
     def check(self, place: Place) -> None:
         """See :meth:`Experiment.check`; loads every model once."""
         make_driver_policy(str(place.driver_run), TEAM)
-        load_evidence(self.trained.evidence)
-        load_policy(self.trained.conditioned, VEHICLE_AI, TEAM)
+        for kind in (CONDITIONED, EXPECTED):
+            make_adaptive(ADAPTIVE[kind][0], TEAM, trained=self.trained)
         for model in MODELS:
             self.trained.hidden_hmi(model, TEAM)
 
@@ -174,27 +176,33 @@ class AdaptEvaluation(_Judged):
 
 @dataclass(frozen=True)
 class Adaptation(_Judged):
-    """Learn the encoder and the HMI conditioned on z for unknown drivers; judge both.
+    """Learn to infer the driver, and an HMI conditioned on z, for unknown drivers; judge both.
 
     Raises:
-        ValueError: no drives, updates or steps.
+        ValueError: no drives, updates or rounds.
     """
 
     drives: Count = EvidenceSettings.drives
-    """Drives that the encoder learns from."""
+    """Drives that the evidence model learns from."""
     updates: Count = EvidenceSettings.updates
-    """Gradient steps of the encoder."""
-    hmi_steps: Steps = 8_000_000
-    """Environment steps in which the HMI conditioned on z learns."""
+    """Gradient steps of the evidence model."""
+    strangers: Count = ConditionedSettings.strangers
+    """Drivers with drawn traits that the HMI conditioned on z learns with."""
+    types: Count = ConditionedSettings.types
+    """Teams with each of the four types that it learns with."""
+    rounds: Count = ConditionedSettings.rounds
+    """Rounds of driving and learning in which it learns."""
     rnn_hidden_dim: Units = 32
     """Units of its recurrent layer."""
-    num_teams: Count = 512
-    """Teams that train side by side."""
+    traits: str = ""
+    """Trait model whose encoder reads the trips: a run, or trained:NAME; by default the
+    self-supervised one of the experiment ``traits`` of the same reproduction and the same training
+    seed, or else the one that comes with the package."""
     seed: Seed = 0
     """Seed of the first training, from which the others are mixed."""
     seeds: Count = 5
-    """Trainings of encoder and HMI; the driver policy and the HMIs for known drivers are the same
-    for all."""
+    """Trainings of evidence model and HMI; the driver policy and the HMIs for known drivers are the
+    same for all."""
     evaluation: AdaptSettings = field(default_factory=AdaptSettings)
     """Size of the evaluation."""
     hidden: str = ""
@@ -205,30 +213,47 @@ class Adaptation(_Judged):
     paper = (
         "The paper proposes to infer a driver's traits from their driving and to pick the HMI by "
         "them (Sec. III), and leaves that loop open. Below it is closed: the driver is not known, "
-        "an encoder reads every step, and the HMI adapts. It is compared with what the exact Bayes "
-        "posterior would earn, and with an HMI that knows the driver."
+        "the encoder of z reads every step, and the HMI adapts. It is compared with what the exact "
+        "Bayes posterior would earn, and with an HMI that knows the driver."
     )
 
     @classmethod
     def quick(cls) -> Adaptation:
         """See :meth:`Experiment.quick`."""
-        return cls(drives=2000, updates=300, hmi_steps=400_000, seeds=1, evaluation=QUICK)
-
-    def encoder(self, driver_run: Path) -> EvidenceSettings:
-        """Return the settings of the encoder's training."""
-        return EvidenceSettings(
-            str(driver_run), drives=self.drives, updates=self.updates, seed=self.seed
+        return cls(
+            drives=2000, updates=300, strangers=96, types=8, rounds=8, seeds=1, evaluation=QUICK
         )
 
-    def conditioned(self, driver_run: Path) -> TwoStage:
+    def evidence(self, driver_run: Path) -> EvidenceSettings:
+        """Return the settings of the evidence model's training."""
+        return EvidenceSettings(
+            str(driver_run),
+            traits=self.traits,
+            drives=self.drives,
+            updates=self.updates,
+            seed=self.seed,
+        )
+
+    def conditioned(self, driver_run: Path) -> ConditionedSettings:
         """Return the settings of the training of the HMI conditioned on z."""
-        return conditioned_hmi(
-            str(driver_run), self.hmi_steps, self.rnn_hidden_dim, self.num_teams, self.seed
+        network = NetworkConfig((64,), rnn_hidden_dim=self.rnn_hidden_dim)
+        return ConditionedSettings(
+            str(driver_run),
+            traits=self.traits,
+            strangers=self.strangers,
+            types=self.types,
+            rounds=self.rounds,
+            network=network,
+            revealing=self.evaluation.revealing,
+            seed=self.seed,
         )
 
     def check(self, place: Place) -> None:
         """See :meth:`Experiment.check`."""
         super().check(place)
+        for alone, where in self.by_seed(place):
+            alone.evidence(where.driver_run), alone.conditioned(where.driver_run)
+            load_traits(alone.traits)
         trained = Trained(hidden=self._hidden(place))
         for model in MODELS:
             trained.hidden_hmi(model, TEAM)
@@ -236,32 +261,39 @@ class Adaptation(_Judged):
     def by_seed(self, place: Place) -> list[tuple[Adaptation, Place]]:
         """See :meth:`SeededExperiment.by_seed`."""
         hidden = self._hidden(place)
-        return [(replace(alone, hidden=hidden), where) for alone, where in super().by_seed(place)]
+        return [
+            (replace(alone, hidden=hidden, traits=self._traits(place, number)), where)
+            for number, (alone, where) in enumerate(super().by_seed(place))
+        ]
 
     def learn(self, each: Sequence[tuple[Adaptation, Place]], place: Place) -> None:
-        """Learn the encoders, then the HMIs that read their z."""
+        """Learn the evidence models, then the HMIs that read z as they infer it."""
         need_training()
-        encoders, hmis, runs = [], [], []
+        models, hmis, runs = [], [], []
         for alone, where in each:
             evidence, conditioned = where.folder / EVIDENCE_RUN, where.folder / CONDITIONED_RUN
-            encoder, hmi = alone.encoder(where.driver_run), alone.conditioned(where.driver_run)
-            encoders.append(evidence_task(encoder, evidence, place.command_line))
+            model, hmi = alone.evidence(where.driver_run), alone.conditioned(where.driver_run)
+            models.append(evidence_task(model, evidence, place.command_line))
             hmis.append(conditioned_task(hmi, evidence, conditioned, place.command_line))
             runs += [evidence, conditioned]
-        for tasks in (encoders, hmis):
+        for tasks in (models, hmis):
             side_by_side(tasks, place.workers, place.cluster)
         place.note_training(runs)
 
     def play(self, place: Place) -> list[Result]:
         """See :meth:`SeededExperiment.play`."""
         evidence, conditioned = place.folder / EVIDENCE_RUN, place.folder / CONDITIONED_RUN
-        trained = Trained(str(evidence), str(conditioned), self._hidden(place))
+        trained = Trained(str(evidence), str(conditioned), self._hidden(place), self.traits)
         return AdaptEvaluation(self.evaluation, trained).play(place)
 
     def inputs(self, place: Place) -> list[Path]:
         """See :meth:`Experiment.inputs`."""
         hidden = self._hidden(place)
         cards = [find_policy(Path(hidden.format(model)), VEHICLE_AI) for model in MODELS]
+        cards += [
+            find_card(self._traits(place, number), "traits", "trait model")
+            for number in range(self.seeds)
+        ]
         return super().inputs(place) + [card.with_suffix(".safetensors") for card in cards]
 
     def agents(self, place: Place) -> list[Agent]:
@@ -269,10 +301,14 @@ class Adaptation(_Judged):
         conditioned = find_policy(place.folder / CONDITIONED_RUN, VEHICLE_AI)
         return [
             Agent(
-                EVIDENCE_RUN, place.folder / EVIDENCE_RUN / NAME, "infers the driver, turn by turn"
+                EVIDENCE_RUN,
+                place.folder / EVIDENCE_RUN / NAME,
+                "infers the driver, turn by turn, from the features of traits-self and a^H",
             ),
             Agent(
-                CONDITIONED_RUN, conditioned, "alerts the driver that z describes, attention hidden"
+                CONDITIONED_RUN,
+                conditioned,
+                "alerts the driver that z describes, as far as it is known, attention hidden",
             ),
         ]
 
@@ -280,6 +316,14 @@ class Adaptation(_Judged):
         """Runs of the HMIs that do not see attention, {} for the driver model."""
         runs = place.folder.parent / HIDDEN_EXPERIMENT
         return self.hidden or (str(runs / HIDDEN_RUN) if runs.is_dir() else Trained().hidden)
+
+    def _traits(self, place: Place, number: int) -> str:
+        """Trait model for a training seed, counted from 0."""
+        runs = place.folder.parent / TRAITS_EXPERIMENT
+        for run in (traits_run("self", number), traits_run("self")):
+            if not self.traits and (runs / run).is_dir():
+                return str(runs / run)
+        return self.traits or Trained().traits
 
 
 def record_change(
@@ -298,63 +342,3 @@ def record_change(
     teaming = begin(config, driver, hmi, np.array([seed], np.uint64), "highway")
     change = config.horizon // 2, Traits.of([get_driver(second)])
     clip.record(path, config, clip.moments(teaming, driver, hmi, change), 1)
-
-
-def tables(results: Sequence[Result]) -> list[Table]:
-    """Show returns, closed shares of the gaps, and regret after a change of driver."""
-    steady = [result for result in results if result.shares]
-    changing = [result for result in results if result.after_change]
-
-    def last(hmi: str) -> Callable[[Result], str]:
-        return lambda result: result.returns[hmi][-1].shown(".1f")
-
-    worth: dict[str, Callable[[Result], str]] = {
-        "driver": lambda result: result.group,
-        "exact worth": lambda r: "" if r.exact_worth is None else f"{r.exact_worth:.1f}",
-        "played": lambda result: result.shares[AVERAGE]["3 trips"].gap.shown(".1f"),
-        **{hmi: last(hmi) for hmi in (KNOWING, AVERAGE, LEARNED_AVERAGE, NONE)},
-    }
-    shares = [
-        [result.group, hmi, *_closed(closed), closed["3 trips"].regret.shown(".1f")]
-        for result in steady
-        for hmi, closed in result.shares.items()
-        if hmi in ADAPTIVE
-    ]
-    learned = [
-        [result.group, hmi, *_closed(closed), closed["3 trips"].gap.shown(".1f")]
-        for result in steady
-        for hmi, closed in result.learned_shares.items()
-        if hmi in LEARNED_ADAPTIVE
-    ]
-    first = [
-        [result.group, *(result.first_seconds[hmi].shown(".1f") for hmi in ADAPTIVE)]
-        for result in steady
-    ]
-    change = [
-        [result.group, *(_percent(result.after_change[hmi]) for hmi in (AVERAGE, *ADAPTIVE))]
-        for result in changing
-    ]
-    worth_title = "What knowing the driver is worth: attention return per trip, attention hidden"
-    shares_title = "Share of the gap from AvgHMI to the knowing HMI that is closed [%]"
-    learned_title = (
-        "The same between learned HMIs: learned AvgHMI and the one learned for the driver [%]"
-    )
-    change_title = (
-        "Regret from 20 to 40 s after a change of driver, of what the knowing HMI earns [%]"
-    )
-    head, sources = ["driver", "HMI", *SHARE_COLUMNS], ["/results"]
-    return [
-        Table.of(worth_title, steady, worth, sources=sources),
-        Table(shares_title, [*head, "regret per trip, last"], shares, sources=sources),
-        Table(learned_title, [*head, "gap per trip"], learned, sources=sources),
-        Table("Gain over AvgHMI in the first 5 s", ["driver", *ADAPTIVE], first, sources=sources),
-        Table(change_title, ["change", AVERAGE, *ADAPTIVE], change, sources=sources),
-    ]
-
-
-def _closed(shares: Mapping[str, Closed]) -> list[str]:
-    return [_percent(shares[when].share) for when in WHEN]
-
-
-def _percent(estimate: Estimate, unit: str = "") -> str:
-    return "no gap" if math.isnan(estimate.mean) else f"{estimate.percent('.1f')}{unit}"

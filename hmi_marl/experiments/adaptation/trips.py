@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.adaptive.hmis import AdaptiveHMI
 from hmi_marl.agents.rollout import HandsOver, Observer, play
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import Traits
+from hmi_marl.envs.drivers import FixedDrivers, Traits
 from hmi_marl.envs.rewards import ATTENTION_TERMS
 from hmi_marl.envs.seats import Policy
 from hmi_marl.envs.step_result import StepResult
@@ -29,18 +29,6 @@ from hmi_marl.reporting.statistics import CONFIDENCE, UNKNOWN, Estimate
 
 DRAWS = 2000
 """Resamples of a bootstrap."""
-
-
-@dataclass(frozen=True, eq=False)
-class FixedDrivers:
-    """A population of fixed drivers: the same in every episode."""
-
-    traits: Traits
-    """Traits of the drivers of N teams."""
-
-    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
-        """See :meth:`Population.draw`; the seeds change nothing."""
-        return self.traits
 
 
 @dataclass(frozen=True, eq=False)

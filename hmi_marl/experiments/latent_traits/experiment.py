@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from hmi_marl.agents.learned.trait_model import NAME
 from hmi_marl.checks import Count, Steps
 from hmi_marl.demonstrations.dataset import Split
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
-from hmi_marl.experiments.experiment import Agent, Place, driver_job
+from hmi_marl.experiments.experiment import Agent, Place, driver_job, traits_run
 from hmi_marl.experiments.latent_traits import assessment
 from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.experiments.latent_traits.evaluation import SUPERVISIONS, TraitEvaluation
@@ -120,7 +121,7 @@ class LatentTraits(TraitReport):
     def trainings(self, folder: Path) -> dict[Path, TraitSettings]:
         """Return what to learn, by folder; the first seed of each setting comes first."""
         return {
-            folder / f"traits-{supervision}{'' if number == 0 else f'-{number}'}": replace(
+            folder / traits_run(supervision, number): replace(
                 self.learn, supervision=supervision, seed=int(part_seed(self.seed, number))
             )
             for number in range(self.seeds)
@@ -174,8 +175,8 @@ class LatentTraits(TraitReport):
         )
         return [
             Agent(
-                f"traits-{supervision}",
-                place.folder / f"traits-{supervision}" / "traits.json",
+                traits_run(supervision),
+                place.folder / traits_run(supervision) / NAME,
                 f"encodes driving into latent traits, learned with {given}",
             )
             for supervision, given in zip(SUPERVISIONS, labels, strict=True)

@@ -14,7 +14,7 @@ from typing import Any
 from hmi_marl.envs.config import TeamConfig, TeamSettings
 from hmi_marl.experiments.graded_alerts import GRADES, WEARY
 from hmi_marl.registry import Registry
-from hmi_marl.training.evidence.conditioned import HMI_READS
+from hmi_marl.training.conditioned.settings import HMI_READS
 from hmi_marl.training.protocols.settings import PPOSettings
 
 _TEAM = {field.name for field in fields(TeamSettings)}

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive.evidence_model import NAME, Turns, save_evidence
+from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
+from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.agents.rollout import Observer, begin, play
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, DriverList, TraitDistributions, Traits
@@ -63,9 +65,11 @@ class RecordedDrives:
     """M drives of at most T turns."""
 
     turns: NDArray[np.float32]
-    """Shape (M, T, columns)."""
+    """Inputs of an evidence model, shape (M, T, inputs)."""
     driving: NDArray[np.bool_]
     """Whether the episode was still running, shape (M, T)."""
+    z: NDArray[np.float32]
+    """Mean of q(z | drive), shape (M, Z)."""
     traits: Traits
     """Traits of the M drivers."""
 
@@ -81,45 +85,59 @@ def drive_all(
         ValueError: an unknown HMI or driver policy.
     """
     team = replace(settings.team, driver=MixedPopulation(settings.known))
+    traits = load_traits(settings.traits)
     seeds = mix(settings.seed, Stream.TRAINING, np.arange(settings.drives, dtype=np.uint64))
     parts = []
     for name, chosen in zip(settings.hmis, np.array_split(seeds, len(settings.hmis)), strict=True):
         for start in range(0, len(chosen), _AT_ONCE):
             part = chosen[start : start + _AT_ONCE]
-            parts.append(_drive(team, settings, name, part))
+            parts.append(_drive(team, settings, traits, name, part))
             progress(len(part))
     return RecordedDrives(
         np.concatenate([part.turns for part in parts]),
         np.concatenate([part.driving for part in parts]),
+        np.concatenate([part.z for part in parts]),
         Traits.from_array(np.concatenate([part.traits.as_array() for part in parts])),
     )
 
 
 def _drive(
-    team: TeamConfig, settings: EvidenceSettings, hmi_name: str, seeds: NDArray[np.uint64]
+    team: TeamConfig,
+    settings: EvidenceSettings,
+    traits: TraitModel,
+    hmi_name: str,
+    seeds: NDArray[np.uint64],
 ) -> RecordedDrives:
     driver, hmi = make_driver_policy(settings.driver_policy, team), make_hmi(hmi_name, team)
     world = make_world("batched", team.scene, len(seeds), settings.threads)
     teaming = begin(team, driver, hmi, seeds, world)
-    recorder = _Recorder(Turns(settings.reads, teaming.layouts[VEHICLE_AI]), teaming)
+    encoder = TripEncoder(traits, team)
+    recorder = _Recorder(Turns(settings.reads, teaming.layouts[VEHICLE_AI]), encoder, teaming)
     play(teaming, driver, hmi, [recorder], steps=team.horizon)
     turns, driving = np.stack(recorder.turns, axis=1), np.stack(recorder.driving, axis=1)
-    return RecordedDrives(turns, driving, teaming.traits)
+    sums = encoder.sums
+    sums[:, -1] = np.maximum(sums[:, -1], 1.0)  # of a drive that ended in its first step
+    z = traits.encoder.latent(sums).mean.astype(np.float32)
+    return RecordedDrives(turns, driving, z, teaming.traits)
 
 
 class _Recorder(Observer):
-    """Record the turns for an evidence model, when the vehicle AI acts."""
+    """Record the inputs of an evidence model, when the vehicle AI acts."""
 
-    def __init__(self, reader: Turns, teaming: Teaming) -> None:
+    def __init__(self, reader: Turns, encoder: TripEncoder, teaming: Teaming) -> None:
         self.turns: list[NDArray[np.float32]] = []
         self.driving: list[NDArray[np.bool_]] = []
-        self._reader = reader
+        self._reader, self._encoder = reader, encoder
         reader.reset(teaming.num_teams)
+        encoder.reset(teaming.num_teams)
 
     def seen(self, teaming: Teaming, observations: NDArray[np.float32]) -> None:
         """Record one turn."""
-        self.driving.append(~teaming.over)
-        self.turns.append(self._reader.read(observations, self.driving[-1]))
+        new = ~teaming.over
+        self.driving.append(new)
+        features = self._encoder.observe(observations, new)
+        read = self._reader.read(observations, new)
+        self.turns.append(np.concatenate([features, read], axis=1, dtype=np.float32))
 
 
 _SETTLED = "settled"
@@ -155,7 +173,8 @@ class _Run(ModelRun):
         self._calibrated: float | None = None
         """Softmax temperature, once everything is learned."""
         torch.manual_seed(self.draw(Stream.LEARNING, 0))
-        self._model = EvidenceNetwork(settings.card(settings.team))
+        traits = load_traits(settings.traits)
+        self._model = EvidenceNetwork(settings.card(settings.team, traits))
         self._descent = Descent(
             self._model.parameters(), settings.learning_rate, settings.weight_decay
         )
@@ -200,6 +219,7 @@ class _Run(ModelRun):
         state, settings, shown = self.state, self._settings, self._shown(drives)
         learned, held_out = self._split()
         held_out = held_out[: settings.batch]
+        z = torch.from_numpy(drives.z)
         unseen = self._turns(drives, held_out)
         recent: list[float] = []
         while state.iteration < settings.updates:
@@ -208,6 +228,7 @@ class _Run(ModelRun):
             which = rng.choice(learned, settings.batch, replace=False)
             turns, driving = self._turns(drives, which)
             loss = self._model.loss(turns, driving, shown[which])
+            loss = loss + self._model.expected_loss(z[which], shown[which])
             with self.watched():
                 recent.append(self._descent.step(loss, state.iteration / settings.updates))
             seconds = self.count(began)
@@ -249,8 +270,8 @@ class _Run(ModelRun):
         return float(_TEMPERATURES[int(total.argmin())])
 
     def _take_units(self, drives: RecordedDrives) -> None:
-        """Take the encoder's units from the drives."""
-        read = drives.turns[drives.driving][:, : self._model.card.read_size]
+        """Take the units of the inputs from the drives."""
+        read = drives.turns[..., : self._model.card.standardised][drives.driving]
         self._model.centre.copy_(torch.from_numpy(read.mean(axis=0)))
         spread = read.std(axis=0)
         self._model.scale.copy_(torch.from_numpy(np.where(spread > 1e-3, spread, 1.0)))
@@ -258,8 +279,6 @@ class _Run(ModelRun):
     def _turns(
         self, drives: RecordedDrives, which: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Turns of B drives, padded to segments: (B, T, columns); which are real: (B, T)."""
-        missing = -drives.turns.shape[1] % self._settings.segment
-        turns = np.pad(drives.turns[which], ((0, 0), (0, missing), (0, 0)))
-        driving = np.pad(drives.driving[which], ((0, 0), (0, missing)))
+        """Turns of B drives, (B, T, inputs), and which of them are real, (B, T)."""
+        turns, driving = drives.turns[which], drives.driving[which]
         return torch.from_numpy(turns), torch.from_numpy(driving)

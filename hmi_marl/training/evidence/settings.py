@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
-from hmi_marl.agents.adaptive.evidence_model import READS, EvidenceCard
+from hmi_marl.agents.adaptive.evidence_model import READS, EvidenceCard, parts_shown
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.checks import (
     Checked,
     Count,
@@ -45,14 +47,16 @@ class EvidenceSettings(Checked):
     """Driver policy: a trained run, rule, random, or mixture:NAME,NAME,... of these."""
     hmis: tuple[str, ...] = HMIS
     """HMIs, each in an equal share of the drives."""
-    drives: Count = 24_000
+    traits: str = "trained:traits-self"
+    """Trait model whose encoder is read: a run of ``hmi-marl traits train``, or trained:NAME."""
+    drives: Count = 12_000
     """Episodes to learn from."""
-    known: Share = 0.4
+    known: Share = 0.25
     """Share of the episodes with one of the named drivers; the other drivers' traits are drawn
     uniformly."""
     held_out: OpenShare = 0.05
     """Share of the episodes that is kept out of the learning, to measure the loss on."""
-    updates: Count = 2000
+    updates: Count = 1500
     """Gradient steps."""
     batch: Count = 256
     """Episodes in each gradient step."""
@@ -61,15 +65,15 @@ class EvidenceSettings(Checked):
     weight_decay: Weight = 1e-2
     """Weight decay of AdamW."""
     latent: Units = 16
-    """Z, the size of e_t and w."""
-    segment: Count = 25
-    """Turns after which the encoder's recurrent units are reset."""
-    encoder: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=48))
+    """Size of e_t and w."""
+    reader: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,)))
     """Network from turns to e_t."""
     place: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
     """Network from traits to w."""
+    expected: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64)))
+    """Network from traits to the expected z."""
     reads: tuple[str, ...] = READS
-    """Parts of the vehicle AI's observation that the encoder reads."""
+    """Parts of the vehicle AI's observation that are read besides the encoder's features."""
     seed: Seed = 0
     """Random seed. The same seed gives the same weights (on one machine)."""
     threads: Threads = 1
@@ -86,9 +90,8 @@ class EvidenceSettings(Checked):
                 f"batch lies in 2 to {self.learned}, the number of drives to learn from, but got "
                 f"{self.batch}"
             )
-        if not self.encoder.rnn_hidden_dim:
-            raise ValueError("encoder.rnn_hidden_dim is at least 1, but got 0")
-        self.card(self.team)
+        # Everything that a card refuses, before the trait model is loaded.
+        EvidenceCard(parts_shown(self.team, self.reads), "", 1, 1, **self._sizes)
 
     @property
     def team(self) -> TeamConfig:
@@ -100,13 +103,10 @@ class EvidenceSettings(Checked):
         """Number of episodes that are learned from."""
         return self.drives - max(2, round(self.held_out * self.drives))
 
-    def card(self, team: TeamConfig) -> EvidenceCard:
-        """Card of the model for teams of this configuration."""
-        return EvidenceCard.for_team(
-            team,
-            self.reads,
-            latent=self.latent,
-            segment=self.segment,
-            encoder=self.encoder,
-            place=self.place,
-        )
+    @property
+    def _sizes(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("latent", "reader", "place", "expected")}
+
+    def card(self, team: TeamConfig, traits: TraitModel) -> EvidenceCard:
+        """Card of the model for teams of this configuration, and the trait model that it reads."""
+        return EvidenceCard.for_team(team, traits, self.reads, **self._sizes)

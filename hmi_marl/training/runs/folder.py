@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.catalogue import learned_file, mixed_names
-from hmi_marl.agents.learned.cards import is_shipped
+from hmi_marl.agents.learned.cards import find_card, is_shipped
 from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import json_digest, json_value, sha256_of
@@ -23,6 +23,8 @@ CHECKPOINT = "checkpoint.safetensors"
 """State to resume from."""
 POLICIES = ("driver_policy", "anchor")
 """Settings that name a driver policy, which a run notes with the checksum of its weights."""
+TRAIT_MODEL = "traits"
+"""Setting that names a trait model, noted in the same way."""
 MIXTURE = "mixture"
 """Key of the policies in a mixture of driver policies."""
 FREE = ("device", "threads", "checkpoint_every")
@@ -71,27 +73,32 @@ def _seconds(run: Path) -> float:
 
 
 def run_settings(settings: object) -> dict[str, Any]:
-    """A run's settings, a dataclass, as JSON, with learned driver policies named by checksums.
+    """A run's settings, a dataclass, as JSON, with the models that it reads named by checksums.
 
     Raises:
-        FileNotFoundError, ValueError: there is no such driver policy.
+        FileNotFoundError, ValueError: there is no such driver policy, or no such trait model.
     """
     content: dict[str, Any] = json_value(settings)
     for setting in POLICIES:
         name = content.get(setting)
         if isinstance(name, str) and name != OWN_DRIVER:
-            mixed = [_by_checksum(each) for each in mixed_names(name)]
-            content[setting] = {MIXTURE: mixed} if mixed else _by_checksum(name)
+            mixed = [_policy(each) for each in mixed_names(name)]
+            content[setting] = {MIXTURE: mixed} if mixed else _policy(name)
+    if isinstance(name := content.get(TRAIT_MODEL), str):
+        content[TRAIT_MODEL] = _by_checksum(name, find_card(name, "traits", "trait model"))
     return content
 
 
-def _by_checksum(name: str) -> str | dict[str, str]:
+def _policy(name: str) -> str | dict[str, str]:
     """Short name and checksum of a learned driver policy; of another, the name alone."""
-    weights = learned_file(name, DRIVER)
-    if weights is None:
-        return name
+    file = learned_file(name, DRIVER)
+    return name if file is None else _by_checksum(name, file)
+
+
+def _by_checksum(name: str, file: Path) -> dict[str, str]:
+    """Short name of a model, and the checksum of the weights beside ``file``."""
     short = name.lower() if is_shipped(name) else Path(name).name
-    return {"name": short, "sha256": sha256_of(weights)}
+    return {"name": short, "sha256": sha256_of(file.with_suffix(".safetensors"))}
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -150,19 +157,19 @@ def _differing(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
     ]
 
 
-def _identity(policy: Any) -> Any:
-    """What must be the same of a driver policy, whatever the name of its folder."""
-    if not isinstance(policy, dict):
-        return policy
-    if isinstance(mixed := policy.get(MIXTURE), list):
+def _identity(model: Any) -> Any:
+    """What must be the same of a model that a run reads, whatever the name of its folder."""
+    if not isinstance(model, dict):
+        return model
+    if isinstance(mixed := model.get(MIXTURE), list):
         return [_identity(each) for each in mixed]
-    return policy.get("sha256")
+    return model.get("sha256")
 
 
 def _binding(about: dict[str, Any]) -> dict[str, Any]:
     """Settings and facts of a run by name, but for those of the machine."""
     settings = {k: v for k, v in about.get("settings", {}).items() if k not in FREE}
-    for setting in POLICIES:
+    for setting in (*POLICIES, TRAIT_MODEL):
         if setting in settings:  # whatever the name of its folder
             settings[setting] = _identity(settings[setting])
     others = {k: v for k, v in about.items() if k not in ("settings", "command")}

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evidence_models import HIDDEN, SMALL, evidence_weights, untrained_evidence
+from evidence_models import HIDDEN, SMALL, evidence_weights, trait_model, untrained_evidence
 from model_cards import card_bytes, with_card, with_weights
 from safetensors.numpy import save as save_tensors
 
@@ -10,7 +10,10 @@ from hmi_marl.agents.adaptive.evidence_model import EvidenceCard, load_evidence,
 from hmi_marl.envs.drivers import DRIVERS, Traits
 
 CARD = EvidenceCard.for_team(
-    HIDDEN, training={"seed": 3, "settings": {"hmis": ["never"], "place": None}}, **SMALL
+    HIDDEN,
+    trait_model(),
+    training={"seed": 3, "settings": {"hmis": ["never"], "place": None}},
+    **SMALL,
 )
 
 
@@ -79,15 +82,15 @@ def test_weights_that_are_gone_are_reported(tmp_path):
     [
         (b"", "is no JSON file"),
         (b"\xff\xfe{}", "is no JSON file"),
-        (b'{"format": "hmi-marl evidence 2"}', "is no evidence model .* 'hmi-marl evidence 2'"),
+        (b'{"format": "hmi-marl evidence 3"}', "is no evidence model .* 'hmi-marl evidence 3'"),
         (b'{"format": "hmi-marl policy 1"}', "is no evidence model .* 'hmi-marl policy 1'"),
         (b"[]", "format None"),
         (
-            card_bytes({"format": "hmi-marl evidence 3"}),
+            card_bytes({"format": "hmi-marl evidence 4"}),
             "is a damaged evidence model card: it lacks reads",
         ),
         (
-            b'{"format": "hmi-marl evidence 3"}',
+            b'{"format": "hmi-marl evidence 4"}',
             "is a damaged evidence model card: it has no checksum; copy",
         ),
     ],
@@ -108,8 +111,10 @@ def test_other_files_are_no_evidence_models(tmp_path, content, message):
         {"reads": []},
         {"latent": 0},
         {"latent": "two"},
-        {"segment": None},
-        {"encoder": {"hidden_dims": [64], "depth": 2}},
+        {"encoder": None},
+        {"features": 0},
+        {"context": "eight"},
+        {"reader": {"hidden_dims": [64], "depth": 2}},
         {"place": {"hidden_dims": [64], "rnn_hidden_dim": 3}},
         {"place": {"hidden_dims": [64], "activation": "__import__"}},
         {"weights_sha256": None},
@@ -126,5 +131,5 @@ def test_the_weights_of_another_model_are_refused(tmp_path):
     path = saved(tmp_path)
     content = save_tensors(evidence_weights(replace(CARD, latent=4)))
     with_weights(path, content)
-    with pytest.raises(ValueError, match=r"evidence\.safetensors: encoder\.layer1\.weight has sh"):
+    with pytest.raises(ValueError, match=r"evidence\.safetensors: reader\.layer1\.weight has sh"):
         load_evidence(tmp_path)

@@ -9,6 +9,7 @@ from evidence_models import (
     any_intents,
     evidence_weights,
     seeds,
+    trait_model,
     turns,
     untrained_evidence,
 )
@@ -22,6 +23,7 @@ from hmi_marl.agents.adaptive.evidence_model import (
     LearnedEvidence,
     Turns,
 )
+from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.situations import LONG_AGO
 from hmi_marl.envs.config import TeamConfig
@@ -38,22 +40,26 @@ LAYOUT = vehicle_ai_layout(HIDDEN)
 
 
 def test_a_card_knows_what_is_read_and_how_large_the_weights_are():
-    card = EvidenceCard.for_team(HIDDEN, ("speed", "lane"), **SMALL)
+    traits = trait_model()
+    features = traits.card.encoder.features
+    card = EvidenceCard.for_team(HIDDEN, traits, ("speed", "lane"), **SMALL)
     assert card.reads == (("speed", 1), ("lane", 4))
-    assert card.read_size == 5
+    assert (card.encoder, card.features) == (traits.digest, features)
+    assert (card.context, card.read_size) == (traits.card.latent, 5)
     shapes = card.shapes
-    assert shapes["read.centre"] == shapes["read.scale"] == (5,)
-    assert shapes["encoder.memory.input_weight"] == (12, 5 + DERIVED)
-    assert shapes["encoder.layer1.weight"] == (3, 6)
+    assert shapes["read.centre"] == shapes["read.scale"] == (features + 5,)
+    assert shapes["reader.layer0.weight"] == (6, features + 5 + DERIVED)
+    assert shapes["reader.layer1.weight"] == (3, 6)
     assert shapes["place.layer0.weight"] == (5, 4)
     assert shapes["place.layer1.weight"] == (3, 5)
+    assert shapes["expected.layer1.weight"] == (traits.card.latent, 4)
 
 
 def test_by_default_it_reads_what_everybody_may_see():
     blind = TeamConfig(ai_sees_attention=False, observe_traits=False)
-    card = EvidenceCard.for_team(blind)
+    card = EvidenceCard.for_team(blind, trait_model())
     assert tuple(name for name, _ in card.reads) == READS
-    assert card == EvidenceCard.for_team(TeamConfig())
+    assert card == EvidenceCard.for_team(TeamConfig(), trait_model())
 
 
 @pytest.mark.parametrize(
@@ -62,31 +68,30 @@ def test_by_default_it_reads_what_everybody_may_see():
         ({"reads": ()}, "reads parts of at least one column"),
         ({"reads": (("speed", 0),)}, "reads parts of at least one column"),
         ({"latent": 0}, "latent lies in 1 to .*, but got 0"),
-        ({"segment": 0}, "segment lies in 1 to .*, but got 0"),
-        (
-            {"place": NetworkConfig((4,), rnn_hidden_dim=2)},
-            "only the encoder may be recurrent: set place",
-        ),
+        ({"features": 0}, "features lies in 1 to .*, but got 0"),
+        ({"place": NetworkConfig((4,), rnn_hidden_dim=2)}, "no recurrent layer: set place"),
+        ({"reader": NetworkConfig((4,), rnn_hidden_dim=2)}, "no recurrent layer: set reader"),
     ],
     ids=str,
 )
 def test_impossible_cards_are_refused(changes, found):
+    given = {"reads": (("speed", 1),), "encoder": "", "features": 2, "context": 2}
     with pytest.raises(ValueError, match=found):
-        EvidenceCard(**({"reads": (("speed", 1),)} | changes))
+        EvidenceCard(**(given | changes))
 
 
 def test_a_part_that_is_not_shown_is_refused():
     with pytest.raises(ValueError, match="no part 'distracted' to read; there are lidar, speed"):
-        EvidenceCard.for_team(HIDDEN, ("speed", "distracted"))
+        EvidenceCard.for_team(HIDDEN, trait_model(), ("speed", "distracted"))
 
 
 def test_weights_that_do_not_fit_are_refused():
-    card = EvidenceCard.for_team(HIDDEN, **SMALL)
+    card = EvidenceCard.for_team(HIDDEN, trait_model(), **SMALL)
     weights = evidence_weights(card)
     del weights["place.layer1.bias"]
     with pytest.raises(ValueError, match=r"evidence model's card: place\.layer1\.bias"):
         EvidenceModel(card, weights)
-    wrong = evidence_weights(card) | {"read.scale": np.full(card.read_size, np.nan)}
+    wrong = evidence_weights(card) | {"read.scale": np.full(card.standardised, np.nan)}
     with pytest.raises(ValueError, match=r"read\.scale is not finite everywhere"):
         EvidenceModel(card, wrong)
 
@@ -96,8 +101,8 @@ def test_weights_that_do_not_fit_are_refused():
 
 def features(turn):
     """(v_{t-2}, steps since the alert, what was shown) of one turn."""
-    ends = 5 + (LONG_AGO + 1) * np.arange(3)
-    before, ago, attentive_ago, distracted_ago = np.split(turn[-DERIVED:], ends)
+    ends = 5 + (LONG_AGO + 1) * np.arange(5)
+    before, ago, attentive_ago, distracted_ago, *_ = np.split(turn[-DERIVED:], ends)
     assert ago.sum() == 1
     shown = {(0, 0): None, (0, 1): "distracted", (1, 0): "attentive"}[
         int(attentive_ago.sum()), int(distracted_ago.sum())
@@ -105,6 +110,13 @@ def features(turn):
     where = ago.argmax()
     assert attentive_ago[where] + distracted_ago[where] == (shown is not None)
     return int(before.argmax()) if before.any() else None, int(where), shown
+
+
+def shown_before(turn):
+    """(steps, whether distracted) of the last step before that showed attention."""
+    distracted, attentive = np.split(turn[-2 * (LONG_AGO + 1) :], 2)
+    assert distracted.sum() + attentive.sum() == 1
+    return int((distracted + attentive).argmax()), bool(distracted.any())
 
 
 def scripted(config=HIDDEN, reads=("speed",)):
@@ -142,6 +154,13 @@ def test_what_turns_show_by_hand():
         (3, 2, "attentive"),
         (4, 3, None),  # they wanted the same again
     ]
+    assert [shown_before(turn) for turn in found[:6]] == [
+        *[(LONG_AGO, False)] * 3,  # nothing has shown attention yet
+        (0, False),  # step 1 showed an attentive driver
+        (0, True),  # step 2 a distracted one
+        (0, False),
+    ]
+    assert [shown_before(turn)[0] for turn in found[6:9]] == [1, 2, 3]
     since = [features(turn)[1] for turn in found[6:]]
     assert since == [min(steps, LONG_AGO) for steps in range(4, 17)]
 
@@ -201,7 +220,7 @@ def test_places_are_those_of_the_network():
 
 def test_what_is_read_is_put_in_units_and_what_is_derived_is_not():
     model = untrained_evidence()
-    size = model.card.read_size
+    size = model.card.standardised
     read = np.random.default_rng(0).random((4, size + DERIVED)).astype(np.float32)
     kept = read.copy()
     found = model.standardise(read)
@@ -212,16 +231,23 @@ def test_what_is_read_is_put_in_units_and_what_is_derived_is_not():
 
 
 def trip(evidence, teams, steps=20, seed=0):
-    """(turns as they are read, evidence), (T, N, ...) each, of a trip that has begun."""
+    """(inputs of the model, evidence), (T, N, ...) each, of a trip that has begun."""
     count = teams.num_teams
     names = [name for name, _ in evidence.model.card.reads]
     reader, every = Turns(names, LAYOUT), np.ones(count, np.bool_)
+    encoder = TripEncoder(trait_model(), HIDDEN)
     reader.reset(count)
+    encoder.reset(count)
     read, gains = [], []
     for seen in turns(teams, any_intents(steps, count, seed), any_alerts(steps, count, seed=seed)):
-        read.append(reader.read(seen, every))
+        features = encoder.observe(seen, every).astype(np.float32)
+        read.append(np.concatenate([features, reader.read(seen, every)], axis=1))
         gains.append(evidence.observe(seen, every))
     return np.array(read), np.array(gains)
+
+
+def learned(model=None, drivers=FOUR, config=HIDDEN):
+    return LearnedEvidence(model or untrained_evidence(), trait_model(), drivers, config)
 
 
 def begun(count, first=0):
@@ -230,36 +256,35 @@ def begun(count, first=0):
     return teams
 
 
-@pytest.mark.parametrize("segment", [1, 3, 5, 100])
-def test_memory_is_emptied_every_segment(segment):
-    model = untrained_evidence(segment=segment)
-    evidence = LearnedEvidence(model, FOUR, HIDDEN)
+def test_evidence_is_what_the_reader_says_of_features_and_turns():
+    evidence = learned()
     evidence.reset(3)
     read, gains = trip(evidence, begun(3))
-    places = model.places(Traits.of(FOUR))
-    expected = []
-    for t, turn in enumerate(read):
-        if t % segment == 0:
-            encoder = model.encoder()
-            encoder.forget(3)
-        expected.append(encoder(model.standardise(turn)) @ places.T)
-    np.testing.assert_allclose(gains, expected, rtol=1e-9)
+    places = evidence.model.places(Traits.of(FOUR))
+    for turn, gain in zip(read, gains, strict=True):
+        np.testing.assert_allclose(gain, evidence.model.read(turn) @ places.T, rtol=1e-9)
     assert gains.shape == (20, 3, 4)
+    features = read[..., : evidence.model.card.features]
+    assert not features[0].any()
+    assert features[1:].any(axis=2).all()
 
 
-def test_a_memory_that_is_kept_longer_gives_something_else():
+def test_the_features_of_the_encoder_count():
+    model = untrained_evidence()
+    weights = dict(model.weights)
+    weights["reader.layer0.weight"] = weights["reader.layer0.weight"].copy()
+    weights["reader.layer0.weight"][:, : model.card.features] = 0.0
     found = []
-    for segment in (5, 6):
-        evidence = LearnedEvidence(untrained_evidence(segment=segment), FOUR, HIDDEN)
+    for each in (model, EvidenceModel(model.card, weights)):
+        evidence = learned(each)
         evidence.reset(2)
         found.append(trip(evidence, begun(2))[1])
-    np.testing.assert_array_equal(found[0][:5], found[1][:5])
-    assert (found[0][5] != found[1][5]).all()
+    assert (found[0] != found[1]).any(axis=2).all()
 
 
 def test_windows_are_pooled_by_adding_up():
     model = untrained_evidence()
-    evidence, other = (LearnedEvidence(model, FOUR, HIDDEN) for _ in range(2))
+    evidence, other = (learned(model) for _ in range(2))
     for each in (evidence, other):
         each.reset(2)
     first = trip(evidence, begun(2), seed=1)[1]
@@ -274,8 +299,8 @@ def test_windows_are_pooled_by_adding_up():
 
 
 def test_only_new_turns_count_and_are_remembered():
-    model = untrained_evidence(segment=4)
-    evidence, once = (LearnedEvidence(model, FOUR, HIDDEN) for _ in range(2))
+    model = untrained_evidence()
+    evidence, once = (learned(model) for _ in range(2))
     for each in (evidence, once):
         each.reset(2)
     for seen in turns(begun(2), any_intents(15, 2), any_alerts(15, 2)):
@@ -289,8 +314,8 @@ def test_only_new_turns_count_and_are_remembered():
     assert expected.all()
 
 
-def test_a_new_trip_begins_with_an_empty_memory_where_there_is_one():
-    evidence = LearnedEvidence(untrained_evidence(segment=7), FOUR, HIDDEN)
+def test_a_new_trip_begins_anew_where_there_is_one():
+    evidence = learned()
     evidence.reset(2)
     teams = begun(2)
     _, first = trip(evidence, teams, steps=10)
@@ -304,26 +329,41 @@ def test_a_new_trip_begins_with_an_empty_memory_where_there_is_one():
 
 
 def test_teams_of_another_scene_are_refused():
-    model = untrained_evidence(names=("speed", "lidar"))
     other = replace(HIDDEN, scene=Scene(lidar_cells=8))
-    LearnedEvidence(untrained_evidence(names=("speed",)), FOUR, other)  # which reads no lidar
+    with pytest.raises(ValueError, match=r"reads 32 columns of 'lidar', .* use the scene that"):
+        learned(config=other)
+    lanes = replace(HIDDEN, scene=Scene(lanes=4))
     with pytest.raises(ValueError, match=r"reads other columns .* use the scene that"):
-        LearnedEvidence(model, FOUR, other)
+        learned(untrained_evidence(names=("lane",)), config=lanes)
     for hidden in ("traits", "eta", "inflation", "distracted"):
         with pytest.raises(ValueError, match=f"may not read '{hidden}': driver inference hides it"):
-            EvidenceCard.for_team(TeamConfig(), ("speed", hidden), **SMALL)
+            EvidenceCard.for_team(TeamConfig(), trait_model(), ("speed", hidden), **SMALL)
 
 
-def test_it_reads_neither_attention_nor_traits_by_default():
+def test_the_encoder_of_another_trait_model_is_refused():
+    model = untrained_evidence()
+    stranger = EvidenceModel(replace(model.card, encoder="0" * 64), model.weights)
+    with pytest.raises(ValueError, match="reads the encoder of another trait model"):
+        learned(stranger)
+
+
+def test_it_reads_neither_attention_nor_traits():
     # Two teams that differ in nothing but what is hidden look alike.
     config = TeamConfig(driver=[FOUR[0]])
-    evidence = LearnedEvidence(untrained_evidence(config), FOUR, config)
+    evidence = learned(untrained_evidence(config), config=config)
     evidence.reset(2)
     layout = vehicle_ai_layout(config)
     teams = Teaming(config, 2, "highway")
     teams.reset(np.array([3, 3], np.uint64))
-    seen = teams.observe("vehicle_ai")
-    for name in ("distracted", "accepted", "counter", "traits"):
-        seen[1, layout[name]] = 0.7
-    found = evidence.observe(seen, np.ones(2, np.bool_))
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-12)
+    for _ in range(3):
+        teams.intend(np.array([3, 3]))
+        seen = teams.observe("vehicle_ai")
+        for name in ("distracted", "accepted", "counter", "traits"):
+            seen[1, layout[name]] = 0.7
+        for name in ("applied_action", "previous_intended_action"):
+            seen[1, layout[name]] = seen[0, layout[name]]
+        found = evidence.observe(seen, np.ones(2, np.bool_))
+        np.testing.assert_allclose(found[0], found[1], rtol=1e-12)
+        teams.step(np.array([1, 1]))
+    latent = evidence.encoder.latent()
+    np.testing.assert_allclose(latent.mean[0], latent.mean[1], rtol=1e-12)

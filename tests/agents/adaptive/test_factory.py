@@ -85,8 +85,8 @@ def test_candidates_and_settings_reach_it(kind, exact, trained):
         assert hmi.caution == 1.5
         assert hmi._default._rule.revealing == 0.2
     if kind == "conditioned":
-        places = load_evidence(trained.evidence).places(Traits.of(candidates))
-        np.testing.assert_array_equal(hmi.places, places)
+        latents = load_evidence(trained.evidence).expected(Traits.of(candidates))
+        np.testing.assert_array_equal(hmi.latents, latents)
 
 
 def test_the_hmis_that_are_chosen_among_are_those_of_the_types(trained):
@@ -126,15 +126,22 @@ def test_a_folder_of_that_name_is_not_taken_for_a_run(tmp_path, monkeypatch):
 
 def test_an_hmi_whose_z_means_something_else_is_refused(trained):
     card, weights = read_policy(Path(trained.conditioned) / "vehicle_ai.json")
-    own = load_evidence(trained.evidence).digest
+    own = load_evidence(trained.evidence).card.encoder
     for digest in (own, "of another model"):
         about = replace(card, training={"context_of": digest})
         save_policy(Path(trained.conditioned), about, weights)
         if digest == own:
             assert isinstance(make_adaptive("conditioned", HIDDEN, trained=trained), ConditionedHMI)
         else:
-            with pytest.raises(ValueError, match="the latent space of another evidence model"):
+            with pytest.raises(ValueError, match="the z of another encoder"):
                 make_adaptive("conditioned", HIDDEN, trained=trained)
+
+
+def test_evidence_that_reads_another_encoder_is_refused(trained):
+    other = replace(trained, traits="trained:traits-id")
+    with pytest.raises(ValueError, match="reads the encoder of another trait model"):
+        make_adaptive("expected", HIDDEN, trained=other)
+    make_adaptive("conditioned", HIDDEN, True, trained=other)  # which reads no encoder
 
 
 def test_hmis_to_choose_among_are_objects_of_their_own(trained):

@@ -179,17 +179,17 @@ def test_every_candidate_needs_an_hmi():
 # Conditioned on z.
 
 
-def conditioned(watching, places, seed=3):
-    card = hidden_card(CONFIG, context=places.shape[1])
+def conditioned(watching, latents, seed=3):
+    card = hidden_card(CONFIG, context=2 * latents.shape[1])
     weights = drawn(card.shapes, seed)
     weights["layer1.bias"] *= 0
-    weights["layer0.weight"][:, -places.shape[1] :] *= 5
-    return ConditionedHMI(watching, LearnedPolicy(card, weights, CONFIG), places)
+    weights["layer0.weight"][:, -card.context :] *= 5
+    return ConditionedHMI(watching, LearnedPolicy(card, weights, CONFIG), latents)
 
 
-def test_it_acts_on_the_place_that_is_expected():
-    places = untrained_evidence(CONFIG).places(Traits.of(FOUR))
-    hmi, twin = (conditioned(estimator(), places) for _ in range(2))
+def test_it_acts_on_the_z_that_is_expected_and_on_how_uncertain_it_is():
+    latents = untrained_evidence(CONFIG).expected(Traits.of(FOUR))[:, :3]
+    hmi, twin = (conditioned(estimator(), latents) for _ in range(2))
     policy = twin.policy
     teams = standing_teams(COUNT, driver=PAPER_DRIVERS, ai_sees_attention=False)
     for each in (teams, hmi, policy):
@@ -198,9 +198,13 @@ def test_it_acts_on_the_place_that_is_expected():
 
     def act(seen):
         alerts.append(hmi.act(seen))
-        z = hmi.estimator.belief.probabilities @ places
-        np.testing.assert_allclose(hmi.policy.context, z, rtol=1e-5, atol=1e-6)
-        policy.context = z
+        p = hmi.estimator.belief.probabilities
+        z = p @ latents
+        apart = latents - z[:, None]
+        spread = np.sqrt((p[..., None] * apart**2).sum(axis=1))
+        context = np.concatenate([z, spread], axis=1)
+        np.testing.assert_allclose(hmi.policy.context, context, rtol=1e-4, atol=1e-4)
+        policy.context = hmi.policy.context
         np.testing.assert_array_equal(alerts[-1], policy.act(seen))
         return alerts[-1]
 
@@ -210,17 +214,18 @@ def test_it_acts_on_the_place_that_is_expected():
     assert 0.05 < np.mean(alerts) < 0.95
 
 
-def test_places_that_do_not_fit_are_refused():
-    places = np.zeros((4, 3))
-    conditioned(estimator(), places)
+def test_latents_that_do_not_fit_are_refused():
+    latents = np.zeros((4, 3))
+    conditioned(estimator(), latents)
     for wrong in (np.zeros((3, 3)), np.zeros((4, 2)), np.zeros(4)):
-        hmi = conditioned(estimator(), places)
-        with pytest.raises(ValueError, match=r"need places of shape \(4, 3\), but got"):
+        hmi = conditioned(estimator(), latents)
+        with pytest.raises(ValueError, match=r"need latents of shape \(4, 3\), but got"):
             ConditionedHMI(estimator(), hmi.policy, wrong)
-    card = hidden_card(CONFIG)
-    blind = LearnedPolicy(card, drawn(card.shapes), CONFIG)
-    with pytest.raises(ValueError, match="conditioned on z of size 0"):
-        ConditionedHMI(estimator(), blind, np.zeros((4, 0)))
+    for context in (0, 3):
+        card = hidden_card(CONFIG, context=context)
+        other = LearnedPolicy(card, drawn(card.shapes), CONFIG)
+        with pytest.raises(ValueError, match=f"conditioned on {context} numbers, mean and stand"):
+            ConditionedHMI(estimator(), other, np.zeros((4, context // 2)))
 
 
 # From trip to trip.
@@ -229,7 +234,7 @@ MAKE = {
     "expected": lambda: ExpectedValueHMI(estimator(), CONFIG),
     "choosing": lambda: choosing(estimator()),
     "conditioned": lambda: conditioned(
-        estimator(), 3 * untrained_evidence(CONFIG).places(Traits.of(FOUR))
+        estimator(), 3 * np.random.default_rng(0).standard_normal((4, 3))
     ),
 }
 

@@ -1,6 +1,13 @@
 import numpy as np
 import pytest
-from evidence_models import any_alerts, any_intents, seeds, turns, untrained_evidence
+from evidence_models import (
+    any_alerts,
+    any_intents,
+    seeds,
+    trait_model,
+    turns,
+    untrained_evidence,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from standing_world import standing_teams
@@ -169,7 +176,7 @@ def test_beliefs_are_probabilities_of_candidates_in_any_order(gains, shift, rate
 def evidence_of(kind, config):
     if kind == "exact":
         return ChainEvidence(SOFT, config)
-    return LearnedEvidence(untrained_evidence(config), SOFT, config)
+    return LearnedEvidence(untrained_evidence(config), trait_model(), SOFT, config)
 
 
 SOFT = (DRIVERS["lisa"], DRIVERS["bart"], Driver("mona", 0.4, 0.3, 0.2, 2.0))

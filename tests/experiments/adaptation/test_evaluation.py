@@ -120,6 +120,8 @@ def test_shares_returns_and_regret_of_a_type():
     assert found.first_seconds[EXPECTED].mean == pytest.approx(25 * 3)
     assert found.first_seconds[AVERAGE].mean == 0.0
     assert found.regret[EXPECTED] == [1.0] * 80
+    total = {when: regret.mean for when, regret in found.total_regret[EXPECTED].items()}
+    assert total == pytest.approx({"5 s": 25.0, "10 s": 50.0, "20 s": 100.0, "60 s": 300.0})
     assert found.after_change == {}
     assert found.belief == {}
 

@@ -25,14 +25,18 @@ def test_sizes_that_make_no_evaluation_are_refused(changes, told):
 
 
 def test_what_is_learned_for_it_goes_by_the_driver_that_was_learned(tmp_path):
-    size = Adaptation(drives=1000, updates=7, hmi_steps=99, rnn_hidden_dim=5, num_teams=16, seed=3)
-    evidence, hmi = size.encoder(tmp_path), size.conditioned(tmp_path)
+    sizes = {"strangers": 70, "types": 9, "rounds": 4}
+    size = Adaptation(drives=1000, updates=7, rnn_hidden_dim=5, seed=3, traits="t", **sizes)
+    evidence, hmi = size.evidence(tmp_path), size.conditioned(tmp_path)
     assert (evidence.drives, evidence.updates, evidence.seed) == (1000, 7, 3)
-    assert (hmi.hmi_steps, hmi.rnn_hidden_dim, hmi.num_teams, hmi.seed) == (99, 5, 16, 3)
+    assert (hmi.strangers, hmi.types, hmi.rounds, hmi.seed) == (70, 9, 4, 3)
+    assert hmi.network.rnn_hidden_dim == 5
     assert evidence.driver_policy == hmi.driver_policy == str(tmp_path)
+    assert evidence.traits == hmi.traits == "t"
+    assert hmi.revealing == size.evaluation.revealing
 
 
-@pytest.mark.parametrize("name", ["drives", "updates", "hmi_steps", "rnn_hidden_dim"])
+@pytest.mark.parametrize("name", ["drives", "updates", "rounds", "strangers", "rnn_hidden_dim"])
 def test_learning_nothing_is_refused(name):
     with pytest.raises(ValueError, match=f"{name} lies in 1 to"):
         Adaptation(**{name: 0})

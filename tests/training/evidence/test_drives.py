@@ -2,9 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence_models import trait_model
 
 from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.agents.adaptive.evidence_model import DERIVED, Turns
+from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, known_name
 from hmi_marl.envs.streams import Stream, mix
@@ -20,8 +22,9 @@ SETTINGS = EvidenceSettings(
     drives=12,
     batch=4,
     reads=("speed", "intended_action"),
-    encoder=NetworkConfig((4,), rnn_hidden_dim=2),
+    reader=NetworkConfig((4,)),
 )
+FEATURES = trait_model().card.encoder.features
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +63,8 @@ def test_a_strangers_traits_do_not_tell_whether_a_known_driver_would_have_driven
 def test_drives_are_those_of_an_ordinary_team(driven):
     count = SETTINGS.drives
     seeds = mix(SETTINGS.seed, Stream.TRAINING, np.arange(count, dtype=np.uint64))
-    assert driven.turns.shape == (count, 100, 6 + DERIVED)
+    assert driven.turns.shape == (count, 100, FEATURES + 6 + DERIVED)
+    assert driven.z.shape == (count, trait_model().card.latent)
     team = replace(SETTINGS.team, driver=MixedPopulation(SETTINGS.known))
     for k, hmi_name in ((1, "never"), (8, "random:0.5")):
         driver, hmi = make_driver_policy("random", team), make_hmi(hmi_name, team)
@@ -69,14 +73,18 @@ def test_drives_are_those_of_an_ordinary_team(driven):
             each.reset(seeds[k : k + 1])
         np.testing.assert_array_equal(driven.traits.as_array()[k], teaming.traits.as_array()[0])
         reader, steps = Turns(SETTINGS.reads, teaming.layouts["vehicle_ai"]), 0
+        encoder = TripEncoder(trait_model(), team)
         while not teaming.over[0]:
             teaming.intend(driver.act(teaming.observe("driver")))
             seen = teaming.observe("vehicle_ai")
-            read = reader.read(seen, np.ones(1, np.bool_))[0]
-            np.testing.assert_allclose(driven.turns[k, steps], read, atol=1e-6)
+            every = np.ones(1, np.bool_)
+            features, read = encoder.observe(seen, every)[0], reader.read(seen, every)[0]
+            read = np.concatenate([features, read])
+            np.testing.assert_allclose(driven.turns[k, steps], read, atol=1e-5)
             teaming.step(hmi.act(seen))
             steps += 1
         assert driven.driving[k].tolist() == [t < steps for t in range(100)]
+        np.testing.assert_allclose(driven.z[k], encoder.latent().mean[0], rtol=1e-4, atol=1e-4)
 
 
 def test_drives_end_with_the_crash(driven):

@@ -1,22 +1,34 @@
 import numpy as np
 import pytest
 import torch
-from evidence_models import HIDDEN, SMALL, any_alerts, any_intents, seeds, turns
+from evidence_models import (
+    HIDDEN,
+    SMALL,
+    any_alerts,
+    any_intents,
+    seeds,
+    trait_model,
+    turns,
+)
 from standing_world import standing_teams
 
 from hmi_marl.agents.adaptive.evidence_model import (
-    DERIVED,
     EvidenceCard,
     EvidenceModel,
     LearnedEvidence,
     Turns,
 )
+from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.envs.observations import traits_part
 from hmi_marl.training.evidence.model import LOSS_EVERY, EvidenceNetwork
 
 FIVE = list(DRIVERS.values())
+
+
+def small_card(**sizes):
+    return EvidenceCard.for_team(HIDDEN, trait_model(), **(SMALL | sizes))
 
 
 def random_module(card, seed=0):
@@ -31,24 +43,27 @@ def random_module(card, seed=0):
 @pytest.mark.parametrize(
     "sizes",
     [
-        SMALL,
-        SMALL | {"segment": 20, "encoder": NetworkConfig((7, 5), "elu", rnn_hidden_dim=6)},
-        SMALL | {"segment": 1, "place": NetworkConfig((6, 6), "relu"), "latent": 8},
+        {},
+        {"reader": NetworkConfig((7, 5), "elu")},
+        {"place": NetworkConfig((6, 6), "relu"), "latent": 8},
     ],
-    ids=["small", "one segment", "no memory to speak of"],
+    ids=["small", "two layers", "larger vectors"],
 )
 def test_it_is_the_function_that_acts(sizes):
-    module = random_module(EvidenceCard.for_team(HIDDEN, **sizes))
+    module = random_module(small_card(**sizes))
     model = EvidenceModel(module.card, module.weights())
     teams = standing_teams(5, driver="bart", ai_sees_attention=False, duration=4.0)
     teams.reset(seeds(5))
-    evidence = LearnedEvidence(model, FIVE, HIDDEN)
+    evidence = LearnedEvidence(model, trait_model(), FIVE, HIDDEN)
     reader = Turns([n for n, _ in module.card.reads], teams.layouts["vehicle_ai"])
     evidence.reset(5)
     reader.reset(5)
+    encoder = TripEncoder(trait_model(), HIDDEN)
+    encoder.reset(5)
     every, read, gains = np.ones(5, np.bool_), [], []
     for seen in turns(teams, any_intents(20, 5), any_alerts(20, 5)):
-        read.append(reader.read(seen, every))
+        features = encoder.observe(seen, every).astype(np.float32)
+        read.append(np.concatenate([features, reader.read(seen, every)], axis=1))
         gains.append(evidence.observe(seen, every))
     shown = torch.from_numpy(traits_part(Traits.of(FIVE)).astype(np.float32))
     with torch.no_grad():
@@ -62,8 +77,8 @@ def test_it_is_the_function_that_acts(sizes):
 
 
 def test_evidence_may_be_asked_for_in_some_turns_alone():
-    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
-    read, shown = torch.randn(2, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    module = random_module(small_card())
+    read, shown = torch.randn(2, 20, module.card.inputs), torch.rand(3, 4)
     with torch.no_grad():
         every, fourth = module(read, shown), module(read, shown, 4)
     assert every.shape == (2, 20, 3)
@@ -71,8 +86,8 @@ def test_evidence_may_be_asked_for_in_some_turns_alone():
 
 
 def test_the_loss_by_hand():
-    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
-    read, shown = torch.randn(3, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    module = random_module(small_card())
+    read, shown = torch.randn(3, 20, module.card.inputs), torch.rand(3, 4)
     lengths = (20, 14, 6)
     driving = torch.arange(20) < torch.tensor(lengths)[:, None]
     with torch.no_grad():
@@ -88,8 +103,8 @@ def test_the_loss_by_hand():
 
 
 def test_settling_scales_evidence_for_one_driver_over_another_and_nothing_else():
-    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
-    read, shown = torch.randn(2, 20, module.card.read_size + DERIVED), torch.rand(5, 4)
+    module = random_module(small_card())
+    read, shown = torch.randn(2, 20, module.card.inputs), torch.rand(5, 4)
     with torch.no_grad():
         before = module(read, shown)
         module.settle(0.3, shown)
@@ -102,8 +117,8 @@ def test_settling_scales_evidence_for_one_driver_over_another_and_nothing_else()
 
 
 def test_the_loss_of_whole_drives_by_hand():
-    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
-    read, shown = torch.randn(3, 20, module.card.read_size + DERIVED), torch.rand(3, 4)
+    module = random_module(small_card())
+    read, shown = torch.randn(3, 20, module.card.inputs), torch.rand(3, 4)
     lengths = (20, 14, 1)
     driving = torch.arange(20) < torch.tensor(lengths)[:, None]
     with torch.no_grad():
@@ -118,8 +133,8 @@ def test_the_loss_of_whole_drives_by_hand():
 
 
 def test_turns_that_there_were_not_are_not_learned_from():
-    module = random_module(EvidenceCard.for_team(HIDDEN, **SMALL))
-    read = torch.randn(3, 20, module.card.read_size + DERIVED)
+    module = random_module(small_card())
+    read = torch.randn(3, 20, module.card.inputs)
     driving = torch.arange(20) < torch.tensor([[20], [9], [13]])
     shown = torch.rand(3, 4)
     other = torch.where(driving[..., None], read, torch.randn_like(read))
@@ -128,7 +143,24 @@ def test_turns_that_there_were_not_are_not_learned_from():
     assert module.loss(other, torch.ones_like(driving), shown).item() != losses[0].item()
 
 
+def test_the_expected_z_is_learned_by_its_squared_error():
+    module = random_module(small_card())
+    z, shown = torch.randn(6, module.card.context), torch.rand(6, 4)
+    with torch.no_grad():
+        found, loss = module.expected(shown), module.expected_loss(z, shown)
+    assert loss.item() == pytest.approx(np.square((found - z).numpy()).mean(), rel=1e-5)
+    before = {name: values.clone() for name, values in module.place.state_dict().items()}
+    descent = torch.optim.Adam(module.parameters(), 0.02)
+    for _ in range(300):
+        descent.zero_grad()
+        module.expected_loss(z, shown).backward()
+        descent.step()
+    assert module.expected_loss(z, shown) < 0.5 * loss
+    for name, values in module.place.state_dict().items():
+        np.testing.assert_array_equal(values, before[name])
+
+
 def test_weights_are_those_of_the_card():
-    card = EvidenceCard.for_team(HIDDEN, **SMALL)
+    card = small_card()
     weights = random_module(card).weights()
     assert {name: values.shape for name, values in weights.items()} == card.shapes

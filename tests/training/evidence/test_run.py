@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from evidence_models import trait_model
 from unchecked import unchecked
 
 from hmi_marl.agents.adaptive.evidence_model import load_evidence
@@ -22,8 +23,9 @@ TINY = EvidenceSettings(
     batch=6,
     held_out=0.2,
     latent=3,
-    encoder=NetworkConfig((6,), rnn_hidden_dim=4),
+    reader=NetworkConfig((6,)),
     place=NetworkConfig((5,)),
+    expected=NetworkConfig((4,)),
     checkpoint_every=0.0,
 )
 FILES = ("evidence.safetensors", "evidence.json")
@@ -57,7 +59,7 @@ def test_a_run_leaves_a_model_its_settings_and_a_curve(tmp_path):
     assert about["command"] == "hmi-marl reproduce adapt"
     assert about["settings"]["updates"] == 3
     model = load_evidence(tmp_path)
-    assert model.card == replace(TINY.card(TINY.team), training=model.card.training)
+    assert model.card == replace(TINY.card(TINY.team, trait_model()), training=model.card.training)
     assert model.card.training["settings"] == about["settings"]
     assert model.card.training["command"] == "hmi-marl reproduce adapt"
     (row,) = rows(tmp_path)
@@ -81,8 +83,8 @@ def test_the_drives_are_those_of_the_settings(tmp_path, driven, monkeypatch):
 def test_units_are_those_of_the_turns_that_there_were(tmp_path, driven):
     learned(tmp_path)
     model = load_evidence(tmp_path)
-    read = driven.turns[driven.driving][:, : model.card.read_size].astype(np.float64)
-    np.testing.assert_allclose(model.weights["read.centre"], read.mean(axis=0), atol=1e-4)
+    read = driven.turns[driven.driving][:, : model.card.standardised].astype(np.float64)
+    np.testing.assert_allclose(model.weights["read.centre"], read.mean(axis=0), atol=1e-3)
     spread = read.std(axis=0)
     varied = spread > 1e-2
     assert varied.any()
@@ -105,7 +107,7 @@ def with_traits(driven, k):
     """The same drives, of which drive k is said to be another driver's."""
     traits = driven.traits.as_array().copy()
     traits[k] = traits[k] * 0.5 + [0.3, 0.1, 0.2, 1]
-    return RecordedDrives(driven.turns, driven.driving, Traits.from_array(traits))
+    return RecordedDrives(driven.turns, driven.driving, driven.z, Traits.from_array(traits))
 
 
 def test_held_out_drives_are_not_learned_from(tmp_path, driven, monkeypatch):
@@ -152,9 +154,7 @@ def test_evidence_is_toned_down_as_suits_drives_that_were_not_learned_from(
     assert temperature != 1.0
     gains, drivers = [], Traits.of(DRIVERS.values())
     for each in (as_it_was, model):
-        encoder = each.encoder()
-        encoder.forget(TINY.drives)
-        told = encoder(each.standardise(driven.turns[:, 0])) @ each.places(drivers).T
+        told = each.read(driven.turns[:, 0]) @ each.places(drivers).T
         gains.append(told[:, 1:] - told[:, :1])
     np.testing.assert_allclose(gains[1], temperature * gains[0], rtol=1e-3, atol=1e-6)
     places = model.places(driven.traits)
@@ -208,6 +208,11 @@ def test_a_driver_that_is_not_there_is_told_at_once(tmp_path):
         learned(tmp_path / "run", replace(TINY, driver_policy=str(tmp_path / "nowhere")))
 
 
+def test_a_trait_model_that_is_not_there_is_reported_at_once(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no trait model at"):
+        learned(tmp_path / "run", replace(TINY, traits=str(tmp_path / "nowhere")))
+
+
 def test_torch_is_left_as_it_was(tmp_path):
     torch.manual_seed(5)
     expected = torch.rand(1).item()
@@ -243,12 +248,12 @@ def test_bart_is_told_from_marge(tmp_path, monkeypatch):
     drivers = [DRIVERS["bart"], DRIVERS["marge"]]
     places = model.places(Traits.of(drivers))
     odds = np.zeros(len(others.turns))
-    encoder = model.encoder()
     for t in range(others.turns.shape[1]):
-        if t % settings.segment == 0:
-            encoder.forget(len(odds))
-        told = encoder(model.standardise(others.turns[:, t])) @ (places[0] - places[1])
+        told = model.read(others.turns[:, t]) @ (places[0] - places[1])
         odds += np.where(others.driving[:, t], told, 0.0)
+    z = model.expected(others.traits)
+    error, spread = np.square(z - others.z).mean(axis=0), others.z.var(axis=0)
+    assert (error / spread).min() < 0.6, "z follows from the traits as far as it says anything"
     for driver, sign in zip(drivers, (1, -1), strict=True):
         theirs = (others.traits.as_array() == driver.traits).all(axis=1)
         long = theirs & (others.driving.sum(axis=1) > 40)

@@ -1,17 +1,16 @@
 import pytest
+from evidence_models import trait_model
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.evidence.settings import EvidenceSettings
 
 
 def test_the_card_is_as_the_settings_say():
-    settings = EvidenceSettings(
-        latent=5, segment=10, reads=("speed", "lane"), encoder=NetworkConfig((8,), rnn_hidden_dim=3)
-    )
-    card = settings.card(settings.team)
-    assert (card.latent, card.segment, card.read_size) == (5, 10, 5)
-    assert card.encoder == NetworkConfig((8,), rnn_hidden_dim=3)
-    assert card.place == settings.place
+    settings = EvidenceSettings(latent=5, reads=("speed", "lane"), reader=NetworkConfig((8,)))
+    card = settings.card(settings.team, trait_model())
+    assert (card.latent, card.read_size, card.encoder) == (5, 5, trait_model().digest)
+    assert card.reader == NetworkConfig((8,))
+    assert (card.place, card.expected) == (settings.place, settings.expected)
     assert not settings.team.ai_sees_attention
 
 
@@ -28,7 +27,6 @@ def test_at_least_two_drives_are_held_out(drives, held_out, learned):
         ({"drives": 0}, "drives lies in 1 to .*, but got 0"),
         ({"updates": 0}, "updates lies in 1 to"),
         ({"threads": 0}, "threads lies in 1 to"),
-        ({"segment": 0}, "segment lies in 1 to"),
         ({"hmis": ()}, "hmis names at least one HMI, but got none"),
         ({"known": 1.1}, r"known lies in \[0, 1\], but got 1\.1"),
         ({"known": float("nan")}, "known lies in"),
@@ -39,7 +37,7 @@ def test_at_least_two_drives_are_held_out(drives, held_out, learned):
         ({"held_out": 1.0}, r"held_out lies in \(0, 1\)"),
         ({"batch": 1}, r"batch lies in 2 to \d+, .* but got 1"),
         ({"drives": 40, "batch": 39}, r"batch lies in 2 to 38, .* but got 39"),
-        ({"encoder": NetworkConfig((8,))}, r"encoder\.rnn_hidden_dim is at least 1, but got 0"),
+        ({"reader": NetworkConfig((8,), rnn_hidden_dim=2)}, "set reader.rnn_hidden_dim to 0"),
         ({"place": NetworkConfig((8,), rnn_hidden_dim=2)}, "set place.rnn_hidden_dim to 0"),
         ({"reads": ("speed", "distracted")}, "no part 'distracted' to read"),
         ({"seed": -1}, "a seed lies in"),

@@ -1,0 +1,1 @@
+"""Learning of one HMI for a whole population, conditioned on z, from the exact rules of drivers."""
