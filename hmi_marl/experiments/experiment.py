@@ -28,7 +28,7 @@ from hmi_marl.reporting.blocks import Block, Verdicts
 from hmi_marl.reporting.report import Report, Stopwatch
 from hmi_marl.reporting.verdicts import Verdict, judged_together
 from hmi_marl.training.cluster.cluster import Cluster
-from hmi_marl.training.jobs import Job, train_all
+from hmi_marl.training.jobs import Job, own_line, train_all
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import CHECKPOINT, seconds_of
 
@@ -88,9 +88,10 @@ class Place:
     @contextmanager
     def playing(self, total: int, unit: str) -> Iterator[Callable[[int], object]]:
         """Time the playing within and show its progress; yields what counts it on, in ``unit``."""
+        what = f"playing {self.folder.name}"
         with (
             self.watch.timing("playing"),
-            tqdm(total=total, unit=f" {unit}", desc="playing") as bar,
+            tqdm(total=total, unit=f" {unit}", desc=what, position=own_line() or None) as bar,
         ):
             yield bar.update
 

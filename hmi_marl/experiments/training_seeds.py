@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Self, TypeVar, cast
@@ -20,8 +20,10 @@ from hmi_marl.envs.streams import part_seed
 from hmi_marl.experiments.experiment import Experiment, Place
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block
+from hmi_marl.reporting.report import Stopwatch
 from hmi_marl.reporting.statistics import UNKNOWN, Estimate
 from hmi_marl.reporting.verdicts import EPISODES, SEEDS, Part, Verdict
+from hmi_marl.training.jobs import calls_with_bars
 
 R = TypeVar("R")
 T = TypeVar("T")
@@ -93,7 +95,7 @@ class SeededExperiment(Experiment[Repeated[R]], Generic[R]):
         """See :meth:`Experiment.run`."""
         each = self.by_seed(place)
         self.learn(each, place)
-        return Repeated(tuple(alone.play(where) for alone, where in each))
+        return Repeated(tuple(_play_each(each, place)))
 
     def numbers(self, results: Repeated[R]) -> dict[str, Any]:
         """JSON content: the average, and each seed where there are several."""
@@ -109,6 +111,26 @@ class SeededExperiment(Experiment[Repeated[R]], Generic[R]):
     def blocks(self, results: Repeated[R]) -> Sequence[Block]:
         """See :meth:`Experiment.blocks`."""
         return self.blocks_of(results.mean)
+
+
+def _play_each(each: Sequence[tuple[SeededExperiment[R], Place]], place: Place) -> Iterator[R]:
+    """Play what every seed has learned, several seeds at a time."""
+    if min(place.workers, len(each)) == 1:
+        yield from (alone.play(where) for alone, where in each)
+        return
+    share = max(1, place.workers // len(each))
+    tasks = [
+        (alone, replace(where, workers=share, cluster=None, watch=Stopwatch()))
+        for alone, where in each
+    ]
+    for results, seconds in calls_with_bars(_play_alone, tasks, place.workers):
+        place.watch.add(seconds)
+        yield results
+
+
+def _play_alone(alone: SeededExperiment[R], place: Place) -> tuple[R, dict[str, float]]:
+    """Play what one seed has learned; return the durations of its parts too."""
+    return alone.play(place), place.watch.seconds
 
 
 def learned_part(

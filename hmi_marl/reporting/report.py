@@ -100,4 +100,9 @@ class Stopwatch:
         """Time the work done within; times of one part add up."""
         began = time.monotonic()
         yield
-        self.seconds[part] = self.seconds.get(part, 0.0) + time.monotonic() - began
+        self.add({part: time.monotonic() - began})
+
+    def add(self, seconds: Mapping[str, float]) -> None:
+        """Add durations that were measured elsewhere."""
+        for part, spent in seconds.items():
+            self.seconds[part] = self.seconds.get(part, 0.0) + spent

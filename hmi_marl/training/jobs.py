@@ -7,11 +7,11 @@ core of some node. Weights do not depend on any of this.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import current_process, get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -30,6 +30,8 @@ from hmi_marl.training.runs.start import (
     start_together,
 )
 from hmi_marl.workers import calls, without_interrupts
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -120,14 +122,21 @@ def side_by_side(
     if cluster is not None:
         cluster.learn(tasks, quiet)
         return
-    with without_interrupts():
-        lock = get_context("spawn").RLock()
-    for _ in calls(RunTask.go, [(task,) for task in tasks], workers, tqdm.set_lock, lock):
+    for _ in calls_with_bars(RunTask.go, [(task,) for task in tasks], workers):
         pass
 
 
+def calls_with_bars(
+    function: Callable[..., T], tasks: Sequence[tuple[Any, ...]], workers: int
+) -> Iterator[T]:
+    """See :func:`calls`; for tasks that each show a progress bar on the :func:`own_line`."""
+    with without_interrupts():
+        lock = get_context("spawn").RLock()
+    yield from calls(function, tasks, workers, tqdm.set_lock, lock)
+
+
 def own_line() -> int:
-    """Line of the terminal for this worker's progress bar."""
+    """Line of the terminal for this worker's progress bar; 0 in a process that is no worker."""
     numbers = current_process()._identity
     return numbers[-1] - 1 if numbers else 0
 

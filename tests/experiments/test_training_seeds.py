@@ -147,6 +147,8 @@ class Drawn(SeededExperiment[Row]):
             (where.folder / "learned").write_text(str(alone.seed))
 
     def play(self, place: Place) -> Row:
+        with place.playing(1, "rows"):
+            place.watch.seconds["counted"] = 2.0
         return row(int((place.folder / "learned").read_text()) % 97)
 
     def numbers_of(self, results: Row) -> dict[str, Any]:
@@ -175,3 +177,10 @@ def test_each_seed_learns_in_its_folder_and_the_first_in_the_experiments(tmp_pat
     (first,) = Drawn(seeds=1).run(place).by_seed
     assert found.by_seed[0] == first
     assert "by_seed" not in Drawn(seeds=1).numbers(Repeated((first,)))
+
+
+def test_seeds_are_played_side_by_side(tmp_path: Path) -> None:
+    one, three = Place(tmp_path, tmp_path), Place(tmp_path, tmp_path, workers=3)
+    assert Drawn().run(three) == Drawn().run(one)
+    assert three.watch.seconds["counted"] == 3 * 2.0  # durations of all of them add up
+    assert three.watch.seconds["playing"] > 0.0

@@ -1,7 +1,9 @@
 import pytest
 
+from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
 from hmi_marl.experiments.adaptation.experiment import Adaptation
+from hmi_marl.experiments.experiment import Place
 
 
 @pytest.mark.parametrize(
@@ -40,3 +42,18 @@ def test_what_is_learned_for_it_goes_by_the_driver_that_was_learned(tmp_path):
 def test_learning_nothing_is_refused(name):
     with pytest.raises(ValueError, match=f"{name} lies in 1 to"):
         Adaptation(**{name: 0})
+
+
+def test_each_seed_reads_the_traits_that_the_same_seed_of_its_reproduction_has_learned(tmp_path):
+    place, size = Place(tmp_path / "adapt", tmp_path), Adaptation(seeds=3)
+
+    def read():
+        return [alone.traits for alone, _ in size.by_seed(place)]
+
+    assert read() == [Trained.traits] * 3  # by itself it reads the model of the package
+    for run in ("traits-self", "traits-self-2"):
+        (tmp_path / "traits" / run).mkdir(parents=True)
+    first, third = (str(tmp_path / "traits" / run) for run in ("traits-self", "traits-self-2"))
+    assert read() == [first, first, third]
+    (other, *_) = Adaptation(seeds=3, traits="other").by_seed(place)
+    assert other[0].traits == "other"

@@ -3,9 +3,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from trait_models import save_driver
+from trait_models import save_driver, untrained
 
+from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.demonstrations.dataset import observed_layout
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.files import sha256_of
+from hmi_marl.training.evidence.settings import EvidenceSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import (
     check_same,
@@ -43,6 +47,23 @@ def test_the_same_driver_elsewhere_goes_on_and_another_is_refused(tmp_path: Path
         check_same(before, about(other), tmp_path)
     with pytest.raises(FileNotFoundError, match="no policy for the seat of driver"):
         run_settings(replace(settings, driver_policy=str(tmp_path / "nowhere")))
+
+
+def test_a_trait_model_is_told_in_the_same_way(tmp_path: Path) -> None:
+    mine, moved, other = (tmp_path / name for name in ("mine", "moved", "other"))
+    for folder, seed in ((mine, 0), (moved, 0), (other, 1)):
+        model = untrained(observed_layout(TeamConfig()), seed)
+        save_traits(folder, model.card, model.weights)
+    settings = EvidenceSettings(traits=str(mine))
+    content = run_settings(settings)["traits"]
+    assert content == {"name": "mine", "sha256": sha256_of(mine / "traits.safetensors")}
+    assert run_settings(EvidenceSettings())["traits"]["name"] == "trained:traits-self"
+    before = about(settings)
+    check_same(before, about(replace(settings, traits=str(moved))), tmp_path)
+    with pytest.raises(ValueError, match=r"holds another run .*traits"):
+        check_same(before, about(replace(settings, traits=str(other))), tmp_path)
+    with pytest.raises(FileNotFoundError, match="no trait model at"):
+        run_settings(replace(settings, traits=str(tmp_path / "nowhere")))
 
 
 def test_a_mixture_is_told_by_what_is_in_it_in_its_order(tmp_path: Path) -> None:
