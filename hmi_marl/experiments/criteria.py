@@ -82,6 +82,11 @@ KEPT_R2 = 0.9
 """Least share of the R² of a trait that a shift leaves, if the trait is still read."""
 NAMED_POOLS, NAMED_WINDOWS = 0.98, 0.88
 """Least share of types named right from one labelled pool each: of pools, and of single windows."""
+LOST_BY_Z = 0.02
+"""Loss of log-likelihood per step by predicting actions from z in place of the true traits that
+counts as none [nats]."""
+REWARD_RANKS = 0.7
+"""Least rank correlation of the recovered and the true return over good and bad driving."""
 KL_INFLUENCE = 2.0
 """Ratio of these from which supervision counts as a heavy influence."""
 SMALLEST_KL = 1e-9

@@ -30,6 +30,7 @@ from hmi_marl.experiments.latent_traits.imitation import (
     imitate,
     replay,
 )
+from hmi_marl.experiments.latent_traits.prediction import ActionPrediction, ActionPredictor
 from hmi_marl.experiments.latent_traits.probes import Separability, separability
 from hmi_marl.experiments.latent_traits.reward import RewardRanking, reward_ranking
 from hmi_marl.experiments.latent_traits.strangers import (
@@ -121,6 +122,8 @@ class Assessment:
     """Traits read over strangers; None if there was no population."""
     naming: list[Naming]
     """Types named from one labelled pool each; empty if there are too few windows."""
+    prediction: ActionPrediction | None = None
+    """Strangers' actions predicted from z; None if there are no two pools of each stranger."""
 
     def at_pool(self, size: int) -> Identified:
         """Return the accuracies from ``size`` windows."""
@@ -246,7 +249,7 @@ def assess(
     settings: AssessSettings,
     windows: Sequence[int],
     progress: Callable[[], Any] = tuple,
-    whole: bool = True,
+    predictor: ActionPredictor | None = None,
 ) -> Assessment:
     """Judge one model on the demonstrations that it learned from.
 
@@ -257,7 +260,7 @@ def assess(
         settings: sizes.
         windows: see :func:`identify_drivers`.
         progress: called ``PARTS`` times.
-        whole: if not, only identification and traits, which are averaged over seeds.
+        predictor: predicts actions of that population; None to leave that out.
 
     Raises:
         ValueError: demonstrations of another layout, too few of them, or of another version of the
@@ -274,11 +277,8 @@ def assess(
     reading = None
     if population is not None:
         reading = read_traits(model, population, model.card.pool, settings.seed)
+    prediction = None if predictor is None else predictor.judge(model)
     progress()
-    if not whole:
-        for _ in range(PARTS - 2):
-            progress()
-        return Assessment(supervision, identified, embedding, [], [], [], reading, naming)
     pools = disjoint_pools(unseen.driver, model.card.pool)
     likelihood = action_likelihood(model, unseen, pools, identification)
     progress()
@@ -297,5 +297,13 @@ def assess(
         ranking = reward_ranking(model, ranked, z, settings.seed)
     progress()
     return Assessment(
-        supervision, identified, embedding, likelihood, driving, ranking, reading, naming
+        supervision,
+        identified,
+        embedding,
+        likelihood,
+        driving,
+        ranking,
+        reading,
+        naming,
+        prediction,
     )

@@ -16,15 +16,18 @@ from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.trait_model import TraitModel, load_traits
 from hmi_marl.demonstrations.dataset import Demonstrations, Split
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.exact.identify import Identification
 from hmi_marl.experiments.experiment import Place
 from hmi_marl.experiments.latent_traits import assessment, ceiling
 from hmi_marl.experiments.latent_traits.assessment import Assessment, AssessSettings
 from hmi_marl.experiments.latent_traits.imitation import check_fits
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, evaluate_posteriors
+from hmi_marl.experiments.latent_traits.prediction import ActionPredictor, has_pairs
 from hmi_marl.experiments.latent_traits.report import TraitReport
 from hmi_marl.experiments.latent_traits.results import TraitResults
 from hmi_marl.experiments.latent_traits.strangers import strangers_pools
 from hmi_marl.files import sha256_of
+from hmi_marl.training.jobs import calls_with_bars, own_line
 from hmi_marl.training.runs.folder import FREE as MACHINE
 from hmi_marl.training.traits.settings import PAPER_HELD_OUT, Supervision, TraitSettings
 
@@ -54,61 +57,51 @@ class TraitEvaluation(TraitReport):
 
     def check(self, place: Place) -> None:
         """See :meth:`Experiment.check`; what the demonstrations hold is checked in the run."""
-        _ = self._fitting_models
+        _ = self.fitting_models
         if self.driver_policy is not None:
             make_driver_policy(self.driver_policy, TeamConfig())
 
     def run(self, place: Place) -> TraitResults:
-        """Judge the runs on what they held out.
-
-        The first model of a setting is judged in every respect, others by identification and
-        traits alone.
+        """Judge the runs on what they held out, several at a time.
 
         Raises:
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
                 other demonstrations or that pool or hold out differently.
         """
-        from hmi_marl.demonstrations.parquet import read_demonstrations
-
-        models, share = self._fitting_models
-        data = read_demonstrations(self.demonstrations)
-        pool = models[0].card.pool
-        split = Split.of(data, share, self.size.windows)
-        windows = assessment.pool_sizes(split, pool, max(model.card.latent for model in models))
-        unknown = None if self.population is None else self._unknown(models, data, pool)
-        settings = [assessment.supervision_of(model) for model in models]
+        models, share = self.fitting_models
+        judging = _Judging(self, models, share)
+        exact = one_step = None
+        try:
+            exact = ceiling.exact_evidence(judging.split.unseen, self.driver_policy)
+            one_step = ceiling.from_one_step(judging.split.unseen, self.driver_policy)
+        except ceiling.NoCeilingError as error:
+            print(error, file=sys.stderr)
+        workers = min(place.workers, len(models))
+        # Every worker reads the demonstrations once, and judges each so many-th model.
+        tasks = [(self, exact, number, workers) for number in range(workers)]
+        judged = list(calls_with_bars(_judge_some, tasks, workers))
         found: dict[str, list[Assessment]] = {}
-        parts = 1 + assessment.PARTS * len(models)
-        with tqdm(total=parts, unit=" parts", desc="judging") as bar:
-            exact = one_step = None
-            try:
-                exact = ceiling.exact_evidence(split.unseen, self.driver_policy)
-                one_step = ceiling.from_one_step(split.unseen, self.driver_policy)
-            except ceiling.NoCeilingError as error:
-                bar.write(str(error), file=sys.stderr)
-            bar.update()
-            for model, name in zip(models, settings, strict=True):
-                whole = name not in found
-                one = assessment.assess(
-                    model, split, exact, unknown, self.size, windows, bar.update, whole
-                )
-                found.setdefault(name, []).append(one)
+        for number in range(len(models)):
+            one = judged[number % workers][number // workers]
+            found.setdefault(one.supervision, []).append(one)
         ordered: dict[str, list[Assessment]] = {
             name: found[name] for name in SUPERVISIONS if name in found
         }
-        return TraitResults(ordered, pool, one_step, self._posterior(unknown, pool))
+        posterior = self._posterior(judging.unknown, judging.pool)
+        return TraitResults(ordered, judging.pool, one_step, posterior)
 
-    def _unknown(
+    def unknown(
         self, models: Sequence[TraitModel], data: Demonstrations, pool: int
-    ) -> Demonstrations:
-        """Read the population without drivers who have demonstrated.
+    ) -> Demonstrations | None:
+        """Read the population without drivers who have demonstrated; None if there is none.
 
         Raises:
             ValueError: it is not fit to judge by.
         """
         from hmi_marl.demonstrations.parquet import read_demonstrations
 
-        assert self.population is not None
+        if self.population is None:
+            return None
         unknown = assessment.unseen_drivers(read_demonstrations(self.population), data)
         if unknown.truth is None:
             raise ValueError("traits can be regressed only where the truth is known")
@@ -117,8 +110,8 @@ class TraitEvaluation(TraitReport):
         return unknown
 
     @cached_property
-    def _fitting_models(self) -> tuple[list[TraitModel], float]:
-        """Load the models, and find the share of windows that they held out.
+    def fitting_models(self) -> tuple[list[TraitModel], float]:
+        """The models, and the share of windows that they held out.
 
         Raises:
             FileNotFoundError, ValueError: a run or a folder of demonstrations is not there, or they
@@ -174,6 +167,41 @@ class TraitEvaluation(TraitReport):
     def settings(self) -> dict[str, Any]:
         """See :meth:`Experiment.settings`."""
         return dict(vars(self.size))
+
+
+class _Judging:
+    """What all models are judged by."""
+
+    def __init__(
+        self, evaluation: TraitEvaluation, models: Sequence[TraitModel], share: float
+    ) -> None:
+        from hmi_marl.demonstrations.parquet import read_demonstrations
+
+        data = read_demonstrations(evaluation.demonstrations)
+        self.pool = models[0].card.pool
+        self.split = Split.of(data, share, evaluation.size.windows)
+        latent = max(model.card.latent for model in models)
+        self.windows = assessment.pool_sizes(self.split, self.pool, latent)
+        self.unknown = evaluation.unknown(models, data, self.pool)
+
+
+def _judge_some(
+    evaluation: TraitEvaluation, exact: Identification | None, first: int, every: int
+) -> list[Assessment]:
+    """Judge each so many-th model from one on, in a process of its own."""
+    models, share = evaluation.fitting_models
+    by, size, predictor = _Judging(evaluation, models, share), evaluation.size, None
+    if by.unknown is not None and has_pairs(by.unknown.observed.driver, by.pool):
+        predictor = ActionPredictor(by.unknown, by.pool, size.seed)
+    some = models[first::every]
+    total, line = assessment.PARTS * len(some), own_line()
+    with tqdm(total=total, unit=" parts", desc="judging", position=line) as bar:
+        return [
+            assessment.assess(
+                model, by.split, exact, by.unknown, size, by.windows, bar.update, predictor
+            )
+            for model in some
+        ]
 
 
 def _digest(demonstrations: Path) -> str:

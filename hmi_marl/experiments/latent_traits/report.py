@@ -6,6 +6,7 @@ comes the self-supervised one. Each may have been learned several times, from di
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 from hmi_marl.experiments import criteria
@@ -13,6 +14,7 @@ from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.latent_traits.assessment import WINDOWS
 from hmi_marl.experiments.latent_traits.figures import TITLES, embeddings_figure
 from hmi_marl.experiments.latent_traits.results import (
+    AVERAGED,
     TraitResults,
     by_windows,
     r2_of_traits,
@@ -24,10 +26,12 @@ from hmi_marl.experiments.latent_traits.tables import (
     identity_table,
     likelihood_table,
     naming_table,
+    prediction_table,
     ranking_table,
     trait_table,
 )
 from hmi_marl.experiments.latent_traits.trait_figures import reading_figure
+from hmi_marl.experiments.training_seeds import learned_part
 from hmi_marl.files import json_value
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
@@ -74,9 +78,10 @@ class TraitReport(Experiment[TraitResults]):
                 part = Part.ratio("KL ratio", ratio, SEEDS, above=least, seeds=both, form=".2f")
                 claim = f"{TITLES[name]}: KL {least:.0f} times the unsupervised one"
                 verdicts.append(Verdict(claim, (part,)))
+            verdicts += judge_order(results)
         if "self" in found:
             verdicts += judge_self(results)
-        return verdicts
+        return verdicts + judge_rewards(results)
 
     def numbers(self, results: TraitResults) -> dict[str, Any]:
         """JSON content."""
@@ -91,6 +96,7 @@ class TraitReport(Experiment[TraitResults]):
                     "paper_kl": AVERAGE_KL.get(name),
                     "by_windows": by_windows(results, name),
                     "r2": r2_of_traits(results, name),
+                    **{of: json_value(results.averaged(name, of)) for of in AVERAGED},
                     "seeds": [one.as_json() for one in several],
                 }
                 for name, several in results.assessments.items()
@@ -102,14 +108,16 @@ class TraitReport(Experiment[TraitResults]):
         seeds = max(len(several) for several in results.assessments.values())
         note = (
             f"On held-out windows; pools of {results.pool}; {seeds} seed(s). Bayes is the exact "
-            "classifier of the same windows, which no encoder can beat. Accuracies and KL are "
-            "means over seeds, the rest is of the first. A driver policy that reads all traits "
-            "also reacts to them: `hmi-marl reproduce identify` shows how much that tells."
+            "classifier of the same windows, which no encoder can beat. Numbers are means over "
+            "seeds; silhouette, Rand and figures of z are of the first. A driver policy that reads "
+            "all traits also reacts to them: `hmi-marl reproduce identify` shows how much that "
+            "tells."
         )
         tables = (
             identity_table(results),
             trait_table(results),
             naming_table(results),
+            prediction_table(results),
             likelihood_table(results),
             driving_table(results),
             ranking_table(results),
@@ -128,6 +136,40 @@ class TraitReport(Experiment[TraitResults]):
             ),
             *(table for table in tables if table.rows),
         ]
+
+
+def judge_order(results: TraitResults) -> list[Verdict]:
+    """Judge whether the average KL of the paper's three settings is in the paper's order."""
+    order = sorted((k for k in AVERAGE_KL if k in results.assessments), key=AVERAGE_KL.__getitem__)
+    parts = []
+    for less, more in pairwise(order):
+        ratio = results.kl_ratio(more, less, results.pool)
+        seeds = min(len(results.assessments[name]) for name in (less, more))
+        what = f"KL {TITLES[more]} / {TITLES[less]}"
+        parts.append(Part.ratio(what, ratio, SEEDS, above=1.0, seeds=seeds, form=".2f"))
+    claim = f"KL in the paper's order: {' < '.join(TITLES[name] for name in order)}"
+    return [Verdict(claim, tuple(parts))] if parts else []
+
+
+def judge_rewards(results: TraitResults) -> list[Verdict]:
+    """Judge whether recovered rewards rank good and bad driving of every driver."""
+    bar, verdicts = criteria.REWARD_RANKS, []
+    for name, several in results.assessments.items():
+        rows = results.averaged(name, "reward_ranking")
+        parts = tuple(
+            Part.mean(
+                f"{row.driver}, rank correlation",
+                row.mixture.f if len(several) > 1 else statistics.mean([row.mixture.f.mean]),
+                SEEDS,
+                above=bar,
+                seeds=len(several),
+                form="z.2f",
+            )
+            for row in rows
+        )
+        claim = f"{TITLES[name]}: the reward ranks driving, correlation at least {bar:.1f}"
+        verdicts += [Verdict(claim, parts)] if parts else []
+    return verdicts
 
 
 def judge_self(results: TraitResults) -> list[Verdict]:
@@ -154,6 +196,12 @@ def judge_self(results: TraitResults) -> list[Verdict]:
         claim = f"self-supervised: {100 * bar:.0f} % of types named from one {what}"
         share = statistics.mean_share(shares)
         part = Part.mean("named", share, SEEDS, above=bar, seeds=seeds, form="z.1%")
+        verdicts.append(Verdict(claim, (part,)))
+    prediction = results.averaged("self", "prediction")
+    if prediction is not None:
+        bar, lost = criteria.LOST_BY_Z, prediction.traits_minus_z
+        part = learned_part("lost", lost, seeds, "strangers", below=bar, form="z.4f")
+        claim = f"self-supervised: z predicts actions within {bar} nats of the true traits"
         verdicts.append(Verdict(claim, (part,)))
     return verdicts
 

@@ -10,11 +10,14 @@ from hmi_marl.experiments import criteria
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow
+from hmi_marl.experiments.training_seeds import over_seeds
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import Estimate
 
+AVERAGED = ("naming", "prediction", "likelihood", "driving", "reward_ranking")
+"""Fields of assessments of which the average over seeds is reported."""
 PROBES = ("linear", "smooth", "network")
 """What reads traits from z; see :class:`TraitR2`."""
 
@@ -93,10 +96,9 @@ class TraitResults:
             return None
         return found.mean / self.posterior.traits[trait].r2.mean
 
-    def named(self, setting: str, place: int) -> Estimate:
-        """Average the share of types named from one labelled pool over seeds, by rows of naming."""
-        found = [one.naming[place].named for one in self.assessments[setting]]
-        return found[0] if len(found) == 1 else statistics.mean([each.mean for each in found])
+    def averaged(self, setting: str, name: str) -> Any:
+        """Average a field of the assessments, by its ``name``, over training seeds."""
+        return over_seeds([getattr(one, name) for one in self.assessments[setting]])
 
 
 def sources_of(results: TraitResults, *keys: str | int) -> list[str]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from hmi_marl.experiments.latent_traits.assessment import Assessment
 from hmi_marl.experiments.latent_traits.figures import TITLES, draw_accuracy
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
+from hmi_marl.experiments.latent_traits.prediction import ActionPrediction
 from hmi_marl.experiments.latent_traits.results import PROBES, TraitResults, sources_of
 from hmi_marl.experiments.latent_traits.reward import RewardRanking
 from hmi_marl.experiments.latent_traits.strangers import Naming
@@ -16,8 +16,6 @@ from hmi_marl.reporting.blocks import Figure, Table
 from hmi_marl.reporting.drawing import png
 from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import Estimate, number
-
-T = TypeVar("T")
 
 
 def accuracy_figure(results: TraitResults) -> Figure:
@@ -74,13 +72,15 @@ def _table(
     results: TraitResults,
     title: str,
     name: str,
-    items: Callable[[Assessment], Iterable[T]],
-    columns: Mapping[str, Callable[[T], str]],
+    columns: Mapping[str, Callable[[Any], str]],
 ) -> Table:
-    """Show items of the first seed of each setting, a row each; ``name`` is theirs in the JSON."""
-    listed = [(TITLES[name], item) for name, one in results.first.items() for item in items(one)]
-    rows = [[setting, *(shown(item) for shown in columns.values())] for setting, item in listed]
-    return Table(title, ["setting", *columns], rows, sources=sources_of(results, "seeds", 0, name))
+    """Show a field of the assessments, averaged over seeds, a row for each of its items."""
+    rows = []
+    for setting in results.assessments:
+        items = results.averaged(setting, name)
+        for item in items if isinstance(items, list) else [items] if items is not None else []:
+            rows.append([TITLES[setting], *(shown(item) for shown in columns.values())])
+    return Table(title, ["setting", *columns], rows, sources=sources_of(results, name))
 
 
 def trait_table(results: TraitResults) -> Table:
@@ -121,7 +121,19 @@ def naming_table(results: TraitResults) -> Table:
         "by chance [%]": lambda row: f"{100 * row.chance:.0f}",
     }
     title = "Types named from one labelled pool of each"
-    return _table(results, title, "naming", lambda one: one.naming, columns)
+    return _table(results, title, "naming", columns)
+
+
+def prediction_table(results: TraitResults) -> Table:
+    """Show how well strangers' actions are predicted from z, and from their true traits."""
+    columns: dict[str, Callable[[ActionPrediction], str]] = {
+        "given z": lambda row: row.z.shown("z.4f"),
+        "given the traits": lambda row: row.traits.shown("z.4f"),
+        "given neither": lambda row: row.nothing.shown("z.4f"),
+        "traits - z": lambda row: row.traits_minus_z.shown("z.4f"),
+    }
+    title = "Strangers' actions predicted: log-likelihood per step [nats]"
+    return _table(results, title, "prediction", columns)
 
 
 def likelihood_table(results: TraitResults) -> Table:
@@ -139,7 +151,7 @@ def likelihood_table(results: TraitResults) -> Table:
         "exact - own": lambda row: shown(row.exact_minus_own),
     }
     title = "Log-likelihood of held-out actions per step [nats]"
-    return _table(results, title, "likelihood", lambda one: one.likelihood, columns)
+    return _table(results, title, "likelihood", columns)
 
 
 def driving_table(results: TraitResults) -> Table:
@@ -158,7 +170,7 @@ def driving_table(results: TraitResults) -> Table:
         "crashed": lambda row: both(row, lambda one: one.crash_rate),
     }
     title = "The learned policy / the demonstrations"
-    return _table(results, title, "driving", lambda one: one.driving, columns)
+    return _table(results, title, "driving", columns)
 
 
 def ranking_table(results: TraitResults) -> Table:
@@ -171,4 +183,4 @@ def ranking_table(results: TraitResults) -> Table:
         "g, mixture": lambda row: row.mixture.g.shown("z.2f"),
     }
     title = "Rank correlation of recovered and true driving return"
-    return _table(results, title, "reward_ranking", lambda one: one.reward_ranking, columns)
+    return _table(results, title, "reward_ranking", columns)

@@ -207,7 +207,8 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
         a_run(tmp_path / "b", data, "none", seed=1),
         a_run(tmp_path / "c", data, "id", seed=2),
     ]
-    judged = TraitEvaluation(tuple(runs), data, population, None, SMALL).run(Place(data, data))
+    evaluation = TraitEvaluation(tuple(runs), data, population, None, SMALL)
+    judged = evaluation.run(Place(data, data, workers=2))
     found = dict(judged.assessments)
     assert judged.pool == 2
     assert {name: len(several) for name, several in found.items()} == {"none": 1, "id": 2}
@@ -217,7 +218,7 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
     assert not (first.embedding.means == second.embedding.means).all()
     assert first.reading is not None
     assert second.reading is not None
-    assert not second.reward_ranking
+    assert second.reward_ranking
     watch = Stopwatch()
     watch.seconds["judging"] = 1.0
     monkeypatch.setattr(TraitEvaluation, "run", lambda *_: judged)

@@ -21,6 +21,7 @@ from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
 from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, TraitScore
+from hmi_marl.experiments.latent_traits.prediction import ActionPrediction
 from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, average_kl
 from hmi_marl.experiments.latent_traits.report import left_out
 from hmi_marl.experiments.latent_traits.results import TraitResults
@@ -32,6 +33,7 @@ from hmi_marl.experiments.latent_traits.tables import (
     identity_table,
     likelihood_table,
     naming_table,
+    prediction_table,
     ranking_table,
     trait_table,
 )
@@ -131,8 +133,9 @@ def results(**assessments: list[Assessment]) -> TraitResults:
 
 
 def judged(found: TraitResults) -> dict[str, str]:
-    """Outcomes by claim."""
-    return {verdict.claim: str(verdict.outcome) for verdict in REPORT.judge(found)}
+    """Outcomes by claim, but for those on rewards."""
+    verdicts = {verdict.claim: str(verdict.outcome) for verdict in REPORT.judge(found)}
+    return {claim: outcome for claim, outcome in verdicts.items() if "reward" not in claim}
 
 
 def seeds(found: Mapping[str, Sequence[Assessment]], count: int = 5) -> TraitResults:
@@ -197,6 +200,7 @@ CLAIMS = [
     "unsupervised: 20 points above chance",
     "by driver: KL 6 times the unsupervised one",
     "by preference: KL 6 times the unsupervised one",
+    "KL in the paper's order: unsupervised < by preference < by driver",
 ]
 
 
@@ -254,6 +258,47 @@ def test_vectors_that_are_all_one_are_no_division_by_zero() -> None:
     assert kl(0.0, 0.0) == "not supported"
 
 
+def test_the_order_of_kl_takes_every_pair_of_neighbours() -> None:
+    def order(driver: float, preference: float) -> str:
+        labelled = [one("id", kl=driver)], [one("preference", kl=preference)]
+        return judged(seeds({"none": [one()], "id": labelled[0], "preference": labelled[1]}))[
+            CLAIMS[-1]
+        ]
+
+    assert order(80.0, 70.0) == "supported"
+    assert order(70.0, 80.0) == order(80.0, 5.0) == "not supported"
+
+
+def test_rewards_are_judged_by_the_driver_for_whom_they_rank_worst() -> None:
+    def rewards(*ranks: float) -> dict[str, str]:
+        rows = [
+            RewardRanking(
+                f"{k}", 5, Ranks(NOT_KNOWN, NOT_KNOWN), Ranks(about(rank, 0.01), about(rank)), {}
+            )
+            for k, rank in enumerate(ranks)
+        ]
+        found = REPORT.judge(seeds({"self": [one("self", reward_ranking=rows, reading=None)]}))
+        return {str(v.outcome): v.claim for v in found if "reward" in v.claim}
+
+    claim = "self-supervised: the reward ranks driving, correlation at least 0.7"
+    assert rewards(0.8, 0.75) == {"supported": claim}
+    assert rewards(0.8, 0.65) == {"not supported": claim}
+    assert rewards() == {}
+    (alone,) = (v for v in REPORT.judge(results(none=[one()])) if "reward" in v.claim)
+    assert str(alone.outcome) == "undetermined"  # one seed
+
+
+def test_what_z_loses_against_the_true_traits_is_judged() -> None:
+    def lost(nats: float) -> str:
+        prediction = ActionPrediction(*(about(v, 0.001) for v in (-0.7, -0.7, -0.8, nats)))
+        found = REPORT.judge(seeds({"self": [one("self", prediction=prediction, reading=None)]}))
+        return str(next(v.outcome for v in found if "predicts actions" in v.claim))
+
+    assert lost(0.005) == "supported"
+    assert lost(0.05) == "not supported"
+    assert lost(0.02) == "undetermined"
+
+
 # Tables.
 
 
@@ -293,7 +338,7 @@ def test_what_is_not_known_is_a_dash() -> None:
 
 
 def test_rows_of_the_other_tables_by_hand() -> None:
-    both = results(none=[one(), one(likelihood=[], driving=[], reward_ranking=[], reading=None)])
+    both = results(none=[one()])
     assert trait_table(both).rows[0] == [
         "unsupervised",
         "beta",
@@ -338,7 +383,13 @@ def test_rows_of_the_other_tables_by_hand() -> None:
     assert ranking_table(both).rows == [
         ["unsupervised", "lisa", "-", "0.25 [0.15, 0.35]", "0.75 [0.65, 0.85]", "0.50 [0.40, 0.60]"]
     ]
-    for show in (trait_table, likelihood_table, driving_table, ranking_table):
+    for show in (
+        trait_table,
+        prediction_table,
+        likelihood_table,
+        driving_table,
+        ranking_table,
+    ):
         table = show(both)
         assert all(len(row) == len(table.head) for row in table.rows)
 
@@ -359,17 +410,19 @@ def test_the_exact_posterior_stands_beside_with_the_ratio() -> None:
 def test_r2_and_naming_are_averaged_over_seeds() -> None:
     found = results(self=[one("self"), one("self", reading=reading(beta=0.7, eta=0.0))])
     assert found.trait_r2("self", "beta", "network") == statistics.mean([0.625, 0.825])
-    assert found.named("self", 1) == statistics.mean([0.99, 0.99])
+    named = found.averaged("self", "naming")[1].named
+    assert named == statistics.mean_share([share(99, 100)] * 2)
+    assert REPORT.numbers(found)["supervisions"]["self"]["naming"][1]["named"]["count"] == 2
     assert trait_table(found).rows[0][2].startswith("0.47 [")  # (0.375 + 0.575) / 2
     assert [row[:4:2] for row in naming_table(found).rows] == [
-        ["self-supervised", "90.0 [82.6, 94.5]"],
-        ["self-supervised", "99.0 [94.6, 99.8]"],
+        ["self-supervised", "90.0 [84.0, 96.0]"],
+        ["self-supervised", "99.0 [96.8, 100.0]"],
     ]
 
 
 def test_the_self_supervised_setting_is_judged_by_strangers() -> None:
     read = reading(beta=0.99, alpha=0.75, eta=0.65, inflation=1.01)
-    several = [one("self", reading=read)] * 2
+    several = [one("self", reading=read, reward_ranking=[])] * 2
     verdicts = REPORT.judge(results(self=several))
     assert "at least beta 0.85, alpha 0.60, eta 0.50, inflation 0.88" in verdicts[0].claim
     assert [part.above for part in verdicts[0].parts] == [0.85, 0.60, 0.50, 0.88]
