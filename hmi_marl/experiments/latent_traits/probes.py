@@ -330,7 +330,7 @@ def _r2(truth: Array, predicted: Array, drivers: Labels, seed: int) -> Estimate:
     scores = 1.0 - errors / total
     known = scores[1:][np.isfinite(scores[1:])]  # not empty, since drivers differ
     low, high = np.quantile(known, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Estimate(float(scores[0]), float(low), float(high))
+    return Estimate(float(scores[0]), float(low), float(high), float(known.std()), count)
 
 
 def _drivers(traits: Array) -> Labels:

@@ -199,8 +199,9 @@ def rank_correlation(
         which = rng.integers(0, count, (min(at_once, _BOOTSTRAPS - start), count))
         resampled = (np.moveaxis(values[:, which], 1, 0) for values in (one, other))
         drawn.append(_spearman(*(values.reshape(len(which), -1) for values in resampled)))
-    low, high = np.nanquantile(np.concatenate(drawn), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Estimate(found, float(low), float(high))
+    values = np.concatenate(drawn)
+    low, high = np.nanquantile(values, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return Estimate(found, float(low), float(high), float(np.nanstd(values)), count)
 
 
 def _spearman(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,8 @@ def share_explained(
     """
     missed = statistics.ratio(squares, spread)
     deviations = -(squares - missed.mean * spread) / spread.mean()
-    return Estimate(1 - missed.mean, 1 - missed.high, 1 - missed.low), deviations
+    found = replace(missed, mean=1 - missed.mean, low=1 - missed.high, high=1 - missed.low)
+    return found, deviations
 
 
 def shift_row(

@@ -120,6 +120,7 @@ def test_it_comes_back_from_json(assessment: Assessment) -> None:
         "reward_ranking",
         "traits",
         "naming",
+        "prediction",
     }
     assert [row["windows"] for row in content["identified"]] == [1, 2]
     assert content["identified"][1]["types"] == json_value(assessment.identified[1].types)

@@ -90,6 +90,8 @@ def test_intervals_count_drivers_not_vectors():
     many = (np.repeat(each, 10, axis=0) for each in (z, traits))
     often = trait_r2(z, traits, *many, ["it"])["it"].linear
     assert vars(often) == pytest.approx(vars(once), nan_ok=True)
+    assert once.count == 40
+    assert 3.0 < (once.high - once.low) / once.error < 5.0  # of resamples, nearly normal
 
 
 @pytest.mark.usefixtures("unmeasured", "two_folds")
