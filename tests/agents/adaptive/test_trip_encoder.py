@@ -67,6 +67,9 @@ def test_trips_of_one_driver_are_pooled_and_others_go_on():
     encoded(pooled, second, length)
     np.testing.assert_allclose(pooled.sums[0], alone[0].sums[0] + alone[1].sums[0])
     assert pooled.sums[1, -1] == 12 + 12  # its trip went on; the first turn shows no step
+    pooled.reset(2, np.array([False, True]))  # another driver
+    np.testing.assert_allclose(pooled.sums[0], alone[0].sums[0] + alone[1].sums[0])
+    assert not pooled.sums[1].any()
     pooled.reset(3)
     assert not pooled.sums.any()
     with pytest.raises(ValueError, match="at least one step"):
