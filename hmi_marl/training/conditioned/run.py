@@ -77,7 +77,7 @@ class _Run(ModelRun):
         self, settings: ConditionedSettings, evidence: Path | str, folder: Path, **shown: Any
     ) -> None:
         self._evidence, self._traits = load_evidence(evidence), load_traits(settings.traits)
-        self._evidence.check_encoder(self._traits)
+        LearnedEvidence(self._evidence, self._traits, TYPES, settings.team)  # or raise
         about = {
             "protocol": "conditioned",
             CONTEXT_OF: self._evidence.card.encoder,

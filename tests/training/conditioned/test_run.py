@@ -6,18 +6,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from evidence_models import evidence_weights, trait_model, untrained_evidence
+from evidence_models import SMALL, evidence_weights, trait_model, untrained_evidence
+from trait_models import untrained
 from unchecked import unchecked
 
-from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, save_evidence
+from hmi_marl.agents.adaptive.evidence_model import (
+    EvidenceCard,
+    LearnedEvidence,
+    save_evidence,
+)
 from hmi_marl.agents.adaptive.hmis import TYPES, ConditionedHMI, Trained, make_adaptive
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.network import Network, NetworkConfig
 from hmi_marl.agents.learned.policy import LearnedPolicy, load_policy
+from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.observations import vehicle_ai_layout
+from hmi_marl.envs.scene import Scene
 from hmi_marl.training.conditioned.run import learn_conditioned
 from hmi_marl.training.conditioned.settings import ConditionedSettings
 from hmi_marl.training.conditioned.student import Student
@@ -114,6 +122,17 @@ def test_another_evidence_model_or_run_is_refused(tmp_path, evidence):
     with pytest.raises(ValueError, match="reads the encoder of another trait model"):
         learned(tmp_path / "new", evidence, replace(TINY, traits="trained:traits-id"))
     assert not (tmp_path / "new").exists()
+
+
+def test_a_trait_model_of_another_scene_is_refused_before_there_is_a_folder(tmp_path):
+    other = untrained(observed_layout(TeamConfig(scene=Scene(lidar_cells=8))))
+    save_traits(tmp_path / "traits", other.card, other.weights)
+    card = EvidenceCard.for_team(TEAM, other, **SMALL)
+    save_evidence(tmp_path / "evidence", card, evidence_weights(card))
+    settings = replace(TINY, traits=str(tmp_path / "traits"))
+    with pytest.raises(ValueError, match=r"reads 16 columns of 'lidar', .* use the scene"):
+        learned(tmp_path / "run", tmp_path / "evidence", settings)
+    assert not (tmp_path / "run").exists()
 
 
 def test_learning_that_diverges_is_reported(tmp_path, evidence):
