@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from standing_world import standing_teams
 
 from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.scene import Scene
 
@@ -17,15 +18,16 @@ LAYOUT = vehicle_ai_layout(HIDDEN)
 COLUMNS = LAYOUT.columns(name for name, _ in trait_model().card.reads)
 
 
-def observations(count, steps, seed):
+def observations(count, steps, seed, layout=LAYOUT):
     """Turns (T, N, D) that look like a trip: random states, what was applied and alerted before."""
     rng = np.random.default_rng(seed)
-    seen = np.zeros((steps + 1, count, LAYOUT.size), np.float32)
-    seen[..., COLUMNS] = rng.normal(size=(steps + 1, count, len(COLUMNS)))
+    seen = np.zeros((steps + 1, count, layout.size), np.float32)
+    columns = layout.columns(name for name, _ in trait_model().card.reads)
+    seen[..., columns] = rng.normal(size=(steps + 1, count, len(columns)))
     actions = rng.integers(0, 5, (steps, count))
     alerts = rng.integers(0, 2, (steps, count))
-    seen[1:, :, LAYOUT["applied_action"]] = actions[..., None] == np.arange(5)
-    seen[1:, :, LAYOUT["alerted"]] = alerts[..., None]
+    seen[1:, :, layout["applied_action"]] = actions[..., None] == np.arange(5)
+    seen[1:, :, layout["alerted"]] = alerts[..., None]
     return seen, actions, alerts
 
 
@@ -93,18 +95,24 @@ def test_features_are_what_the_sums_grow_by():
 
 
 def test_nothing_but_state_actions_and_alerts_is_read():
-    seen, _, _ = observations(2, 10, 3)
+    config = TeamConfig(ai_sees_attention=True, observe_traits=True)
+    layout = vehicle_ai_layout(config)
+    names = [name for name, _ in trait_model().card.reads]
+    hidden = np.setdiff1d(
+        np.arange(layout.size), layout.columns([*names, "applied_action", "alerted"])
+    )
+    unseen = "intended_action", "previous_intended_action", "distracted", "accepted", "traits"
+    assert set(layout.columns(unseen)) <= set(hidden)
+    seen, _, _ = observations(2, 10, 3, layout)
     altered = seen.copy()
-    read = [*COLUMNS, *LAYOUT.columns(("applied_action", "alerted"))]
-    hidden = np.setdiff1d(np.arange(LAYOUT.size), read)
-    assert set(LAYOUT.columns(("intended_action", "previous_intended_action"))) <= set(hidden)
     altered[..., hidden] = 0.3
     found = []
     for turns_seen in (seen, altered):
-        encoder = TripEncoder(trait_model(), HIDDEN)
+        encoder = TripEncoder(trait_model(), config)
         encoder.reset(2)
         found.append(encoded(encoder, turns_seen, np.array([10, 10])).sums)
     np.testing.assert_array_equal(*found)
+    assert found[0].any()
 
 
 def test_another_scene_is_refused():
