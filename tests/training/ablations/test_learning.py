@@ -14,7 +14,7 @@ from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.demonstrations.stored import OBSERVED, TRUTH
 from hmi_marl.training.ablations.design import EncoderDesign
 from hmi_marl.training.ablations.encoders import DesignedEncoder
-from hmi_marl.training.ablations.learning import LearnedEncoder, learn_encoder, learn_in
+from hmi_marl.training.ablations.learning import LearnedEncoder, learn_encoder, make_updates
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits import run
 from hmi_marl.training.traits.settings import TraitSettings
@@ -52,7 +52,7 @@ def test_the_default_learns_what_a_run_of_trait_models_learns(strangers, tmp_pat
     encoder = DesignedEncoder(begun._card, EncoderDesign())
     first = begun._discriminator.model.encoder
     encoder.load_state_dict(first.state_dict())
-    learn_in(encoder, begun._windows, TINY)
+    make_updates(encoder, begun._windows, TINY)
     moved = [not np.array_equal(first.arrays()[name], a) for name, a in encoder.arrays().items()]
     assert all(moved)
     for name, values in encoder.arrays().items():
