@@ -9,7 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from standing_world import standing_teams
 
+from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
+from hmi_marl.agents.rollout import Observer, begin, play
+from hmi_marl.demonstrations.recording import StepRecorder
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.scene import Scene
@@ -52,6 +55,35 @@ def test_a_trip_under_way_is_encoded_as_a_window_of_its_steps(seed, lengths):
     expected = trait_model().encoder.latent(whole)
     np.testing.assert_allclose(encoder.latent().mean, expected.mean, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(encoder.latent().variance, expected.variance, rtol=1e-7)
+
+
+class Encodes(Observer):
+    """Encode trips as the vehicle AI sees them."""
+
+    def __init__(self, encoder):
+        self.encoder = encoder
+
+    def seen(self, teaming, observations):
+        self.encoder.observe(observations, ~teaming.over)
+
+
+def test_a_trip_is_encoded_as_its_demonstration_is():
+    # What the vehicle AI sees of a trip is what a recording of it holds, but for the last step.
+    crowded = Scene(vehicles=(10, 20))
+    config = TeamConfig(duration=6.0, ai_sees_attention=False, scene=crowded)
+    driver, hmi = make_driver_policy("random", config), make_hmi("random:0.4", config)
+    teaming = begin(config, driver, hmi, seeds(12), "batched")
+    encoder, recorder = TripEncoder(trait_model(), config), StepRecorder(config, 12)
+    encoder.reset(12)
+    play(teaming, driver, hmi, [recorder, Encodes(encoder)])
+    length = teaming.steps - 1
+    assert length.min() < length.max() == 29  # some have crashed
+    there = length > 0
+    whole = trait_model().encoder.encode(
+        recorder.states, recorder.applied, recorder.alerts, np.maximum(length, 1)
+    )
+    np.testing.assert_allclose(encoder.sums[there], whole[there], rtol=1e-9, atol=1e-9)
+    assert not encoder.sums[~there].any()
 
 
 def test_trips_of_one_driver_are_pooled_and_others_go_on():
