@@ -76,11 +76,10 @@ class AttentionWatch:
 
     def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
         """Begin episodes in the marked teams out of ``count``; in all by default."""
+        self._evidence.reset(count, which)
         if which is None:
-            self._evidence.reset(count)
             self._seen = np.full(count, -1)
         else:
-            self._evidence.begin(which)
             self._seen = np.where(which, -1, self._seen)
 
     def observe(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -40,6 +40,7 @@ from hmi_marl.envs.drivers import (
     PAPER_DRIVERS,
     Driver,
     DriverName,
+    FixedDrivers,
     Traits,
     get_driver,
 )
@@ -170,16 +171,6 @@ def _check_names(drivers: Sequence[str]) -> None:
         raise TypeError(f"drivers takes a tuple of names, not {drivers!r}")
 
 
-@dataclass(frozen=True)
-class _Placed:
-    """A population with one given driver for each team, whatever the seeds."""
-
-    traits: Traits
-
-    def draw(self, seeds: NDArray[np.uint64]) -> Traits:
-        return self.traits
-
-
 def collect(
     settings: CollectSettings, progress: Callable[[int], Any] = id, command_line: str = ""
 ) -> Iterator[Demonstrations]:
@@ -243,7 +234,7 @@ def _play(
     progress: Callable[[int], Any],
 ) -> Demonstrations:
     who, traits = drivers
-    config = settings.team(_Placed(Traits.from_array(traits)))
+    config = settings.team(FixedDrivers(Traits.from_array(traits)))
     driver, hmi = settings.make_driver(config), settings.make_hmi(config)
     teaming = begin(config, driver, hmi, seeds, "batched")
     recorder = StepRecorder(config, len(seeds), progress)

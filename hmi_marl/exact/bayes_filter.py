@@ -82,6 +82,15 @@ class BayesFilter:
         self.distracted = np.where(fresh[:, None], 0.0, self.distracted)
         self._attentive = np.where(fresh[:, None], 1.0, self._attentive)
 
+    def forget(self, which: NDArray[np.bool_]) -> None:
+        """Begin a window of other drivers where ``which``, bool, shape (N,), is set.
+
+        Raises:
+            ValueError: a mask of another shape or type.
+        """
+        self.begin(which)
+        self.log_evidence = np.where(which[:, None], 0.0, self.log_evidence)
+
     def update(
         self,
         intent_probabilities: NDArray[np.float64],

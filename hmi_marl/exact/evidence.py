@@ -38,11 +38,16 @@ class Evidence(Protocol):
     drivers: tuple[Driver, ...]
     """The candidates."""
 
-    def reset(self, count: int) -> None:
-        """Begin the trips of ``count`` teams."""
+    def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
+        """Begin trips of unknown drivers.
+
+        Args:
+            count: N, which may change if ``which`` is None.
+            which: the teams concerned, shape (N,); all by default.
+        """
 
     def begin(self, which: NDArray[np.bool_]) -> None:
-        """Begin new trips where ``which``, shape (N,), is set."""
+        """Begin other trips of the same drivers where ``which``, shape (N,), is set."""
 
     def observe(
         self, observations: NDArray[np.float32], new: NDArray[np.bool_]
@@ -88,10 +93,13 @@ class ChainEvidence:
         self._window = config.alert_window
         self.reset(1)
 
-    def reset(self, count: int) -> None:
+    def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Evidence.reset`."""
-        self.filter = BayesFilter(self._chains, self._window, count)
-        """p_k(d_{t-1} = 1), i_{t-1} and c_{t-1} of every different chain."""
+        if which is None:
+            self.filter = BayesFilter(self._chains, self._window, count)
+            """p_k(d_{t-1} = 1), i_{t-1} and c_{t-1} of every different chain."""
+        else:
+            self.filter.forget(which)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`Evidence.begin`."""

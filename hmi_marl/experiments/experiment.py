@@ -86,12 +86,14 @@ class Place:
         self.watch.seconds |= {f"training {name}": spent for name, spent in trained.items()}
 
     @contextmanager
-    def playing(self, total: int, unit: str) -> Iterator[Callable[[int], object]]:
+    def playing(
+        self, total: int, unit: str, what: str = "playing"
+    ) -> Iterator[Callable[[int], object]]:
         """Time the playing within and show its progress; yields what counts it on, in ``unit``."""
-        what = f"playing {self.folder.name}"
+        name = f"{what} {self.folder.name}"
         with (
-            self.watch.timing("playing"),
-            tqdm(total=total, unit=f" {unit}", desc=what, position=own_line() or None) as bar,
+            self.watch.timing(what),
+            tqdm(total=total, unit=f" {unit}", desc=name, position=own_line() or None) as bar,
         ):
             yield bar.update
 

@@ -322,10 +322,13 @@ class LearnedEvidence:
         """Vectors w of the candidates, shape (K, latent)."""
         self.reset(1)
 
-    def reset(self, count: int) -> None:
+    def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
         """See :meth:`Evidence.reset`."""
-        self.encoder.reset(count)
-        self._turns.reset(count)
+        self.encoder.reset(count, which)
+        if which is None:
+            self._turns.reset(count)
+        else:
+            self._turns.begin(which)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`Evidence.begin`."""

@@ -15,7 +15,7 @@ driver as before. :func:`adaptive_by_name` makes them by name: ``adapt``, ``adap
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,7 +189,8 @@ class ExpectedValueHMI(AdaptiveHMI):
         self._default = BeliefAlert(default, config, revealing)
         self._attention = AttentionWatch(drivers, config)
         game = config.alert_window, config.horizon, config.weights, revealing
-        self._advantage = np.stack([solve_belief(driver, *game).advantage for driver in drivers])
+        tables = (solve_belief(driver, *game).advantage for driver in drivers)
+        self._advantage = _stacked(tables, len(drivers))
         self._which = (alike[:, None] == np.arange(len(drivers))).astype(np.float64)
 
     def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
@@ -212,6 +213,17 @@ class ExpectedValueHMI(AdaptiveHMI):
         who = np.arange(len(self._advantage))
         t, m, i, c = (x[:, None] for x in (step, reveals, now.accepted, now.counter))
         return look_up(self._advantage, (who, t, m), now.distracted, (i, c))
+
+
+def _stacked(tables: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:
+    """Stack so many tables of one shape, each as it comes: hundreds take a gigabyte."""
+    rest = iter(tables)
+    first = next(rest)
+    whole = np.empty((count, *first.shape), first.dtype)
+    whole[0] = first
+    for place, table in zip(whole[1:], rest, strict=True):
+        place[...] = table
+    return whole
 
 
 def _doubt(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:

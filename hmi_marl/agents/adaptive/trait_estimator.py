@@ -70,10 +70,10 @@ class TraitEstimator:
         if which is None:
             self._probabilities = np.tile(self.prior, (count, 1))
             self._seen = np.full(count, -1)  # the step observed last
-            self.evidence.reset(count)
-            return
-        self._probabilities = np.where(which[:, None], self.prior, self._probabilities)
-        self.next_trip(which)
+        else:
+            self._probabilities = np.where(which[:, None], self.prior, self._probabilities)
+            self._seen = np.where(which, -1, self._seen)
+        self.evidence.reset(count, which)
 
     def next_trip(self, which: NDArray[np.bool_] | None = None) -> None:
         """Begin another trip of the same drivers and keep the belief about them.

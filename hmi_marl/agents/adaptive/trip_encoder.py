@@ -45,12 +45,21 @@ class TripEncoder:
         self._encoder = traits.encoder
         self.reset(1)
 
-    def reset(self, count: int) -> None:
-        """Begin trips of ``count`` unknown drivers."""
-        self._state = self._encoder.begin(count)
-        self._recent = Recent(count)
-        self._before = np.zeros((count, len(self._columns)), np.float32)
-        self._past = np.zeros_like(self._state.sums)
+    def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
+        """Begin trips of unknown drivers.
+
+        Args:
+            count: N, which may change if ``which`` is None.
+            which: the teams concerned, shape (N,); all by default.
+        """
+        if which is None:
+            self._state = self._encoder.begin(count)
+            self._recent = Recent(count)
+            self._before = np.zeros((count, len(self._columns)), np.float32)
+            self._past = np.zeros_like(self._state.sums)
+        else:
+            self.begin(which)
+            self._past = np.where(which[:, None], 0.0, self._past)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """Begin other trips of the same drivers where ``which``, shape (N,), is set."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from hmi_marl.agents.adaptive.evidence_model import NAME
 from hmi_marl.agents.adaptive.hmis import Trained, make_adaptive
+from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.agents.learned.cards import find_card
 from hmi_marl.agents.learned.network import NetworkConfig
@@ -237,23 +238,25 @@ class Adaptation(_Judged):
     def conditioned(self, driver_run: Path) -> ConditionedSettings:
         """Return the settings of the training of the HMI conditioned on z."""
         network = NetworkConfig((64,), rnn_hidden_dim=self.rnn_hidden_dim)
-        return ConditionedSettings(
+        found = ConditionedSettings(
             str(driver_run),
             traits=self.traits,
             strangers=self.strangers,
             types=self.types,
             rounds=self.rounds,
+            batch=1,
             network=network,
             revealing=self.evaluation.revealing,
             seed=self.seed,
         )
+        return replace(found, batch=min(ConditionedSettings.batch, found.trips_per_round))
 
     def check(self, place: Place) -> None:
         """See :meth:`Experiment.check`."""
         super().check(place)
         for alone, where in self.by_seed(place):
             alone.evidence(where.driver_run), alone.conditioned(where.driver_run)
-            load_traits(alone.traits)
+            TripEncoder(load_traits(alone.traits), TEAM)
         trained = Trained(hidden=self._hidden(place))
         for model in MODELS:
             trained.hidden_hmi(model, TEAM)

@@ -45,9 +45,10 @@ class KnownDriver:
             raise ValueError("a driver is not among the candidates")
         self._driver = same.argmax(axis=1)
 
-    def reset(self, count: int) -> None:
-        """See :meth:`Evidence.reset`."""
-        self._driver = np.zeros(count, np.int64)
+    def reset(self, count: int, which: NDArray[np.bool_] | None = None) -> None:
+        """See :meth:`Evidence.reset`; in each of these teams the first candidate drives."""
+        first = np.zeros(count, np.int64)
+        self._driver = first if which is None else np.where(which, first, self._driver)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """See :meth:`Evidence.begin`."""

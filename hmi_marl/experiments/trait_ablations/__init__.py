@@ -1,1 +1,1 @@
-"""What the self-supervised encoder owes to its parts: one changed at a time."""
+"""Ablations of the self-supervised encoder: one part changed at a time."""

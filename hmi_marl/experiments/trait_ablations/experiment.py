@@ -24,7 +24,7 @@ from hmi_marl.experiments.trait_ablations.judging import (
     NAMED,
     STRANGERS,
     Judged,
-    Part,
+    Trial,
     score,
 )
 from hmi_marl.experiments.trait_ablations.report import AblationReport
@@ -154,7 +154,7 @@ class TraitAblations(AblationReport):
             **many,
         }
 
-    def part(self, variant: Variant) -> Part:
+    def trial(self, variant: Variant) -> Trial:
         """Return what is to be learned and judged of a variant, with the first seed."""
         settings = TraitSettings(
             latent=variant.latent,
@@ -164,7 +164,7 @@ class TraitAblations(AblationReport):
             seed=self.seed,
         )
         strangers = variant.strangers or self.strangers
-        return Part(
+        return Trial(
             variant.design,
             settings,
             MANY if strangers > self.strangers else STRANGERS,
@@ -172,6 +172,12 @@ class TraitAblations(AblationReport):
             variant.windows or self.windows,
             POOLS if variant is BASELINE else (_POOL,),
         )
+
+    def check(self, place: Place) -> None:
+        """See :meth:`Experiment.check`."""
+        super().check(place)
+        if place.cluster is not None:
+            raise ValueError("the encoders of ablations learn on this machine: leave --ray out")
 
     def by_seed(self, place: Place) -> list[tuple[TraitAblations, Place]]:
         """See :meth:`SeededExperiment.by_seed`; all write into one folder."""
@@ -183,7 +189,7 @@ class TraitAblations(AblationReport):
         recordings, datasets = place.folder / RECORDINGS, self.datasets(place)
         many = {name: datasets.pop(name) for name in (MANY,) if name in datasets}
         tasks = [
-            (alone.part(variant), recordings, alone.file(variant, where))
+            (alone.trial(variant), recordings, alone.file(variant, where))
             for alone, where in each
             for variant in alone.chosen
         ]
@@ -191,7 +197,7 @@ class TraitAblations(AblationReport):
             own = [task for task in tasks if task[0].dataset in now]
             with place.watch.timing("recording"):
                 record(now, place.driver_run, recordings)
-            with place.playing(len(own), "encoders") as progress:
+            with place.playing(len(own), "encoders", "learning") as progress:
                 for _ in calls(score, own, place.workers):
                     progress(1)
         if self.posteriors:
@@ -211,7 +217,7 @@ class TraitAblations(AblationReport):
         """See :meth:`SeededExperiment.play`; reads what has been judged."""
         recordings = place.folder / RECORDINGS
         found: dict[str, Judged] = {
-            each.name: score(self.part(each), recordings, self.file(each, place))
+            each.name: score(self.trial(each), recordings, self.file(each, place))
             for each in self.chosen
         }
         places = {

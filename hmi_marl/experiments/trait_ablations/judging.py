@@ -76,7 +76,7 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Part:
+class Trial:
     """One variant to learn and to judge."""
 
     design: EncoderDesign
@@ -164,17 +164,17 @@ SCORES: Mapping[str, Callable[[Latent, Latent], Array]] = MappingProxyType(
 """Scores by which an encoder of a loss names types; by default the posteriors' likelihood."""
 
 
-def score(part: Part, recordings: Path, path: Path) -> Judged:
-    """Run one part, or read from ``path`` what it found before."""
-    about = {"version": hmi_marl.__version__, "part": json_value(part)}
+def score(trial: Trial, recordings: Path, path: Path) -> Judged:
+    """Run one trial, or read from ``path`` what it found before."""
+    about = {"version": hmi_marl.__version__, "part": json_value(trial)}
     about["recordings"] = {
-        name: checksum(recordings / name) for name in (part.dataset, JUDGED, NAMED)
+        name: checksum(recordings / name) for name in (trial.dataset, JUDGED, NAMED)
     }
     with suppress(FileNotFoundError, ValueError):  # a damaged file is made again
         content = without_checksum(read_json(path))
         if content.get("about") == about:
             return Judged.from_json(content["found"])
-    found = part.run(recordings)
+    found = trial.run(recordings)
     write_json(path, with_checksum({"about": about, "found": json_value(found)}))
     return found
 

@@ -16,7 +16,7 @@ class Variant:
     name: str
     """Name in files."""
     axis: str
-    """What is changed, a key of ``AXES``; empty of the default."""
+    """Respect in which it differs, a key of ``AXES``; empty of the default."""
     what: str
     """Description for a reader."""
     design: EncoderDesign = field(default_factory=EncoderDesign)

@@ -95,11 +95,11 @@ def learn_encoder(
     with own_torch_state(settings.threads):
         torch.manual_seed(int(mix(settings.seed, Stream.LEARNING, 1)))
         encoder = DesignedEncoder(settings.card(episodes.layout), design)
-        learn_in(encoder, _unlabelled(episodes), settings, progress)
+        make_updates(encoder, _unlabelled(episodes), settings, progress)
     return LearnedEncoder(encoder, episodes.units)
 
 
-def learn_in(
+def make_updates(
     encoder: DesignedEncoder,
     windows: Windows,
     settings: TraitSettings,

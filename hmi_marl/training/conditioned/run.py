@@ -1,10 +1,10 @@
 """Learning, in a folder, of an HMI that is conditioned on z; resumable.
 
-Half of each round's trips are driven by the HMI as it is learned so far, drawing its alerts, so
-that it learns what to do in the situations that it gets into (DAgger); AvgHMI drives the others,
-with exceptions at random. The HMI drives exactly as a
-:class:`ConditionedHMI` does later: z comes from an estimator that reads the trip under way. The
-exact rules of the simulated drivers are its teachers, in training alone.
+In half of each round's trips alerts are drawn from the HMI as it is learned so far, so that it
+learns what to do in the situations that it gets into (DAgger); AvgHMI, with exceptions at random,
+alerts in the others. The HMI acts as a :class:`ConditionedHMI` does later: z comes from an
+estimator that reads the trip under way. The exact rules of the simulated drivers are its teachers,
+in training alone.
 
 Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the policy,
 ``vehicle_ai.json`` with its weights.
@@ -77,7 +77,7 @@ class _Run(ModelRun):
         self, settings: ConditionedSettings, evidence: Path | str, folder: Path, **shown: Any
     ) -> None:
         self._evidence, self._traits = load_evidence(evidence), load_traits(settings.traits)
-        self._evidence.check_encoder(self._traits)
+        LearnedEvidence(self._evidence, self._traits, TYPES, settings.team)  # or raise
         about = {
             "protocol": "conditioned",
             CONTEXT_OF: self._evidence.card.encoder,

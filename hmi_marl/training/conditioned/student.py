@@ -5,7 +5,7 @@ odds of an alert by the HMI, which knows neither the driver nor A, the loss is
 
 .. math:: E\left[ |A_t| \log(1 + e^{-\mathrm{sign}(A_t)\, ℓ_t}) \right]
 
-It weighs each step by what is at stake. A HMI that minimises it alerts with more than even odds
+It weighs each step by what is at stake. An HMI that minimises it alerts with more than even odds
 exactly where the expected advantage, given all that it has seen, is positive; so it does what has
 the highest expected value, and 1 / log 2 times the loss is an upper bound of its regret per step.
 """

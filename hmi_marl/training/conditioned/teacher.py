@@ -44,8 +44,9 @@ class Teacher:
     def __init__(self, drivers: Sequence[Driver], config: TeamConfig, revealing: float) -> None:
         different, self._which = chains(drivers)
         game = config.alert_window, config.horizon, config.weights, revealing
-        tables = [solve_belief(d, *game).advantage[:, :, ::_EVERY] for d in different]
-        self._table = np.stack(tables).astype(np.float16)
+        # A copy of each before the next one is solved, for a view would keep all of its beliefs.
+        tables = (solve_belief(d, *game).advantage[:, :, ::_EVERY] for d in different)
+        self._table = np.stack([table.astype(np.float16) for table in tables])
         """[driver, t, m, b, i, c]; see :class:`BeliefSolution`."""
         self._traits = Traits.of(drivers)
         self._layout = vehicle_ai_layout(config)

@@ -148,6 +148,19 @@ _TEMPERATURES = torch.linspace(0.2, 1.2, 41)
 """Temperatures to choose from."""
 
 
+def _check_seats(settings: EvidenceSettings, traits: TraitModel) -> None:
+    """Make all that will drive or read once, before a folder is made.
+
+    Raises:
+        FileNotFoundError, ValueError: an unknown HMI or driver policy, or a trait model that reads
+            other states than these teams show.
+    """
+    TripEncoder(traits, settings.team)
+    make_driver_policy(settings.driver_policy, settings.team)
+    for name in settings.hmis:
+        make_hmi(name, settings.team)
+
+
 def learn_evidence(
     settings: EvidenceSettings,
     folder: Path,
@@ -158,7 +171,8 @@ def learn_evidence(
     """Learn in ``folder``, resuming a run that was interrupted there; arguments: :class:`Run`.
 
     Raises:
-        ValueError: the folder holds another run, or the settings name an unknown HMI or driver.
+        FileNotFoundError, ValueError: the folder holds another run, the settings name an HMI, a
+            driver policy or a trait model that is not there, or the latter does not fit the teams.
     """
     with own_torch_state(settings.threads):
         _Run(settings, folder, command_line=command_line, quiet=quiet, line=line).go()
@@ -170,10 +184,11 @@ class _Run(ModelRun):
     def __init__(self, settings: EvidenceSettings, folder: Path, **shown: Any) -> None:
         super().__init__(settings, folder, {"protocol": "evidence"}, **shown)
         self._settings = settings
+        traits = load_traits(settings.traits)
+        _check_seats(settings, traits)
         self._calibrated: float | None = None
         """Softmax temperature, once everything is learned."""
         torch.manual_seed(self.draw(Stream.LEARNING, 0))
-        traits = load_traits(settings.traits)
         self._model = EvidenceNetwork(settings.card(settings.team, traits))
         self._descent = Descent(
             self._model.parameters(), settings.learning_rate, settings.weight_decay

@@ -96,7 +96,7 @@ def _policy(name: str) -> str | dict[str, str]:
 
 
 def _by_checksum(name: str, file: Path) -> dict[str, str]:
-    """Short name of a model, and the checksum of the weights beside ``file``."""
+    """Short name of a model, and the checksum of its weights; ``file`` is these or the card."""
     short = name.lower() if is_shipped(name) else Path(name).name
     return {"name": short, "sha256": sha256_of(file.with_suffix(".safetensors"))}
 
@@ -158,7 +158,7 @@ def _differing(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
 
 
 def _identity(model: Any) -> Any:
-    """What must be the same of a model that a run reads, whatever the name of its folder."""
+    """Return what identifies a model that a run reads, whatever the name of its folder."""
     if not isinstance(model, dict):
         return model
     if isinstance(mixed := model.get(MIXTURE), list):

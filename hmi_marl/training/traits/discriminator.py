@@ -61,10 +61,6 @@ class DiscriminatorLearner:
             ]
         )
 
-    def prepare(self, batch: Batch) -> None:
-        """Take the units of the encoder's means from a batch of demonstrations."""
-        self.model.encoder.prepare(batch)
-
     def encode(self, batch: Batch) -> Posterior:
         """Return q(z | τ) of every pool."""
         posterior: Posterior = self.model.encoder(batch)

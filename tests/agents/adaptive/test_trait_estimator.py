@@ -32,10 +32,13 @@ class Told:
     def __init__(self, gains, drivers=FOUR[:2]):
         self.drivers = drivers
         self.gains = iter(np.array(gains, np.float64))
-        self.counts, self.begun = [], []
+        self.counts, self.forgotten, self.begun = [], [], []
 
-    def reset(self, count):
-        self.counts.append(count)
+    def reset(self, count, which=None):
+        if which is None:
+            self.counts.append(count)
+        else:
+            self.forgotten.append(which.tolist())
 
     def begin(self, which):
         self.begun.append(which.tolist())
@@ -120,7 +123,8 @@ def test_the_next_trip_keeps_the_belief_and_a_stranger_does_not():
     estimator.reset(3, np.array([False, True, False]))
     np.testing.assert_array_equal(estimator.belief.probabilities[[0, 2]], before[[0, 2]])
     np.testing.assert_allclose(estimator.belief.probabilities[1], [1 / 3, 2 / 3])
-    assert evidence.begun == [[True, False, False], [False, True, False]]
+    assert evidence.begun == [[True, False, False]]
+    assert evidence.forgotten == [[False, True, False]]
     after = estimator.observe(at(0, 0, 7)).probabilities  # step 0 of new trips is new
     np.testing.assert_allclose(after[[2, 1]], before[[2, 0]], rtol=1e-12)
     np.testing.assert_allclose(after[0], [np.e**2 / (np.e**2 + 2), 2 / (np.e**2 + 2)])
@@ -261,6 +265,33 @@ def test_trips_of_one_driver_add_up(kind):
     both.next_trip()
     np.testing.assert_allclose(trip(both, 2), odds[0] + odds[1], rtol=1e-9)
     assert np.abs(odds).min() > 1e-3
+
+
+@KINDS
+def test_a_new_driver_is_judged_as_in_a_first_trip(kind):
+    config = TeamConfig(driver="bart", ai_sees_attention=False, duration=4.0)
+    estimator, fresh = (TraitEstimator(evidence_of(kind, config), config) for _ in range(2))
+
+    def trip(of, seed):
+        teams = standing_teams(2, driver="bart", ai_sees_attention=False, duration=4.0)
+        teams.reset(seeds(2, seed))
+        return followed(of, teams, any_intents(20, 2, seed), any_alerts(20, 2, seed=seed))
+
+    estimator.reset(2)
+    trip(estimator, 1)
+    estimator.next_trip(np.array([True, False]))
+    estimator.reset(2, np.array([False, True]))
+    fresh.reset(2)
+    again, first = trip(estimator, 2), trip(fresh, 2)
+    np.testing.assert_array_equal(again[:, 1], first[:, 1])
+    assert (again[:, 0] != first[:, 0]).any(axis=1).all()
+    evidence, alone = estimator.evidence, fresh.evidence
+    if kind == "exact":
+        of_trips, of_one = evidence.filter.log_evidence, alone.filter.log_evidence
+    else:
+        of_trips, of_one = evidence.encoder.sums, alone.encoder.sums
+    np.testing.assert_array_equal(of_trips[1], of_one[1])
+    assert (of_trips[0] != of_one[0]).any()
 
 
 def calibrated(drivers, who, prior, steps=40):

@@ -4,6 +4,7 @@ from hmi_marl.agents.adaptive.hmis import Trained
 from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
 from hmi_marl.experiments.adaptation.experiment import Adaptation
 from hmi_marl.experiments.experiment import Place
+from hmi_marl.training.conditioned.settings import ConditionedSettings
 
 
 @pytest.mark.parametrize(
@@ -36,6 +37,9 @@ def test_what_is_learned_for_it_goes_by_the_driver_that_was_learned(tmp_path):
     assert evidence.driver_policy == hmi.driver_policy == str(tmp_path)
     assert evidence.traits == hmi.traits == "t"
     assert hmi.revealing == size.evaluation.revealing
+    assert hmi.batch == ConditionedSettings.batch
+    few = Adaptation(strangers=5, types=1).conditioned(tmp_path)
+    assert few.batch == few.trips_per_round == 2 * (5 + 4)  # a round has no more trips
 
 
 @pytest.mark.parametrize("name", ["drives", "updates", "rounds", "strangers", "rnn_hidden_dim"])

@@ -47,6 +47,9 @@ def test_who_drives_is_told_without_a_doubt():
     assert again.tolist() == [[-np.inf, 0], [0, -np.inf], [-np.inf, 0]]
     with pytest.raises(ValueError, match="a driver is not among the candidates"):
         evidence.set_drivers(Traits.of([BART, MARGE, BART]))
+    evidence.reset(3, np.array([True, False, False]))
+    others = evidence.observe(np.zeros((3, 1), np.float32), np.ones(3, np.bool_))
+    assert others.tolist() == [[0, -np.inf], [0, -np.inf], [-np.inf, 0]]
 
 
 def test_one_learned_for_the_driver_is_there_for_a_type_alone():

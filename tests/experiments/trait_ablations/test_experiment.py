@@ -1,6 +1,7 @@
 """The experiment "ablations": settings, figure, report, and the command on a few strangers."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -82,7 +83,7 @@ def test_every_variant_learns_from_the_first_of_one_population():
     assert len({sets[name].seed for name in (NAMED, JUDGED, STRANGERS)}) == 3
     few = TraitAblations(variants=("baseline", "strangers-300"))
     assert list(few.datasets(PLACE)) == [NAMED, JUDGED, STRANGERS]
-    parts = {name: whole.part(each) for name, each in BY_NAME.items()}
+    parts = {name: whole.trial(each) for name, each in BY_NAME.items()}
     assert {n for n, p in parts.items() if p.dataset == MANY} == {
         "strangers-5000",
         "strangers-10000",
@@ -95,6 +96,13 @@ def test_every_variant_learns_from_the_first_of_one_population():
     alone = [each.seed for each, _ in TraitAblations(seeds=3).by_seed(PLACE)]
     assert len(set(alone)) == 3
     assert len({each.file(BY_NAME["latent-2"], PLACE) for each, _ in whole.by_seed(PLACE)}) == 3
+
+
+def test_a_cluster_is_refused(tmp_path):
+    place = Place(tmp_path / "out", save_driver(tmp_path / "driver"))
+    TraitAblations().check(place)
+    with pytest.raises(ValueError, match="learn on this machine: leave --ray out"):
+        TraitAblations().check(replace(place, cluster=object()))
 
 
 def test_the_figure_has_a_panel_for_each_axis():
@@ -149,9 +157,9 @@ def test_the_command_learns_judges_and_resumes(tmp_path, capsys, monkeypatch):
     files[2].write_text("{}")
     made = []
 
-    def watched(part, recordings, path):
+    def watched(trial, recordings, path):
         before = path.stat().st_mtime_ns
-        result = score(part, recordings, path)
+        result = score(trial, recordings, path)
         made.extend([path.name] * (path.stat().st_mtime_ns != before))
         return result
 

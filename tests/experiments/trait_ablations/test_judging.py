@@ -1,4 +1,4 @@
-"""What is read of traits by probes, and rows against the default, against values by hand."""
+"""Traits read by probes, and rows compared with the default, against values by hand."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,6 @@
 """Learning of an encoder alone: as a run of trait models does it, from the first strangers."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,10 @@ from trait_models import SMALL
 from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.demonstrations.parquet import read_observed, write_demonstrations
 from hmi_marl.demonstrations.recording import CollectSettings, collect
+from hmi_marl.demonstrations.stored import OBSERVED, TRUTH
 from hmi_marl.training.ablations.design import EncoderDesign
 from hmi_marl.training.ablations.encoders import DesignedEncoder
-from hmi_marl.training.ablations.learning import LearnedEncoder, learn_encoder, learn_in
+from hmi_marl.training.ablations.learning import LearnedEncoder, learn_encoder, make_updates
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.traits import run
 from hmi_marl.training.traits.settings import TraitSettings
@@ -50,7 +52,7 @@ def test_the_default_learns_what_a_run_of_trait_models_learns(strangers, tmp_pat
     encoder = DesignedEncoder(begun._card, EncoderDesign())
     first = begun._discriminator.model.encoder
     encoder.load_state_dict(first.state_dict())
-    learn_in(encoder, begun._windows, TINY)
+    make_updates(encoder, begun._windows, TINY)
     moved = [not np.array_equal(first.arrays()[name], a) for name, a in encoder.arrays().items()]
     assert all(moved)
     for name, values in encoder.arrays().items():
@@ -79,6 +81,17 @@ def test_it_learns_from_the_first_strangers_and_windows_alone(strangers, tmp_pat
     assert len(calls) == 2 * (TINY.average_updates + TINY.encoder_updates)
     with pytest.raises(ValueError, match="holds no 3 strangers with 3 windows each"):
         learn_encoder(EncoderDesign(), TINY, tmp_path, 3, 3)
+
+
+@pytest.mark.parametrize("loss", ["posteriors", "margin"])
+def test_it_learns_and_encodes_where_the_truth_is_gone(loss, strangers, tmp_path):
+    shutil.copy(strangers / OBSERVED, tmp_path)
+    both = [learn_encoder(EncoderDesign(loss=loss), TINY, f, 4, 4) for f in (strangers, tmp_path)]
+    for known, blind in zip(*(each.encoder.state_dict().items() for each in both), strict=True):
+        assert known[0] == blind[0]
+        torch.testing.assert_close(blind[1], known[1], rtol=0, atol=0)
+    np.testing.assert_array_equal(both[0].encode(strangers), both[1].encode(tmp_path))
+    assert not (tmp_path / TRUTH).exists()
 
 
 def test_the_seed_decides(strangers):

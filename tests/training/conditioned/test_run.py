@@ -6,18 +6,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from evidence_models import evidence_weights, trait_model, untrained_evidence
+from evidence_models import SMALL, evidence_weights, trait_model, untrained_evidence
+from trait_models import untrained
 from unchecked import unchecked
 
-from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, save_evidence
+from hmi_marl.agents.adaptive.evidence_model import (
+    EvidenceCard,
+    LearnedEvidence,
+    save_evidence,
+)
 from hmi_marl.agents.adaptive.hmis import TYPES, ConditionedHMI, Trained, make_adaptive
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
 from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.agents.learned.network import Network, NetworkConfig
+from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import LearnedPolicy, load_policy
+from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import Traits
 from hmi_marl.envs.observations import vehicle_ai_layout
+from hmi_marl.envs.scene import Scene
 from hmi_marl.training.conditioned.run import learn_conditioned
 from hmi_marl.training.conditioned.settings import ConditionedSettings
 from hmi_marl.training.conditioned.student import Student
@@ -116,6 +124,17 @@ def test_another_evidence_model_or_run_is_refused(tmp_path, evidence):
     assert not (tmp_path / "new").exists()
 
 
+def test_a_trait_model_of_another_scene_is_refused_before_there_is_a_folder(tmp_path):
+    other = untrained(observed_layout(TeamConfig(scene=Scene(lidar_cells=8))))
+    save_traits(tmp_path / "traits", other.card, other.weights)
+    card = EvidenceCard.for_team(TEAM, other, **SMALL)
+    save_evidence(tmp_path / "evidence", card, evidence_weights(card))
+    settings = replace(TINY, traits=str(tmp_path / "traits"))
+    with pytest.raises(ValueError, match=r"reads 16 columns of 'lidar', .* use the scene"):
+        learned(tmp_path / "run", tmp_path / "evidence", settings)
+    assert not (tmp_path / "run").exists()
+
+
 def test_learning_that_diverges_is_reported(tmp_path, evidence):
     wild = unchecked(replace(TINY, updates=20), learning_rate=1e30)
     with pytest.raises(FloatingPointError, match=r"diverged in batch \d+ of phase 1"):
@@ -125,18 +144,36 @@ def test_learning_that_diverges_is_reported(tmp_path, evidence):
 # Trips, and what is learned from them.
 
 
-def driven(drivers, traits=None, seed=0):
+class Watched(LearnedPolicy):
+    """A policy that keeps what it reads, what follows from it, and what it does."""
+
+    def __init__(self, *arguments, **choices):
+        super().__init__(*arguments, **choices)
+        self.read, self.odds, self.acts = [], [], []
+
+    def probabilities(self, observations):
+        found = super().probabilities(observations)
+        self.read.append(np.concatenate([observations[:, self._columns], self.context], axis=1))
+        self.odds.append(np.log(found[:, 1]) - np.log(found[:, 0]))
+        return found
+
+    def act(self, observations):
+        self.acts.append(super().act(observations))
+        return self.acts[-1]
+
+
+def driven(drivers, traits=None, seed=0, team=TEAM):
     """Trips of ``drivers`` with an untrained HMI; the teacher takes them for ``traits``."""
     model = untrained_evidence(TEAM)
-    evidence = LearnedEvidence(model, trait_model(), TYPES, TEAM)
+    evidence = LearnedEvidence(model, trait_model(), TYPES, team)
     card = TINY.card(model.card.context)
     torch.manual_seed(seed)
-    policy = LearnedPolicy(card, Student(card).weights(), TEAM, greedy=False)
-    hmi = ConditionedHMI(TraitEstimator(evidence, TEAM), policy, model.expected(Traits.of(TYPES)))
-    teacher = Teacher(traits or drivers, TEAM, 0.35)
+    policy = Watched(card, Student(card).weights(), team, greedy=False)
+    hmi = ConditionedHMI(TraitEstimator(evidence, team), policy, model.expected(Traits.of(TYPES)))
+    teacher = Teacher(traits or drivers, team, 0.35)
     trips = np.arange(2 * len(drivers), dtype=np.uint64).reshape(-1, 2)
-    policy_of_driver = make_driver_policy("random", TEAM)
-    return drive(TEAM, policy_of_driver, hmi, drivers, teacher, 0.35, trips, 1), policy
+    policy_of_driver = make_driver_policy("random", team)
+    return drive(team, policy_of_driver, hmi, drivers, teacher, 0.35, trips, 1), policy
 
 
 @pytest.fixture(scope="module")
@@ -146,20 +183,43 @@ def both():
     return driven([bart, lisa]), driven([bart, lisa], [lisa, bart])
 
 
-def test_what_the_network_reads_is_what_the_driving_hmi_read(both):
+def by_trip(values):
+    """Values (N, ...) of each turn of two trips of N = 2 drivers as (2 N, T, ...)."""
+    turns = np.array(values)
+    return np.concatenate([np.moveaxis(part, 0, 1) for part in np.split(turns, 2)])
+
+
+def test_what_is_learned_from_is_what_the_driving_hmi_read(both):
     (trips, policy), _ = both
     assert trips.inputs.shape == (4, 100, policy.card.inputs)
     assert trips.driving[:, 0].all()
+    np.testing.assert_array_equal(trips.inputs, by_trip(policy.read).astype(np.float32))
     student = Student(policy.card)
     torch.manual_seed(0)
     student = Student(policy.card)
     with torch.no_grad():
         odds = student(torch.from_numpy(trips.inputs)).numpy()
-    network = Network(policy.card.network, policy.weights)
-    network.forget(4)
-    for t in range(100):
-        logits = network(trips.inputs[:, t])
-        np.testing.assert_allclose(odds[:, t], logits[:, 1] - logits[:, 0], atol=1e-4)
+    np.testing.assert_allclose(odds, by_trip(policy.odds), atol=1e-4)
+
+
+def test_every_second_driver_has_an_hmi_that_does_not_depend_on_what_is_learned(both):
+    (trips, policy), _ = both
+    own, there = by_trip(policy.acts), trips.driving
+    np.testing.assert_array_equal(trips.alerts[::2][there[::2]], own[::2][there[::2]] > 0)
+    assert (trips.alerts[1::2] != own[1::2])[there[1::2]].any()
+    other, _ = driven([TYPES[2], TYPES[0]], seed=1)
+    np.testing.assert_array_equal(other.alerts[1::2], trips.alerts[1::2])
+    np.testing.assert_array_equal(other.inputs[1::2], trips.inputs[1::2])
+    assert (other.alerts[::2] != trips.alerts[::2]).any()
+
+
+def test_attention_and_traits_that_are_shown_change_no_trip(both):
+    (trips, _), _ = both
+    shown = TeamConfig(ai_sees_attention=True, observe_traits=True)
+    assert {"traits", "distracted"} <= set(vehicle_ai_layout(shown).slices)
+    seeing, _ = driven([TYPES[2], TYPES[0]], team=shown)
+    for name, values in vars(trips).items():
+        np.testing.assert_array_equal(getattr(seeing, name), values)
 
 
 def test_traits_reach_the_teacher_alone(both):

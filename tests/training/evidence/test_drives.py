@@ -8,7 +8,9 @@ from hmi_marl.agents import make_driver_policy, make_hmi
 from hmi_marl.agents.adaptive.evidence_model import DERIVED, Turns
 from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, known_name
+from hmi_marl.envs.observations import vehicle_ai_layout
 from hmi_marl.envs.streams import Stream, mix
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import make_world
@@ -85,6 +87,16 @@ def test_drives_are_those_of_an_ordinary_team(driven):
             steps += 1
         assert driven.driving[k].tolist() == [t < steps for t in range(100)]
         np.testing.assert_allclose(driven.z[k], encoder.latent().mean[0], rtol=1e-4, atol=1e-4)
+
+
+def test_attention_and_traits_that_are_shown_change_no_drive(driven, monkeypatch):
+    shown = TeamConfig(ai_sees_attention=True, observe_traits=True)
+    assert {"traits", "distracted"} <= set(vehicle_ai_layout(shown).slices)
+    assert "distracted" not in vehicle_ai_layout(SETTINGS.team).slices
+    monkeypatch.setattr(EvidenceSettings, "team", shown)
+    seeing = drive_all(SETTINGS)
+    for name in ("turns", "driving", "z"):
+        np.testing.assert_array_equal(getattr(seeing, name), getattr(driven, name))
 
 
 def test_drives_end_with_the_crash(driven):

@@ -5,11 +5,16 @@ import numpy as np
 import pytest
 import torch
 from evidence_models import trait_model
+from trait_models import untrained
 from unchecked import unchecked
 
 from hmi_marl.agents.adaptive.evidence_model import load_evidence
 from hmi_marl.agents.learned.network import NetworkConfig
+from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.demonstrations.dataset import observed_layout
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits
+from hmi_marl.envs.scene import Scene
 from hmi_marl.training.evidence import run
 from hmi_marl.training.evidence.run import RecordedDrives, drive_all, learn_evidence
 from hmi_marl.training.evidence.settings import EvidenceSettings
@@ -211,6 +216,25 @@ def test_a_driver_that_is_not_there_is_told_at_once(tmp_path):
 def test_a_trait_model_that_is_not_there_is_reported_at_once(tmp_path):
     with pytest.raises(FileNotFoundError, match="no trait model at"):
         learned(tmp_path / "run", replace(TINY, traits=str(tmp_path / "nowhere")))
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        ({"hmis": ("never", "siren")}, "unknown HMI 'siren'"),
+        ({"driver_policy": "autopilot"}, "unknown driver policy 'autopilot'"),
+        ({"traits": "other"}, r"reads 16 columns of 'lidar', .* use the scene"),
+    ],
+    ids=str,
+)
+def test_what_cannot_drive_or_read_is_refused_before_there_is_a_folder(tmp_path, changes, found):
+    other = untrained(observed_layout(TeamConfig(scene=Scene(lidar_cells=8))))
+    save_traits(tmp_path / "other", other.card, other.weights)
+    if "traits" in changes:
+        changes = {"traits": str(tmp_path / "other")}
+    with pytest.raises(ValueError, match=found):
+        learned(tmp_path / "run", replace(TINY, **changes))
+    assert not (tmp_path / "run").exists()
 
 
 def test_torch_is_left_as_it_was(tmp_path):

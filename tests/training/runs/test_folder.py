@@ -49,7 +49,7 @@ def test_the_same_driver_elsewhere_goes_on_and_another_is_refused(tmp_path: Path
         run_settings(replace(settings, driver_policy=str(tmp_path / "nowhere")))
 
 
-def test_a_trait_model_is_told_in_the_same_way(tmp_path: Path) -> None:
+def test_a_trait_model_is_noted_in_the_same_way(tmp_path: Path) -> None:
     mine, moved, other = (tmp_path / name for name in ("mine", "moved", "other"))
     for folder, seed in ((mine, 0), (moved, 0), (other, 1)):
         model = untrained(observed_layout(TeamConfig()), seed)

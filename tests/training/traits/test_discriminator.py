@@ -44,7 +44,7 @@ def adversary(**weights):
     torch.manual_seed(0)
     settings = replace(SETTINGS, weights=replace(LossWeights(), **weights))
     one = DiscriminatorLearner(CARD, settings, make_policy(CARD), "cpu")
-    one.prepare(pools(8, seed=3))
+    one.model.encoder.prepare(pools(8, seed=3))
     return one
 
 
@@ -102,7 +102,7 @@ def test_a_fixed_encoder_stays_as_it_is_while_the_rest_learns():
     torch.manual_seed(0)
     settings = replace(SETTINGS, supervision="self", latent=2)
     one = DiscriminatorLearner(CARD, settings, make_policy(CARD), "cpu")
-    one.prepare(pools(8, seed=3))
+    one.model.encoder.prepare(pools(8, seed=3))
     before = {name: value.clone() for name, value in one.model.state_dict().items()}
     for _ in range(2):
         row = one.learn(pools(4), None, pools(2, seed=1), torch.randn(2, 2))
