@@ -153,16 +153,13 @@ class TaskResults:
     ) -> Estimate:
         """Average a difference from an exact value over drivers and runs.
 
-        All runs play the same episodes, whose luck does not average out over runs: the half
-        interval over episodes is added to that over runs, as squares; so are standard errors.
+        All runs play the same episodes, whose luck does not average out over runs; see
+        :func:`~hmi_marl.reporting.statistics.mean_of_same`.
         """
         names = self.plan.settings.driver_names
-        each = [statistics.average([value(self.played[p], name) for name in names]) for p in pairs]
-        over = statistics.mean([found.mean for found in each])
-        luck = float(np.mean([found.high - found.mean for found in each]))
-        half = math.hypot(over.high - over.mean, luck)
-        error = math.hypot(over.error, float(np.mean([found.error for found in each])))
-        return Estimate(over.mean, over.mean - half, over.mean + half, error, over.count)
+        return statistics.mean_of_same(
+            [statistics.average([value(self.played[p], name) for name in names]) for p in pairs]
+        )
 
     def pooled(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Sums:
         """Join the episodes of several pairs."""
