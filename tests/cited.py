@@ -13,6 +13,7 @@ from typing import Any
 from hmi_marl.reporting.blocks import Block, Clip, Figure, Table, Verdicts
 from hmi_marl.reporting.cards import Cards, Tally
 from hmi_marl.reporting.pages import PagedReport
+from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.sources import resolve
 
 _NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?")
@@ -79,8 +80,10 @@ def _odd(title: str, text: str, places: Sequence[Any]) -> list[str]:
     return [f"{title}: {number} is at none of its sources" for number in sorted(unknown)]
 
 
-def missing_in(report: PagedReport) -> list[str]:
-    """The same of all pages of a report."""
+def missing_in(report: PagedReport | Report) -> list[str]:
+    """The same of all that a report shows."""
+    if isinstance(report, Report):
+        return missing(report.blocks, report.content)
     odd = []
     for page in report.pages:
         content = {f"{report.name}.json": report.content, **report.more}[page.cited.file]
