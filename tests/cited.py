@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
+
+import pytest
 
 from hmi_marl.reporting.blocks import Block, Clip, Figure, Table, Verdicts
 from hmi_marl.reporting.cards import Cards, Tally
@@ -89,3 +92,13 @@ def missing_in(report: PagedReport | Report) -> list[str]:
         content = {f"{report.name}.json": report.content, **report.more}[page.cited.file]
         odd += [f"{page.name}: {each}" for each in missing(page.blocks, content, page.cited.within)]
     return odd
+
+
+@contextmanager
+def reports_written() -> Iterator[list[Report]]:
+    """Reports that are written within, each once."""
+    found: list[Report] = []
+    with pytest.MonkeyPatch.context() as patch:
+        write = Report.write
+        patch.setattr(Report, "write", lambda own, folder: found.append(own) or write(own, folder))
+        yield found
