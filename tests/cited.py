@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
+
+import pytest
 
 from hmi_marl.reporting.blocks import Block, Clip, Figure, Table, Verdicts
 from hmi_marl.reporting.cards import Cards, Tally
 from hmi_marl.reporting.pages import PagedReport
+from hmi_marl.reporting.report import Report
 from hmi_marl.reporting.sources import resolve
 
 _NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?")
@@ -79,10 +83,22 @@ def _odd(title: str, text: str, places: Sequence[Any]) -> list[str]:
     return [f"{title}: {number} is at none of its sources" for number in sorted(unknown)]
 
 
-def missing_in(report: PagedReport) -> list[str]:
-    """The same of all pages of a report."""
+def missing_in(report: PagedReport | Report) -> list[str]:
+    """The same of all that a report shows."""
+    if isinstance(report, Report):
+        return missing(report.blocks, report.content)
     odd = []
     for page in report.pages:
         content = {f"{report.name}.json": report.content, **report.more}[page.cited.file]
         odd += [f"{page.name}: {each}" for each in missing(page.blocks, content, page.cited.within)]
     return odd
+
+
+@contextmanager
+def reports_written() -> Iterator[list[Report]]:
+    """Reports that are written within, each once."""
+    found: list[Report] = []
+    with pytest.MonkeyPatch.context() as patch:
+        write = Report.write
+        patch.setattr(Report, "write", lambda own, folder: found.append(own) or write(own, folder))
+        yield found

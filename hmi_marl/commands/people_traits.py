@@ -51,7 +51,7 @@ class PeopleTraits:
         from hmi_marl.files import json_value, make_folder
         from hmi_marl.ownership import owned
         from hmi_marl.people.measure.person import measure_person
-        from hmi_marl.people.measure.report import blocks
+        from hmi_marl.people.measure.report import blocks, numbers
         from hmi_marl.people.measure.traits import check_width
         from hmi_marl.people.measure.trip_files import measurable, read_trips
         from hmi_marl.reporting.report import Report, print_page
@@ -77,7 +77,7 @@ class PeopleTraits:
                 "traits",
                 title,
                 blocks(person),
-                person.as_json(),
+                numbers(person),
                 command_line,
                 json_value(settings),
             )

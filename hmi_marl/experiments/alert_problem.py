@@ -15,6 +15,9 @@ from hmi_marl.files import json_value
 from hmi_marl.paper.audit import HORIZONS, AuditedCell, audit
 from hmi_marl.reporting.blocks import Block, Table, Text
 
+AUDIT = "/audit"
+"""Place of the audit in a JSON file."""
+
 
 @dataclass(frozen=True)
 class AlertProblem:
@@ -50,7 +53,12 @@ class AlertProblem:
         ]
         return [
             Text(about),
-            Table("", ["HMI", "attention return", "distraction return", "alerts"], rows),
+            Table(
+                "",
+                ["HMI", "attention return", "distraction return", "alerts"],
+                rows,
+                sources=["/returns"],
+            ),
             Text(
                 f"Distraction returns that any alert policy can reach: {self.reachable.least:.2f} "
                 f"to {self.reachable.most:.2f}"
@@ -121,4 +129,4 @@ def audit_table(cells: Sequence[AuditedCell], window: int) -> Table:
         f"The paper's distraction returns, and what any alert policy can reach at N = {window} "
         f"over {HORIZONS[0]} to {HORIZONS[-1]} steps"
     )
-    return Table.of(title, cells, columns)
+    return Table.of(title, cells, columns, sources=[AUDIT])

@@ -208,6 +208,7 @@ def conduct(experiment: Experiment[Any], place: Place) -> Report:
 
 def _conduct(experiment: Experiment[Any], place: Place) -> Report:
     results = experiment.run(place)
+    numbers = experiment.numbers(results)
     verdicts = judged_together(experiment.judge(results))
     judged = [Verdicts(verdicts)] if verdicts else []
     listed = {"verdicts": [verdict.as_json() for verdict in verdicts]} if verdicts else {}
@@ -215,7 +216,7 @@ def _conduct(experiment: Experiment[Any], place: Place) -> Report:
         experiment.files or experiment.name,
         experiment.title,
         (*experiment.blocks(results), *judged),
-        {**experiment.numbers(results), **listed},
+        {**numbers, **listed},
         place.command_line,
         experiment.settings(),
         place.watch.seconds,

@@ -43,6 +43,17 @@ class Report:
         return as_text([*self.blocks, *self._times()])
 
     @property
+    def content(self) -> dict[str, Any]:
+        """Content of the JSON file."""
+        about = {
+            "hmi_marl_version": hmi_marl.__version__,
+            "command": self.command_line,
+            "settings": json_value(self.settings),
+        }
+        times = {"seconds": dict(self.seconds)} if self.seconds else {}
+        return {**about, **self.numbers, **times}
+
+    @property
     def page(self) -> str:
         """HTML page that needs no other file; its links to numbers lead to NAME.json next to it."""
         cited = Citation(self.command_line, f"{self.name}.json")
@@ -67,13 +78,7 @@ class Report:
     def write_results(self, folder: Path) -> None:
         """Write NAME.txt and NAME.json, for which nothing is drawn."""
         write_text(folder / f"{self.name}.txt", self.text + "\n")
-        about = {
-            "hmi_marl_version": hmi_marl.__version__,
-            "command": self.command_line,
-            "settings": json_value(self.settings),
-        }
-        times = {"seconds": dict(self.seconds)} if self.seconds else {}
-        write_json(folder / f"{self.name}.json", {**about, **self.numbers, **times})
+        write_json(folder / f"{self.name}.json", self.content)
 
     def _times(self) -> list[Block]:
         rows = [[part, f"{spent:.0f} s"] for part, spent in self.seconds.items()]

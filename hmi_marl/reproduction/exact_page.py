@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from hmi_marl.envs.drivers import DRIVERS
@@ -16,7 +15,7 @@ from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.sources import pointer
 
 HORIZON = 100
-EXACT, AUDIT = "/exact", "/audit"
+EXACT = "/exact"
 """Places of the exact values and of the audit in the report's JSON file."""
 
 
@@ -97,8 +96,7 @@ def audit_blocks(cells: Sequence[AuditedCell]) -> list[Block]:
         f"{len(out)} of {len(cells)} are out of reach of every alert policy; {len(like_1)} of "
         f"these are what η = 1 would give, within {100 * ETA_1_TOLERANCE:.0f} %."
     )
-    table = audit_table(cells, oracle.DEFAULT_WINDOW)
-    return [Text(text), replace(table, sources=[AUDIT])]
+    return [Text(text), audit_table(cells, oracle.DEFAULT_WINDOW)]
 
 
 def _near(paper: float, ends: tuple[float, float]) -> bool:

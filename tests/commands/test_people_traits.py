@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from cited import missing_in, reports_written
 
 from hmi_marl.cli import main
 from hmi_marl.envs.config import TeamConfig
@@ -37,7 +38,9 @@ def run(recordings, tmp_path, *words):
 
 def test_a_person_becomes_a_driver(recordings, tmp_path, capsys):
     name = ["--name", "visitor-17"]
-    assert run(recordings, tmp_path, "trips", *name) == 0
+    with reports_written() as reports:
+        assert run(recordings, tmp_path, "trips", *name) == 0
+    assert [missing_in(report) for report in reports] == [[]]
     printed = capsys.readouterr().out
     for words in ("looks away, per step", "lisa", "own (optimal", "Minutes needed", "not contrad"):
         assert words in printed
@@ -57,7 +60,9 @@ def test_one_of_several_visitors_is_chosen(recordings, tmp_path, capsys):
     words = ["--driver-policy", "none"]
     assert run(recordings, tmp_path, "both.json", *words) == 2
     assert "choose one with --visitor: ada, bob" in capsys.readouterr().err
-    assert run(recordings, tmp_path, "both.json", *words, "--visitor", "bob") == 0
+    with reports_written() as reports:
+        assert run(recordings, tmp_path, "both.json", *words, "--visitor", "bob") == 0
+    assert [missing_in(report) for report in reports] == [[]]
     assert "not measured" in capsys.readouterr().out
     assert get_driver(str(tmp_path / "measured" / "person.json")).inflation == 6.0
 

@@ -4,6 +4,7 @@ import json
 import re
 
 import pytest
+from cited import missing_in, reports_written
 from people.study.studies import a_study
 
 from hmi_marl.cli import main
@@ -39,7 +40,9 @@ def test_make_renders_once_and_says_what_raters_are_to_see(tmp_path, capsys):
 def test_power_and_its_answers_are_marked_as_simulated_wherever_they_go(tmp_path, capsys):
     a_study(tmp_path / "study", clips=4)
     words = "study power study --raters 8 16 --studies 20 --plan.effect 2 --out power"
-    assert main(words.split()) == 0
+    with reports_written() as reports:
+        assert main(words.split()) == 0
+    assert [missing_in(report) for report in reports] == [[]]
     printed = capsys.readouterr().out
     assert printed.startswith("Simulated: SIMULATED raters")
     names = {path.name for path in (tmp_path / "power").iterdir()}
@@ -57,7 +60,10 @@ def test_power_and_its_answers_are_marked_as_simulated_wherever_they_go(tmp_path
     assert contrast["power"][1]["mean"] > 0.8
     assert "SIMULATED" in (tmp_path / "power" / "index.html").read_text()
 
-    assert main(["study", "analyse", "study", "power/answers-simulated.csv", "--out", "found"]) == 0
+    words = "study analyse study power/answers-simulated.csv --out found"
+    with reports_written() as reports:
+        assert main(words.split()) == 0
+    assert [missing_in(report) for report in reports] == [[]]
     printed = capsys.readouterr().out
     assert re.search(r"supported +raters see bart as more distracted than lisa", printed)
     names = {path.name for path in (tmp_path / "found").iterdir()}
@@ -70,7 +76,7 @@ def test_power_and_its_answers_are_marked_as_simulated_wherever_they_go(tmp_path
     content = json.loads((tmp_path / "found" / "study-simulated.json").read_text())
     assert content["simulated"] is True
     assert content["raters"] + content["left_out"]["failed"] == 16
-    assert content["contrasts"][0]["verdict"]["outcome"] == "supported"
+    assert content["verdicts"][0]["outcome"] == "supported"
     assert "SIMULATED" in (tmp_path / "found" / "index.html").read_text()
 
 

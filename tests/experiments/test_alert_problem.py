@@ -1,4 +1,5 @@
 import pytest
+from cited import missing
 
 from hmi_marl.experiments.alert_problem import alert_problem, audit_table
 from hmi_marl.paper.audit import audit
@@ -23,6 +24,7 @@ def test_the_optimum_is_listed_first_and_is_the_best() -> None:
     best = next(iter(found.returns.values()))
     assert list(found.returns) == ["optimal", "when-distracted", "never", "always"]
     assert all(row.total_return <= best.total_return + 1e-9 for row in found.returns.values())
+    assert not missing(found.blocks(), found.as_json())
     text = as_text(found.blocks())
     assert "homer: β = 0.8, α = 0.2, η = 1; N = 7, 50 steps" in text
     assert f"{best.total_return:.2f}" in text

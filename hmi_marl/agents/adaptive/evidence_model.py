@@ -30,8 +30,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
-from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, digest_of, part_of
+from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card
+from hmi_marl.agents.learned.network import (
+    Network,
+    NetworkConfig,
+    Weights,
+    digest_of,
+    part_of,
+    part_shapes,
+)
 from hmi_marl.agents.learned.situations import LONG_AGO
 from hmi_marl.agents.learned.trait_model import TraitModel
 from hmi_marl.checks import Checked, Units

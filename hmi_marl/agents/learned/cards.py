@@ -292,15 +292,6 @@ def checked_reads(reads: Iterable[tuple[str, int]], model: str) -> tuple[tuple[s
     return parts
 
 
-def part_shapes(card: object, sizes: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, ...]]:
-    """Return shapes by ``part.NAME`` of a card's networks, from inputs and outputs of each."""
-    return {
-        f"{part}.{name}": shape
-        for part, (inputs, outputs) in sizes.items()
-        for name, shape in getattr(card, part).shapes(inputs, outputs).items()
-    }
-
-
 def find_card(place: str | Path, kind: str, model: str, hint: str = "") -> Path:
     """Return the path of a model's card.
 

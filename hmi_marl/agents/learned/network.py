@@ -157,6 +157,15 @@ def _product(x: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.
     return result
 
 
+def part_shapes(card: object, sizes: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, ...]]:
+    """Return shapes by ``part.NAME`` of a card's networks, from inputs and outputs of each."""
+    return {
+        f"{part}.{name}": shape
+        for part, (inputs, outputs) in sizes.items()
+        for name, shape in getattr(card, part).shapes(inputs, outputs).items()
+    }
+
+
 def part_of(weights: Weights, part: str) -> Weights:
     """Return the weights of one network among several, named ``part.NAME``, by NAME."""
     start = f"{part}."

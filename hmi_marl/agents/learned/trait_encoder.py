@@ -26,8 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import part_shapes
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of
+from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, part_of, part_shapes
 from hmi_marl.agents.learned.situations import ACTIONS, EXTRA, LONG_AGO, situations
 from hmi_marl.checks import Checked, Count, Units
 

@@ -20,8 +20,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card, part_shapes
-from hmi_marl.agents.learned.network import Network, NetworkConfig, Weights, digest_of, part_of
+from hmi_marl.agents.learned.cards import CardFormat, checked_reads, find_card
+from hmi_marl.agents.learned.network import (
+    Network,
+    NetworkConfig,
+    Weights,
+    digest_of,
+    part_of,
+    part_shapes,
+)
 from hmi_marl.agents.learned.situations import ACTIONS, EXTRA
 from hmi_marl.agents.learned.trait_encoder import Encoder, EncoderConfig, Latent, standardise
 from hmi_marl.checks import Checked, Count, Share, Units

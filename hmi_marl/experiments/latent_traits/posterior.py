@@ -30,6 +30,7 @@ from hmi_marl.experiments.latent_traits.ceiling import check_at_random, driver_p
 from hmi_marl.files import json_value
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Table, Text
+from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import Estimate
 
 LEVELS = (0.5, 0.8, 0.95)
@@ -295,20 +296,23 @@ class PosteriorEvaluation(Experiment[list[PosteriorRow]]):
         ]
         for case in self.cases:
             rows = [row for row in results if row.case == case]
+            sources = [pointer("rows", k) for k, row in enumerate(results) if row.case == case]
             intent, policy = case.split("-")
             of = f"a^H {intent}, driver policy {policy}"
             blocks += [
-                Table.of(f"R² of the posterior mean: {of}", rows, _columns(_r2)),
+                Table.of(f"R² of the posterior mean: {of}", rows, _columns(_r2), sources=sources),
                 Table.of(
                     f"Coverage of the intervals of 50, 80 and 95 % [%]: {of}",
                     rows,
                     _columns(_coverage),
+                    sources=sources,
                 ),
                 Table.of(
                     f"Drivers by the rank of the truth, in tenths: {of}",
                     rows[-1:],
                     _columns(_ranks),
                     "Even, but for chance, if the posterior is calibrated.",
+                    sources,
                 ),
             ]
         return blocks

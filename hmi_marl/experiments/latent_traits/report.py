@@ -13,26 +13,10 @@ from hmi_marl.experiments import criteria
 from hmi_marl.experiments.experiment import Experiment
 from hmi_marl.experiments.latent_traits.assessment import WINDOWS
 from hmi_marl.experiments.latent_traits.figures import TITLES, embeddings_figure
-from hmi_marl.experiments.latent_traits.results import (
-    AVERAGED,
-    TraitResults,
-    by_windows,
-    r2_of_traits,
-    sources_of,
-)
-from hmi_marl.experiments.latent_traits.tables import (
-    accuracy_figure,
-    driving_table,
-    identity_table,
-    likelihood_table,
-    naming_table,
-    prediction_table,
-    ranking_table,
-    trait_table,
-)
+from hmi_marl.experiments.latent_traits.results import TraitResults, sources_of
+from hmi_marl.experiments.latent_traits.tables import accuracy_figure, tables_of
 from hmi_marl.experiments.latent_traits.trait_figures import reading_figure
 from hmi_marl.experiments.training_seeds import learned_part
-from hmi_marl.files import json_value
 from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import Block, Text
@@ -85,23 +69,7 @@ class TraitReport(Experiment[TraitResults]):
 
     def numbers(self, results: TraitResults) -> dict[str, Any]:
         """JSON content."""
-        return {
-            "pool": results.pool,
-            "one_step": json_value(results.one_step),
-            "posterior": json_value(results.posterior),
-            "supervisions": {
-                name: {
-                    "accuracy": results.accuracy(name, results.pool).as_json(),
-                    "average_kl": results.average_kl(name, results.pool).as_json(),
-                    "paper_kl": AVERAGE_KL.get(name),
-                    "by_windows": by_windows(results, name),
-                    "r2": r2_of_traits(results, name),
-                    **{of: json_value(results.averaged(name, of)) for of in AVERAGED},
-                    "seeds": [one.as_json() for one in several],
-                }
-                for name, several in results.assessments.items()
-            },
-        }
+        return results.as_json()
 
     def blocks(self, results: TraitResults) -> list[Block]:
         """Show the figures and all tables."""
@@ -112,15 +80,6 @@ class TraitReport(Experiment[TraitResults]):
             "seeds; silhouette, Rand and figures of z are of the first. A driver policy that reads "
             "all traits also reacts to them: `hmi-marl reproduce identify` shows how much that "
             "tells."
-        )
-        tables = (
-            identity_table(results),
-            trait_table(results),
-            naming_table(results),
-            prediction_table(results),
-            likelihood_table(results),
-            driving_table(results),
-            ranking_table(results),
         )
         return [
             Text(" ".join([note, *left_out(results)])),
@@ -134,7 +93,7 @@ class TraitReport(Experiment[TraitResults]):
                 for name, one in results.first.items()
                 if name == "self" and one.reading is not None
             ),
-            *(table for table in tables if table.rows),
+            *tables_of(results),
         ]
 
 

@@ -12,6 +12,7 @@ from hmi_marl.experiments.latent_traits.ceiling import Ceilings
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow
 from hmi_marl.experiments.training_seeds import over_seeds
 from hmi_marl.files import json_value
+from hmi_marl.paper.printed import AVERAGE_KL
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import Estimate
@@ -100,34 +101,52 @@ class TraitResults:
         """Average a field of the assessments, by its ``name``, over training seeds."""
         return over_seeds([getattr(one, name) for one in self.assessments[setting]])
 
+    def as_json(self) -> dict[str, Any]:
+        """JSON content."""
+        return {
+            "pool": self.pool,
+            "one_step": json_value(self.one_step),
+            "posterior": json_value(self.posterior),
+            "supervisions": {
+                name: {
+                    "accuracy": self.accuracy(name, self.pool).as_json(),
+                    "average_kl": self.average_kl(name, self.pool).as_json(),
+                    "paper_kl": AVERAGE_KL.get(name),
+                    "by_windows": self._by_windows(name),
+                    "r2": self._r2_of_traits(name),
+                    **{of: json_value(self.averaged(name, of)) for of in AVERAGED},
+                    "seeds": [one.as_json() for one in several],
+                }
+                for name, several in self.assessments.items()
+            },
+        }
+
+    def _by_windows(self, setting: str) -> list[dict[str, Any]]:
+        """Means over the seeds of a setting, by windows seen."""
+        return [
+            {
+                "windows": row.windows,
+                "accuracy": self.accuracy(setting, row.windows).as_json(),
+                "average_kl": self.average_kl(setting, row.windows).as_json(),
+                "preference_accuracy": self.accuracy(setting, row.windows, "preferences").as_json()
+                if row.preferences
+                else None,
+            }
+            for row in self.first[setting].identified
+        ]
+
+    def _r2_of_traits(self, setting: str) -> dict[str, Any]:
+        """R² of each trait of strangers, means over the seeds of a setting, and the exact ones."""
+        reading = self.first[setting].reading
+        return {
+            trait: {
+                **{probe: json_value(self.trait_r2(setting, trait, probe)) for probe in PROBES},
+                "share_of_exact": json_value(self.share_of_exact(setting, trait)),
+            }
+            for trait in (reading.r2 if reading is not None else ())
+        }
+
 
 def sources_of(results: TraitResults, *keys: str | int) -> list[str]:
     """Places of the same numbers of every setting."""
     return [pointer("supervisions", name, *keys) for name in results.assessments]
-
-
-def by_windows(results: TraitResults, name: str) -> list[dict[str, Any]]:
-    """Means over the seeds of a setting, by windows seen."""
-    return [
-        {
-            "windows": row.windows,
-            "accuracy": results.accuracy(name, row.windows).as_json(),
-            "average_kl": results.average_kl(name, row.windows).as_json(),
-            "preference_accuracy": results.accuracy(name, row.windows, "preferences").as_json()
-            if row.preferences
-            else None,
-        }
-        for row in results.first[name].identified
-    ]
-
-
-def r2_of_traits(results: TraitResults, name: str) -> dict[str, Any]:
-    """R² of each trait of strangers, means over the seeds of a setting, and the exact ones."""
-    reading = results.first[name].reading
-    return {
-        trait: {
-            **{probe: json_value(results.trait_r2(name, trait, probe)) for probe in PROBES},
-            "share_of_exact": json_value(results.share_of_exact(name, trait)),
-        }
-        for trait in (reading.r2 if reading is not None else ())
-    }

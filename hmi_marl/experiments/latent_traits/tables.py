@@ -36,6 +36,20 @@ def accuracy_figure(results: TraitResults) -> Figure:
     return Figure("accuracy", "accuracy by windows seen", draw, sources=sources)
 
 
+def tables_of(results: TraitResults) -> list[Table]:
+    """Make the tables of a report; those without rows are left out."""
+    tables = (
+        identity_table(results),
+        trait_table(results),
+        naming_table(results),
+        prediction_table(results),
+        likelihood_table(results),
+        driving_table(results),
+        ranking_table(results),
+    )
+    return [table for table in tables if table.rows]
+
+
 def identity_table(results: TraitResults) -> Table:
     """Show accuracies by windows seen; all but accuracies and KL are of the first seed."""
     head = ["setting", "windows", "probe [%]", "Bayes [%]", "centroid [%]", "preference [%]"]

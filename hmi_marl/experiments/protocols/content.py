@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
+from hmi_marl.experiments.protocols.costs import costs_of
 from hmi_marl.experiments.protocols.cross_play import cross_play, dependence_of
 from hmi_marl.experiments.protocols.equal_gradients import at_equal_gradients
 from hmi_marl.experiments.protocols.findings import differences, sweep
 from hmi_marl.experiments.protocols.gaming import gaming_of, worst_finding
-from hmi_marl.experiments.protocols.pairs import Pair
+from hmi_marl.experiments.protocols.pairs import Pair, baselines
 from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.results import (
     Comparison,
@@ -23,7 +25,9 @@ from hmi_marl.experiments.protocols.results import (
     optimum,
     revealing,
     shortfall,
+    signalling_arms,
 )
+from hmi_marl.experiments.protocols.signal_clip import clips_of
 from hmi_marl.files import json_value
 
 
@@ -45,6 +49,15 @@ def _task(results: TaskResults) -> dict[str, Any]:
     return {
         "scored_drivers": list(results.scored_drivers),
         "arms": {arm.name: _arm(results, arm.name) for arm in results.whole_arms()},
+        "baselines": {
+            label: _earned(results, pairs) for label, pairs in baselines(results.plan).items()
+        },
+        "probability_of_improvement": json_value(results.improvements()),
+        "revealing_by_situation": {
+            arm: results.revealing_by_situation(arm) for arm in signalling_arms(results)
+        },
+        "clips": clips_of(results),
+        "costs": json_value({cost.arm: cost for cost in costs_of(results)}),
         "sweep": json_value(sweep(results)),
         "cross_play": json_value(cross_play(results)),
         "dependence": json_value(dependence_of(results)),
@@ -75,20 +88,31 @@ def _arm(results: TaskResults, arm: str) -> dict[str, Any]:
     if results.plan.task.hidden:
         values["cost_of_hiding"] = hiding
     values |= {"revealing": revealing, "bits": bits, "divergence": divergence}
-    metrics = results.played[pairs[0]].sums[ALL_DRIVERS].metrics()
     content = {
-        "score": results.score(pairs).as_json(),
+        **_earned(results, pairs),
         "scores_by_run_and_driver": results.scores(pairs).tolist(),
-        "over_runs": {name: results.over_runs(pairs, name).as_json() for name in metrics},
         "mean_over_drivers": {
             name: results.mean_of(pairs, value).as_json() for name, value in values.items()
         },
         "hmi_shortfall": results.against_exact(pairs, shortfall).as_json(),
-        "crash_rate_pooled": json_value(results.crash_rate(pairs)),
     }
+    if results.plan.task.hidden:
+        by_driver = results.by_driver(pairs, revealing).mean(axis=0).tolist()
+        names = results.plan.settings.driver_names
+        content["revealing_by_driver"] = dict(zip(names, by_driver, strict=True))
     if TWO_STAGE in results.plan.protocols:
         content["given_up_in_driving"] = given_up(results, arm).as_json()
     return content
+
+
+def _earned(results: TaskResults, pairs: Sequence[Pair]) -> dict[str, Any]:
+    metrics = results.played[pairs[0]].sums[ALL_DRIVERS].metrics()
+    return {
+        "runs": len(pairs),
+        "score": results.score(pairs).as_json(),
+        "over_runs": {name: results.over_runs(pairs, name).as_json() for name in metrics},
+        "crash_rate_pooled": json_value(results.crash_rate(pairs)),
+    }
 
 
 def _pair(pair: Pair, played: Played) -> dict[str, Any]:

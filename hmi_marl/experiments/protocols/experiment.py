@@ -152,28 +152,34 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
                 f"{name}-curves",
                 f"{name}: returns over environment steps",
                 partial(curves_figure, results),
+                sources=[results.place("curves")],
             ),
             tables.regret_table(results),
         ]
         if plan.task.hidden:
             blocks += [tables.signal_table(results), tables.situation_table(results)]
-            blocks += signal_clips(results) if plan.task.sequential else []
+            blocks += signal_clips(results)
         blocks += [
             Figure(
                 f"{name}-cross",
                 f"{name}: every driver with every HMI",
                 partial(cross_figure, results),
+                sources=[results.place("cross_play")],
             ),
             tables.cross_table(results),
             tables.dependence_table(results),
         ]
         if sweep(results):
             description = f"{name}: returns against divergence from the natural driver"
-            figure = Figure(f"{name}-sweep", description, partial(sweep_figure, results))
+            draw, sources = partial(sweep_figure, results), [results.place("sweep")]
+            figure = Figure(f"{name}-sweep", description, draw, sources=sources)
             blocks += [figure, tables.sweep_table(results)]
-        if TWO_STAGE in plan.protocols and len(plan.protocols) > 1 and results.scored_drivers:
+        if results.improvements():
             description = f"{name}: share of runs and drivers above each score"
-            figure = Figure(f"{name}-profile", description, partial(profile_figure, results))
+            scores = "scores_by_run_and_driver"
+            sources = [results.place("arms", one, scores) for one in plan.protocols]
+            draw = partial(profile_figure, results)
+            figure = Figure(f"{name}-profile", description, draw, sources=sources)
             blocks += [figure, tables.improvement_table(results)]
         blocks += [tables.budget_table(results), tables.cost_table(results, workers)]
         if plan.standing_runs:

@@ -12,13 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, NEVER_NEGATIVE, Sums
-from hmi_marl.experiments.protocols.arms import TWO_STAGE, Arm
+from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings
 from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
+from hmi_marl.experiments.signalling import SITUATIONS
 from hmi_marl.reporting import statistics
-from hmi_marl.reporting.many_runs import over_runs, paired_differences
+from hmi_marl.reporting.many_runs import (
+    over_runs,
+    paired_differences,
+    probability_of_improvement,
+)
+from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import UNKNOWN, Estimate
 from hmi_marl.training.protocols.settings import TEAM, TrainSettings
 from hmi_marl.training.runs.folder import read_curve
@@ -67,6 +73,10 @@ class TaskResults:
     """Pairs of a two-stage run's driver, by its name, with the HMI for the average driver."""
     folder: Path | None = None
     """Folder of the comparison, with the runs' policies, for clips; None for none."""
+
+    def place(self, *keys: str | int) -> str:
+        """JSON pointer of the task's content, or of a part of it."""
+        return pointer("tasks", self.plan.name, *keys)
 
     def own(self, arm: str) -> list[Pair]:
         """Pairs of the driver and the HMI of each run of an arm."""
@@ -153,16 +163,13 @@ class TaskResults:
     ) -> Estimate:
         """Average a difference from an exact value over drivers and runs.
 
-        All runs play the same episodes, whose luck does not average out over runs: the half
-        interval over episodes is added to that over runs, as squares; so are standard errors.
+        All runs play the same episodes, whose luck does not average out over runs; see
+        :func:`~hmi_marl.reporting.statistics.mean_of_same`.
         """
         names = self.plan.settings.driver_names
-        each = [statistics.average([value(self.played[p], name) for name in names]) for p in pairs]
-        over = statistics.mean([found.mean for found in each])
-        luck = float(np.mean([found.high - found.mean for found in each]))
-        half = math.hypot(over.high - over.mean, luck)
-        error = math.hypot(over.error, float(np.mean([found.error for found in each])))
-        return Estimate(over.mean, over.mean - half, over.mean + half, error, over.count)
+        return statistics.mean_of_same(
+            [statistics.average([value(self.played[p], name) for name in names]) for p in pairs]
+        )
 
     def pooled(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Sums:
         """Join the episodes of several pairs."""
@@ -171,6 +178,37 @@ class TaskResults:
     def crash_rate(self, pairs: Sequence[Pair], driver: str = ALL_DRIVERS) -> Estimate:
         """Share of the pairs' episodes that crash, with Wilson's interval; NaN without any."""
         return crash_rate(self.pooled(pairs, driver))
+
+    def improvements(self) -> dict[str, Estimate]:
+        """Probability that a run scores more than one of two-stage, by protocol.
+
+        None without two-stage, or if no driver has a score.
+        """
+        own = self.plan.protocols
+        if TWO_STAGE not in own or not self.scored_drivers:
+            return {}
+        theirs = self.scores(self.own(TWO_STAGE))
+        return {
+            name: probability_of_improvement(self.scores(self.own(name)), theirs)
+            for name in own
+            if name != TWO_STAGE
+        }
+
+    def revealing_by_situation(self, arm: str) -> dict[str, dict[str, float | None]]:
+        """Share of the steps that reveal d, of all runs and drivers, by group and situation.
+
+        None for a situation that never was.
+        """
+        measured = [each for pair in self.own(arm) for each in self.played[pair].signals.values()]
+        shares: dict[str, dict[str, float | None]] = {}
+        for group, labels in SITUATIONS.items():
+            shares[group] = {}
+            for label in labels:
+                found = [each.by_situation[group][label] for each in measured]
+                steps = sum(int(signals.steps.sum()) for signals in found)
+                shown = sum(int(signals.revealing.sum()) for signals in found)
+                shares[group][label] = shown / steps if steps else None
+        return shares
 
     def cost(self, arm: str) -> Training:
         """Costs of the first run of an arm; those of the others differ in their seconds alone."""
@@ -255,6 +293,12 @@ def bits(played: Played, driver: str) -> float:
 def divergence(played: Played, driver: str) -> float:
     """Divergence of the driver from the natural one [nats per step]."""
     return played.divergence.get(driver, math.nan)
+
+
+def signalling_arms(results: TaskResults) -> list[str]:
+    """Arms whose signals are shown by situation and in clips, with attention hidden."""
+    shown = (TWO_STAGE, SIMULTANEOUS) if results.plan.task.hidden else ()
+    return [name for name in shown if name in results.plan.protocols]
 
 
 def crash_rate(sums: Sums) -> Estimate:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from hmi_marl.envs.drivers import get_driver
 from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE
-from hmi_marl.experiments.protocols.results import TaskResults
+from hmi_marl.experiments.protocols.results import TaskResults, signalling_arms
 from hmi_marl.reporting.blocks import Clip
 
 _SEED = 7
@@ -23,18 +24,26 @@ def signal_clips(results: TaskResults) -> list[Clip]:
 
     The badge says whether a^H reveals d in that step, the bar shows the exact belief in d.
     """
-    if results.folder is None:
-        return []
-    arms = [name for name in (TWO_STAGE, SIMULTANEOUS) if name in results.plan.protocols]
-    driver = results.plan.settings.driver_names[-1]
     return [
         Clip(
             f"{results.plan.name}-{arm}",
-            f"{arm}, {driver} at the wheel, attention hidden. {_ABOUT[arm]}.",
+            f"{arm}, {shown['driver']} at the wheel, attention hidden. {_ABOUT[arm]}.",
             partial(_drawn, results, arm),
+            [results.place("clips", arm)],
         )
-        for arm in arms
+        for arm, shown in clips_of(results).items()
     ]
+
+
+def clips_of(results: TaskResults) -> dict[str, dict[str, Any]]:
+    """Run, driver and seed of the clips, by arm; none without a folder or with attention seen."""
+    task, driver = results.plan.task, results.plan.settings.driver_names[-1]
+    if results.folder is None or not (task.hidden and task.sequential):
+        return {}
+    return {
+        arm: {"run": results.plan.runs_of(arm)[0].name, "driver": driver, "seed": _SEED}
+        for arm in signalling_arms(results)
+    }
 
 
 def _drawn(results: TaskResults, arm: str) -> bytes:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
-from hmi_marl.envs.config import DRIVER
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
+from hmi_marl.experiments.protocols.arms import TWO_STAGE
+from hmi_marl.experiments.protocols.costs import Cost, costs_of
 from hmi_marl.experiments.protocols.cross_play import (
     Dependence,
     cell_of,
@@ -32,10 +31,10 @@ from hmi_marl.experiments.protocols.results import (
     optimum,
     revealing,
     shortfall,
+    signalling_arms,
 )
 from hmi_marl.experiments.signalling import SITUATIONS
 from hmi_marl.reporting.blocks import Table
-from hmi_marl.reporting.many_runs import probability_of_improvement
 from hmi_marl.reporting.statistics import number
 
 
@@ -67,45 +66,26 @@ def summary_table(results: TaskResults) -> Table:
     if unscored:
         note += f" Without a score, since alerts gain nothing: {', '.join(sorted(unscored))}."
     head = ["driver and HMI", "runs", "score", *metrics, "crashes [%]"]
-    return Table(f"{results.plan.name}: results", head, rows, note)
+    sources = [results.place("arms"), results.place("baselines")]
+    return Table(f"{results.plan.name}: results", head, rows, note, sources)
 
 
 def cost_table(results: TaskResults, workers: int) -> Table:
     """Show what each arm's runs cost."""
-    rows = []
-    for arm in results.plan.arms.values():
-        spent, one = results.seconds(arm.name), results.cost(arm.name)
-        rows.append(
-            [
-                arm.name,
-                f"{one.steps:,}",
-                f"{one.gradient_steps:,}",
-                spent.shown(),
-                f"{one.steps / spent.mean:,.0f}",
-                _alone(results, arm),
-            ]
-        )
-    head = [
-        "arm",
-        "environment steps",
-        "gradient steps",
-        "seconds of a run",
-        "steps/s",
-        "driver alone",
-    ]
+    columns: dict[str, Callable[[Cost], str]] = {
+        "arm": lambda row: row.arm,
+        "environment steps": lambda row: f"{row.steps:,}",
+        "gradient steps": lambda row: f"{row.gradient_steps:,}",
+        "seconds of a run": lambda row: row.seconds.shown(),
+        "steps/s": lambda row: f"{row.steps_per_s:,.0f}",
+        "driver alone": lambda row: f"{row.driver_alone:.2f}",
+    }
     note = (
         f"Seconds: training alone, {workers} at a time. Gradient steps count both learners where "
         "two learn at once. driver alone: share of the steps in which only the driver learns."
     )
-    return Table(f"{results.plan.name}: costs", head, rows, note)
-
-
-def _alone(results: TaskResults, arm: Arm) -> str:
-    """Share of the steps in which the driver learns alone."""
-    settings = results.plan.training(results.plan.runs_of(arm.name)[0], Path())
-    steps = [phase.iterations(settings.num_teams) for phase in settings.phases()]
-    alone = [phase.seat == DRIVER for phase in settings.phases()]
-    return f"{sum(n for n, own in zip(steps, alone, strict=True) if own) / sum(steps):.2f}"
+    title, sources = f"{results.plan.name}: costs", [results.place("costs")]
+    return Table.of(title, costs_of(results), columns, note, sources)
 
 
 def tuning_table(comparison: Comparison) -> Table:
@@ -120,7 +100,8 @@ def tuning_table(comparison: Comparison) -> Table:
         "return is taken."
     )
     head = ["task", "protocol and share", "team return"]
-    return Table("Shares of the driver's stage that were tried", head, rows, note)
+    sources = ["/driver_shares_tried"]
+    return Table("Shares of the driver's stage that were tried", head, rows, note, sources)
 
 
 def difference_table(changes: Sequence[Compared]) -> Table:
@@ -140,7 +121,7 @@ def difference_table(changes: Sequence[Compared]) -> Table:
         "together with 95 %), p of the paired t test by Holm. A few seeds show large differences "
         "only."
     )
-    return Table.of(f"Protocols minus {TWO_STAGE}", changes, columns, note)
+    return Table.of(f"Protocols minus {TWO_STAGE}", changes, columns, note, ["/differences"])
 
 
 def equal_gradients_table(rows: Sequence[AtEqualGradients]) -> Table:
@@ -161,20 +142,17 @@ def equal_gradients_table(rows: Sequence[AtEqualGradients]) -> Table:
         f"all {len(rows)}. Budgets with about as many gradient steps; protocols that take as many "
         "as two-stage at equal environment steps are compared above."
     )
-    return Table.of(f"At equal gradient steps, minus {TWO_STAGE}", rows, columns, note)
+    title = f"At equal gradient steps, minus {TWO_STAGE}"
+    return Table.of(title, rows, columns, note, ["/differences_at_equal_gradient_steps"])
 
 
 def improvement_table(results: TaskResults) -> Table:
     """Show the probability that a run of each protocol scores more than one of two-stage."""
-    theirs = results.scores(results.own(TWO_STAGE))
-    rows = [
-        [name, probability_of_improvement(results.scores(results.own(name)), theirs).shown(".2f")]
-        for name in results.plan.protocols
-        if name != TWO_STAGE
-    ]
+    rows = [[name, found.shown(".2f")] for name, found in results.improvements().items()]
     note = "Scores of two runs drawn at random, mean over drivers; bootstrap interval over runs."
     head = ["protocol", f"probability to score more than {TWO_STAGE}"]
-    return Table(f"{results.plan.name}: probability of improvement", head, rows, note)
+    sources = [results.place("probability_of_improvement")]
+    return Table(f"{results.plan.name}: probability of improvement", head, rows, note, sources)
 
 
 def regret_table(results: TaskResults) -> Table:
@@ -202,7 +180,7 @@ def regret_table(results: TaskResults) -> Table:
         "two-stage pair of the same seed minus this one's, what the driver gives up in driving."
     )
     head = ["arm", "optimum", "attention return", "hiding", "HMI", "driver"]
-    return Table(f"{results.plan.name}: regret by cause", head, rows, note)
+    return Table(f"{results.plan.name}: regret by cause", head, rows, note, [results.place("arms")])
 
 
 def signal_table(results: TaskResults) -> Table:
@@ -227,29 +205,26 @@ def signal_table(results: TaskResults) -> Table:
         "before, exact. divergence: KL(driver || two-stage driver of the same seed), nats per step."
     )
     head = ["arm", "revealing [%]", "bits per step", "divergence"]
-    return Table(f"{results.plan.name}: signals", [*head, *(f"{n} [%]" for n in names)], rows, note)
+    head += [f"{name} [%]" for name in names]
+    return Table(f"{results.plan.name}: signals", head, rows, note, [results.place("arms")])
 
 
 def situation_table(results: TaskResults) -> Table:
     """Show where drivers reveal d: in two-stage and in simultaneous learning."""
-    arms = [name for name in (TWO_STAGE, SIMULTANEOUS) if name in results.plan.protocols]
-    rows = []
-    for group, labels in SITUATIONS.items():
-        for label in labels:
-            shares = []
-            for arm in arms:
-                found = [
-                    each.by_situation[group][label]
-                    for pair in results.own(arm)
-                    for each in results.played[pair].signals.values()
-                ]
-                steps = sum(int(signals.steps.sum()) for signals in found)
-                shown = sum(int(signals.revealing.sum()) for signals in found)
-                shares.append(f"{100 * shown / steps:.1f}" if steps else "-")
-            rows.append([group, label, *shares])
-    head = ["situation", "", *(f"{name} [%]" for name in arms)]
+    shares = {arm: results.revealing_by_situation(arm) for arm in signalling_arms(results)}
+    rows = [
+        [group, label, *(_percent(found[group][label]) for found in shares.values())]
+        for group, labels in SITUATIONS.items()
+        for label in labels
+    ]
+    head = ["situation", "", *(f"{name} [%]" for name in shares)]
     note = "Share of the steps in that situation in which a^H reveals d; all runs and drivers."
-    return Table(f"{results.plan.name}: signals by situation", head, rows, note)
+    sources = [results.place("revealing_by_situation")]
+    return Table(f"{results.plan.name}: signals by situation", head, rows, note, sources)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}"
 
 
 def cross_table(results: TaskResults) -> Table:
@@ -267,7 +242,8 @@ def cross_table(results: TaskResults) -> Table:
         "Intervals over runs."
     )
     head = ["driver of", *(f"HMI of {name}" for name in hmis)]
-    return Table(f"{results.plan.name}: every driver with every HMI", head, rows, note)
+    sources = [results.place("cross_play")]
+    return Table(f"{results.plan.name}: every driver with every HMI", head, rows, note, sources)
 
 
 def dependence_table(results: TaskResults) -> Table:
@@ -284,9 +260,8 @@ def dependence_table(results: TaskResults) -> Table:
         "return of a's driver with b's HMI: 0 if partners could be exchanged freely. On the "
         "diagonal: with the next run of the same arm."
     )
-    return Table.of(
-        f"{results.plan.name}: how much partners depend on each other", rows, columns, note
-    )
+    title = f"{results.plan.name}: how much partners depend on each other"
+    return Table.of(title, rows, columns, note, [results.place("dependence")])
 
 
 def sweep_table(results: TaskResults) -> Table:
@@ -302,9 +277,8 @@ def sweep_table(results: TaskResults) -> Table:
         "Simultaneous learning with λ KL(driver || two-stage driver of the same seed) in the "
         "driver's loss; 0 is the free driver. divergence: nats per step, on the driver's own way."
     )
-    return Table.of(
-        f"{results.plan.name}: drivers held close to the natural one", sweep(results), columns, note
-    )
+    title = f"{results.plan.name}: drivers held close to the natural one"
+    return Table.of(title, sweep(results), columns, note, [results.place("sweep")])
 
 
 def budget_table(results: TaskResults) -> Table:
@@ -333,7 +307,8 @@ def budget_table(results: TaskResults) -> Table:
         "team return",
     ]
     note = "Each budget is a training of its own, with its own schedules, not a snapshot."
-    return Table(f"{results.plan.name}: returns by budget", head, rows, note)
+    sources = [results.place("costs"), results.place("arms")]
+    return Table(f"{results.plan.name}: returns by budget", head, rows, note, sources)
 
 
 def gaming_table(results: TaskResults) -> Table:
@@ -362,4 +337,4 @@ def gaming_table(results: TaskResults) -> Table:
         "finding": lambda row: row.finding,
     }
     title = f"{results.plan.name}: does crashing pay?"
-    return Table.of(title, gaming_of(results), columns, note)
+    return Table.of(title, gaming_of(results), columns, note, [results.place("gaming")])

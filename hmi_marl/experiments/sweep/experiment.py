@@ -27,6 +27,9 @@ from hmi_marl.training.jobs import check_job, need_training, processes_each, sid
 from hmi_marl.training.protocols.registry import PROTOCOLS
 from hmi_marl.training.runs.folder import CHECKPOINT
 
+_SOURCES = ("/combinations",)
+"""Place of the numbers in the JSON file."""
+
 
 @dataclass(frozen=True)
 class SweepResults:
@@ -148,6 +151,8 @@ class Sweep(Experiment[SweepResults]):
                 {
                     "protocol": combination.protocol,
                     "options": json_value(combination.options),
+                    "steps": found[0].steps,
+                    "seconds": _seconds(found).as_json(),
                     "over_seeds": {
                         driver: {
                             metric: over_seeds(found, metric, driver).as_json()
@@ -182,7 +187,12 @@ class Sweep(Experiment[SweepResults]):
             ),
             summary_table(results),
             driver_table(results),
-            Figure("sweep", "Means and 95 % intervals over seeds", partial(sweep_figure, points)),
+            Figure(
+                "sweep",
+                "Means and 95 % intervals over seeds",
+                partial(sweep_figure, points),
+                sources=_SOURCES,
+            ),
         ]
 
 
@@ -228,9 +238,7 @@ def summary_table(results: SweepResults) -> Table:
     }
     columns["crashes [%]"] = lambda these: over_seeds(these, "crash_rate").percent()
     columns["environment steps"] = lambda these: f"{these[0].steps:,}"
-    columns["seconds of a run"] = lambda these: statistics.mean(
-        [result.seconds for result in these], 0.0
-    ).shown("z.0f")
+    columns["seconds of a run"] = lambda these: _seconds(these).shown("z.0f")
     note = (
         "Means over the seeds, in brackets Student's t interval (95 %). All drivers together, each "
         "with the same number of episodes."
@@ -260,7 +268,12 @@ def _table(
         [each.protocol, *_values(each, options), *(shown(these) for shown in columns.values())]
         for each, these in found
     ]
-    return Table(title, ["protocol", *options, *columns], rows, note)
+    return Table(title, ["protocol", *options, *columns], rows, note, _SOURCES)
+
+
+def _seconds(results: Sequence[Result]) -> Estimate:
+    """Wall time of training a run, over runs [s]."""
+    return statistics.mean([result.seconds for result in results], 0.0)
 
 
 def _for_all(combinations: Sequence[Combination]) -> str:

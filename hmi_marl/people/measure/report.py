@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, TRAIT_NAMES
+from hmi_marl.files import json_value
 from hmi_marl.people.measure.assumptions import AssumptionTest, dwell_rows, effect_rows
 from hmi_marl.people.measure.person import MeasuredPerson
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text
@@ -28,6 +31,10 @@ _TESTS = {
     "constant_effect": "an alert helps alike in every step of its window",
     "one_effect": "one η moves looking away and looking back",
 }
+_SHOWN = (*PAPER_DRIVERS, "average")
+"""Drivers that a person is shown with."""
+_STATES = ("attentive", "away")
+"""Names of d = 0 and d = 1."""
 _HMIS = {"own": "own (optimal for these traits)", "average": "average", "none": "none"}
 
 
@@ -51,8 +58,29 @@ def blocks(person: MeasuredPerson) -> list[Block]:
             "traits",
             f"traits of {person.name} beside the four drivers, and tests of the model",
             lambda: png(_draw(person)),
+            sources=["/estimates", "/drivers", "/inflation", "/dwell", "/effect"],
         ),
     ]
+
+
+def numbers(person: MeasuredPerson) -> dict[str, Any]:
+    """JSON content of the report: the person's, the drivers they are shown with, and counts.
+
+    ``dwell`` has the steps outside windows and the changes by the time in each state, ``effect``
+    those within windows by the step since the alert.
+    """
+    steps = person.attention.steps
+    return {
+        **person.as_json(),
+        "drivers": {name: json_value(DRIVERS[name]) for name in _SHOWN},
+        "dwell": {name: _counts(dwell_rows(steps, state)) for state, name in enumerate(_STATES)},
+        "effect": {name: _counts(effect_rows(steps, state)) for state, name in enumerate(_STATES)},
+    }
+
+
+def _counts(rows: tuple[NDArray[np.float64], ...]) -> dict[str, list[int]]:
+    names = ("step", "steps", "changes")
+    return {name: column.astype(int).tolist() for name, column in zip(names, rows, strict=True)}
 
 
 def _traits(person: MeasuredPerson) -> Table:
@@ -60,7 +88,7 @@ def _traits(person: MeasuredPerson) -> Table:
     for trait in TRAIT_NAMES:
         found = person.estimates.get(trait)
         shown = "not measured" if found is None else found.shown(_FORMS[trait])
-        named = [f"{getattr(DRIVERS[name], trait):g}" for name in (*PAPER_DRIVERS, "average")]
+        named = [f"{getattr(DRIVERS[name], trait):g}" for name in _SHOWN]
         rows.append([f"{_SYMBOLS[trait]}: {_MEANING[trait]}", shown, *named])
     note = (
         "95 % intervals. The estimate of η is the least that fits best: if η exceeds both β and "
@@ -71,8 +99,8 @@ def _traits(person: MeasuredPerson) -> Table:
             f" Inflation: of the driver policy that fits best, which explains "
             f"{100 * person.inflation.explained:.0f} % of {person.inflation.steps} actions."
         )
-    head = ["trait", person.name, *PAPER_DRIVERS, "average"]
-    return Table("Traits, beside the drivers of the paper", head, rows, note)
+    head, sources = ["trait", person.name, *_SHOWN], ["/estimates", "/drivers"]
+    return Table("Traits, beside the drivers of the paper", head, rows, note, sources)
 
 
 def _needed(person: MeasuredPerson) -> Table:
@@ -85,6 +113,7 @@ def _needed(person: MeasuredPerson) -> Table:
         ["width", *(_SYMBOLS[trait] for trait in TRAIT_NAMES[:3])],
         rows,
         "For a person who goes on as recorded; - : never, or not in 200 times as many minutes.",
+        ["/minutes_needed"],
     )
 
 
@@ -95,6 +124,7 @@ def _tests(person: MeasuredPerson) -> Table:
         ["assumption", "p", "finding"],
         rows,
         "p-values, corrected for their number (Holm); below 0.05 the person is not as assumed.",
+        ["/tests"],
     )
 
 
@@ -126,6 +156,7 @@ def _worth(person: MeasuredPerson) -> Table:
         ["HMI", "attention return", "distraction return", "alerts"],
         rows,
         "If the person is as measured.",
+        ["/hmis"],
     )
 
 

@@ -84,12 +84,12 @@ class Analysis:
                 {
                     "name": each.contrast.name,
                     "points": each.points.as_json(),
-                    "verdict": each.verdict.as_json(),
                     "log_odds": None if each.log_odds is None else each.log_odds.as_json(),
                     "ordinal_verdict": None if each.check is None else each.check.as_json(),
                 }
                 for each in self.differences
             ],
+            "verdicts": [each.verdict.as_json() for each in self.differences],
         }
 
 

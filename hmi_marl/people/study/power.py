@@ -123,13 +123,13 @@ class Power:
                     "name": name,
                     "difference": float(self.truth[place]),
                     "power": [each[place].as_json() for each in self.shares],
-                    "needed": vars(self.needed(place)),
+                    "needed": self.needed(place).as_json(),
                 }
                 for place, name in enumerate(self.contrasts)
             ],
             "all": {
                 "power": [each.as_json() for each in self.every],
-                "needed": vars(self.needed(None)),
+                "needed": self.needed(None).as_json(),
             },
         }
 
@@ -146,11 +146,16 @@ class Needed:
 
     def shown(self, most: int) -> str:
         """Write it, given the largest number that was tried."""
+        middle, low, high = (
+            f"> {most}" if value is None else str(value) for value in self.as_json().values()
+        )
+        return f"{middle} [{low}, {high}]"
 
-        def one(value: float | None) -> str:
-            return f"> {most}" if value is None else f"{math.ceil(value)}"
-
-        return f"{one(self.raters)} [{one(self.low)}, {one(self.high)}]"
+    def as_json(self) -> dict[str, int | None]:
+        """JSON content, whole raters."""
+        return {
+            name: None if value is None else math.ceil(value) for name, value in vars(self).items()
+        }
 
 
 def needed_raters(raters: Sequence[int], series: Sequence[Estimate], power: float) -> Needed:

@@ -17,6 +17,8 @@ _TITLES = {
     "risky": "risky",
     "own": "similar to own driving",
 }
+_POWER = ("/contrasts", "/all")
+"""Places of the numbers of the power in the JSON file."""
 SIMULATED = (
     "SIMULATED raters: these numbers say what a study can find, and nothing about what people see."
 )
@@ -48,6 +50,7 @@ def analysis_blocks(analysis: Analysis) -> list[Block]:
             "ratings-simulated" if analysis.simulated else "ratings",
             "mean ratings of each driver and control, with 95 % intervals",
             lambda: png(_draw_means(analysis)),
+            sources=["/means"],
         ),
         _means(analysis),
         _contrasts(analysis),
@@ -65,6 +68,7 @@ def _means(analysis: Analysis) -> Table:
         ["driver", *(_TITLES[rating] for rating in RATINGS)],
         rows,
         "95 % intervals, for further raters and further clips.",
+        ["/means"],
     )
 
 
@@ -87,6 +91,7 @@ def _contrasts(analysis: Analysis) -> Table:
         rows,
         "Each with its own 95 % interval; verdicts allow for all contrasts together (Holm). The "
         "ordinal check is a cumulative-link model with errors clustered by raters and by clips.",
+        ["/contrasts", "/verdicts"],
     )
 
 
@@ -100,6 +105,7 @@ def _deviations(analysis: Analysis) -> Table:
         ["rating", "raters", "raters with a driver", "clips", "rest"],
         rows,
         "Where those of clips dominate, more clips help and more raters do not.",
+        ["/deviations"],
     )
 
 
@@ -147,6 +153,7 @@ def power_blocks(power: Power) -> list[Block]:
             "power-simulated",
             "power of each contrast by the number of raters",
             lambda: png(_draw_power(power)),
+            sources=_POWER,
         ),
     ]
 
@@ -164,6 +171,7 @@ def _needed(power: Power) -> Table:
         rows,
         "With the 95 % interval of this many simulated studies. Where no number of raters is "
         "enough, make the study with more clips.",
+        [*_POWER, "/raters"],
     )
 
 
@@ -177,6 +185,7 @@ def _shares(power: Power) -> Table:
         marked("Studies in which a contrast is supported [%]", True),
         ["contrast", *(f"{number} raters" for number in power.settings.raters)],
         rows,
+        sources=_POWER,
     )
 
 

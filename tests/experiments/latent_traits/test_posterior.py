@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cited import missing_in, reports_written
 from trait_models import save_driver
 
 from hmi_marl.demonstrations.dataset import Demonstrations
@@ -159,7 +160,9 @@ def test_the_command_prints_tables_and_writes_json(
     few = "--sampling.groups 16 --sampling.rounds 1 --sampling.most-rounds 2"
     command = f"traits posterior --demonstrations data --windows 3 --seconds 1 --out out {few}"
     command += " --cases hidden-known seen-unknown"
-    assert main(command.split()) == 0
+    with reports_written() as reports:
+        assert main(command.split()) == 0
+    assert [missing_in(report) for report in reports] == [[]]
     printed = capsys.readouterr().out
     assert "R² of the posterior mean: a^H hidden, driver policy known" in printed
     assert "a^H seen, driver policy unknown" in printed

@@ -33,7 +33,7 @@ from hmi_marl.experiments.protocols.results import (
 )
 from hmi_marl.reporting.blocks import Verdicts, as_text
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import Outcome
+from hmi_marl.reporting.verdicts import SEEDS, Outcome, Part
 
 SEEN = replace(SMALL, tasks=("seen",), protocols=("two-stage", "simultaneous"))
 OWN = {"two-stage": 600.0, "joint": 700.0, "simultaneous": 780.0}
@@ -342,10 +342,23 @@ def test_luck_of_the_episodes_that_all_runs_share_widens_intervals_against_exact
     assert results.against_exact(pairs, regret) == Estimate(0.0, 0.0, 0.0)
 
     def unlucky(played, name):
-        return replace(regret(played, name), low=-30.0, high=30.0)
+        mean = regret(played, name).mean
+        return Estimate(mean, mean - 30.0, mean + 30.0, count=250)
 
     found = results.against_exact(pairs, unlucky)
-    assert found.high == pytest.approx(30.0 / math.sqrt(2))  # two drivers' episodes are independent
+    luck = 30.0 / math.sqrt(2) / 1.95996  # two drivers' episodes are independent
+    assert found.error == found.luck == pytest.approx(luck, rel=1e-5)
+    assert (found.count, found.luck_count) == (3, 250)
+    assert found.high == pytest.approx(1.96954 * luck, rel=1e-5)  # Student's t of 249 degrees
+
+    spread = comparison(SEEN, lambda pair: OPTIMUM + 9.0 * number_of(pair.driver)).tasks["seen"]
+    found = spread.against_exact(spread.own("two-stage"), unlucky)  # 0, -9 and -18
+    over_runs = 9.0 / math.sqrt(3)  # of two degrees of freedom, which luck does not share
+    half = math.hypot(4.30265 * over_runs, 1.96954 * luck)
+    assert (found.low, found.high) == pytest.approx((-9.0 - half, -9.0 + half), rel=1e-5)
+    part = Part.mean("a regret", found, SEEDS, below=0.0)
+    assert part.interval() == (found.low, found.high)
+    assert part.basis() == "t over 3 training seeds and over what they share, 250 units"
 
 
 def swept(returns):

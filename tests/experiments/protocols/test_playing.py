@@ -4,9 +4,11 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from cited import missing_in, reports_written
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import load_policy, read_policy
@@ -54,10 +56,20 @@ pytestmark = pytest.mark.usefixtures("module_trained_here")
 
 
 @pytest.fixture(scope="module")
-def folder(module_trained_here: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(module_trained_here: None, tmp_path_factory: pytest.TempPathFactory) -> Any:
     out = tmp_path_factory.mktemp("compare") / "out"
-    assert main([*TYPED.split(), "--out", str(out)]) == 0
-    return out
+    with reports_written() as reports:
+        assert main([*TYPED.split(), "--out", str(out)]) == 0
+    return out, reports
+
+
+@pytest.fixture(scope="module")
+def folder(written: Any) -> Path:
+    return written[0]
+
+
+def test_every_number_is_where_its_source_says(written: Any) -> None:
+    assert [missing_in(report) for report in written[1]] == [[]]
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
+from cited import missing_in
 from comparisons import SMALL, comparison, number_of
 from matplotlib.figure import Figure
 from PIL import Image
@@ -94,6 +95,10 @@ def test_the_page_begins_with_the_answer(out: Path) -> None:
 
 def test_the_text_is_written_as_it_is_printed(written: Report, out: Path) -> None:
     assert (out / "compare.txt").read_text("utf-8") == written.text + "\n"
+
+
+def test_every_number_is_where_its_source_says(written: Report) -> None:
+    assert not missing_in(written)
 
 
 def test_json_holds_every_runs_numbers_and_no_nan(out: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from cited import missing_in
 
 from hmi_marl.experiments.episodes import play_named
 from hmi_marl.experiments.experiment import Place, conduct
@@ -16,6 +17,7 @@ from hmi_marl.experiments.sweep import experiment as module
 from hmi_marl.experiments.sweep.experiment import Sweep, plan_table
 from hmi_marl.experiments.sweep.runs import RESULT, read_result
 from hmi_marl.experiments.sweep.table import TABLE
+from hmi_marl.reporting.report import Report
 from hmi_marl.training.runs.folder import CHECKPOINT, read_curve
 
 TINY = ("num_teams=8", "duration=1", "ppo.num_mini_batches=2", "ppo.num_learning_epochs=1")
@@ -30,10 +32,18 @@ SWEEP = replace(SWEEP, over=("joint:steps=1", *SWEEP.over))
 
 
 @pytest.fixture(scope="module")
-def swept(tmp_path_factory, module_trained_here) -> Path:
+def report(tmp_path_factory, module_trained_here) -> tuple[Path, Report]:
     folder = tmp_path_factory.mktemp("sweep")
-    conduct(SWEEP, Place(folder, folder, 1, "hmi-marl sweep"))
-    return folder
+    return folder, conduct(SWEEP, Place(folder, folder, 1, "hmi-marl sweep"))
+
+
+@pytest.fixture(scope="module")
+def swept(report) -> Path:
+    return report[0]
+
+
+def test_every_number_is_where_its_source_says(report):
+    assert not missing_in(report[1])
 
 
 def trained(monkeypatch, sweep: Sweep, folder: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cited import missing
 from people.study.studies import a_study
 
 from hmi_marl.people.study.analyse import analyse
@@ -67,6 +68,7 @@ def test_a_reversed_difference_is_not_supported_and_noise_is_undetermined(study)
 
 def test_everything_simulated_says_so(planted):
     blocks = analysis_blocks(planted)
+    assert not missing(blocks, planted.as_json())
     text, page = as_text(blocks), as_html(blocks)
     assert SIMULATED in text
     for title in ("Intended differences", "Mean ratings", "Differences by two", "Standard dev"):
@@ -149,6 +151,7 @@ def test_more_raters_have_more_power():
     assert few < 0.6
     assert many > 0.9
     assert all(10 < power.needed(place).raters <= 60 for place in range(8))
+    assert not missing(power_blocks(power), power.as_json())
     blocks = as_text(power_blocks(power))
     assert blocks.count("SIMULATED") >= 3
     assert power.as_json()["simulated"] is True
