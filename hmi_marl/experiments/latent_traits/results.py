@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from hmi_marl.experiments import criteria
@@ -49,10 +49,7 @@ class TraitResults:
     def accuracy(self, setting: str, size: int, of: str = "types") -> Estimate:
         """Average the probe's accuracy on "types" or "preferences"; 1 seed: interval over pools."""
         probes = [getattr(o.at_pool(size), of).linear_probe for o in self.assessments[setting]]
-        if len(probes) == 1:
-            return probes[0]
-        found = statistics.mean([probe.mean for probe in probes])
-        return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
+        return probes[0] if len(probes) == 1 else statistics.mean_share(probes)
 
     def by_seed(self, setting: str, size: int, of: str = "types") -> Estimate:
         """Average the same over training seeds; without an interval for a single one."""
@@ -80,7 +77,7 @@ class TraitResults:
         found = self._r2(setting, trait, probe)
         if len(found) < 2:
             return found[0] if found else None
-        return statistics.mean([each.mean for each in found])
+        return statistics.mean_of_same(found)
 
     def trait_r2_by_seed(self, setting: str, trait: str, probe: str) -> Estimate:
         """Average the same over training seeds; without an interval for a single one."""
