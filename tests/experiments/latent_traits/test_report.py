@@ -180,8 +180,11 @@ def test_accuracies_are_over_pools_of_one_seed_or_over_several_seeds() -> None:
     assert found.accuracy("none", POOL) == share(60, 100)
     assert found.accuracy("none", 1) == share(30, 100)
     assert found.accuracy("none", POOL, "preferences") == share(90, 100)
-    assert found.accuracy("id", POOL) == statistics.mean([0.6, 0.7, 0.8])
-    assert found.accuracy("id", 1) == Estimate(0.3, 0.3, 0.3)
+    of_seeds = [share(60, 100), share(70, 100), share(80, 100)]
+    assert found.accuracy("id", POOL) == statistics.mean_share(of_seeds)
+    alike = found.accuracy("id", 1)  # the luck of the pools is left
+    assert alike == statistics.mean_share([share(30, 100)] * 3)
+    assert alike.low < 0.3 < alike.high
 
 
 def test_kl_is_averaged_over_seeds() -> None:
@@ -409,7 +412,8 @@ def test_the_exact_posterior_stands_beside_with_the_ratio() -> None:
 
 def test_r2_and_naming_are_averaged_over_seeds() -> None:
     found = results(self=[one("self"), one("self", reading=reading(beta=0.7, eta=0.0))])
-    assert found.trait_r2("self", "beta", "network") == statistics.mean([0.625, 0.825])
+    r2 = [about(0.625), about(0.825)]
+    assert found.trait_r2("self", "beta", "network") == statistics.mean_of_same(r2)
     named = found.averaged("self", "naming")[1].named
     assert named == statistics.mean_share([share(99, 100)] * 2)
     assert REPORT.numbers(found)["supervisions"]["self"]["naming"][1]["named"]["count"] == 2
@@ -508,9 +512,9 @@ def test_json_holds_every_seed_and_no_nan(tmp_path: Path, monkeypatch: pytest.Mo
     assert content["pool"] == POOL
     assert list(content["supervisions"]) == ["none", "id", "preference"]
     unsupervised = content["supervisions"]["none"]
-    # The t interval, [0.01, 1.29], as far as an accuracy reaches.
-    expected = statistics.mean([0.6, 0.7]).as_json() | {"high": 1.0}
-    assert unsupervised["accuracy"] == expected
+    expected = statistics.mean_share([share(60, 100), share(70, 100)])
+    assert unsupervised["accuracy"] == expected.as_json()
+    assert unsupervised["accuracy"]["high"] == 1.0  # as far as an accuracy reaches
     assert unsupervised["average_kl"]["mean"] == 10.0
     assert unsupervised["paper_kl"] == 435.0
     assert len(unsupervised["seeds"]) == 2
