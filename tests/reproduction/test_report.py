@@ -21,8 +21,6 @@ from hmi_marl.reproduction.paper_items import paper_items
 from hmi_marl.reproduction.report import NUMBERS, full_report
 from hmi_marl.reproduction.suite import TIMINGS, Record, full_suite, shared_driver
 
-FEWER_SEEDS = {"adapt": 3, "traits": 1}
-"""Experiments of the shipped report with fewer seeds than by default; docs/results.md says so."""
 SHIPPED = Path(__file__).parents[2] / "docs" / "report"
 
 
@@ -57,9 +55,6 @@ def test_the_shipped_report_is_of_a_full_run(shipped: dict) -> None:
     assert shipped["command"] == "hmi-marl reproduce"
     suite = full_suite()
     settings = {one.name: one.settings() for one in suite}
-    for name, seeds in FEWER_SEEDS.items():
-        assert settings[name]["seeds"] > seeds
-        settings[name] = {**settings[name], "seeds": seeds}
     assert shipped["settings"] == json.loads(json.dumps(settings))
     assert list(shipped["stages"]) == [one.name for one in suite]
     for path in SHIPPED.iterdir():
