@@ -21,7 +21,7 @@ class Cost:
     """Gradient steps of a run, of both learners where two learn at once."""
     seconds: Estimate
     """Wall time of a run, over runs [s]."""
-    steps_per_s: float
+    steps_per_second: float
     """Environment steps per second."""
     driver_alone: float
     """Share of the steps in which the driver learns alone."""

@@ -77,7 +77,7 @@ def cost_table(results: TaskResults, workers: int) -> Table:
         "environment steps": lambda row: f"{row.steps:,}",
         "gradient steps": lambda row: f"{row.gradient_steps:,}",
         "seconds of a run": lambda row: row.seconds.shown(),
-        "steps/s": lambda row: f"{row.steps_per_s:,.0f}",
+        "steps/s": lambda row: f"{row.steps_per_second:,.0f}",
         "driver alone": lambda row: f"{row.driver_alone:.2f}",
     }
     note = (
