@@ -119,7 +119,7 @@ COMMANDS = (
     _command(
         "reproduce adapt",
         TRAIN,
-        "--drives 300 --updates 1 --hmi-steps 3200 --rnn-hidden-dim 2 --num-teams 32 --seeds 1 "
+        "--drives 300 --updates 1 --strangers 2 --types 1 --rounds 1 --rnn-hidden-dim 2 --seeds 1 "
         "--workers 1 " + _prefixed("evaluation", _JUDGED),
     ),
     _command(
