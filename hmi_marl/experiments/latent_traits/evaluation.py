@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -68,20 +69,22 @@ class TraitEvaluation(TraitReport):
             FileNotFoundError, ValueError: no such runs or demonstrations, or runs that learned from
                 other demonstrations or that pool or hold out differently.
         """
-        models, share = self.fitting_models
-        judging = _Judging(self, models, share)
+        judging, count = _Judging.read(self), len(self.runs)
         exact = one_step = None
         try:
             exact = ceiling.exact_evidence(judging.split.unseen, self.driver_policy)
             one_step = ceiling.from_one_step(judging.split.unseen, self.driver_policy)
         except ceiling.NoCeilingError as error:
             print(error, file=sys.stderr)
-        workers = min(place.workers, len(models))
+        workers = min(place.workers, count)
         # Every worker reads the demonstrations once, and judges each so many-th model.
         tasks = [(self, exact, number, workers) for number in range(workers)]
-        judged = list(calls_with_bars(_judge_some, tasks, workers))
+        if workers == 1:
+            judged = list(starmap(_judge_some, tasks))
+        else:
+            judged = list(calls_with_bars(_judge_some, tasks, workers))
         found: dict[str, list[Assessment]] = {}
-        for number in range(len(models)):
+        for number in range(count):
             one = judged[number % workers][number // workers]
             found.setdefault(one.supervision, []).append(one)
         ordered: dict[str, list[Assessment]] = {
@@ -169,31 +172,37 @@ class TraitEvaluation(TraitReport):
         return dict(vars(self.size))
 
 
+@dataclass(frozen=True)
 class _Judging:
     """What all models are judged by."""
 
-    def __init__(
-        self, evaluation: TraitEvaluation, models: Sequence[TraitModel], share: float
-    ) -> None:
+    pool: int
+    split: Split
+    windows: tuple[int, ...]
+    unknown: Demonstrations | None
+    """Strangers whom none has learned from."""
+
+    @classmethod
+    def read(cls, evaluation: TraitEvaluation) -> _Judging:
+        """Read the demonstrations and the population of an evaluation."""
         from hmi_marl.demonstrations.parquet import read_demonstrations
 
-        data = read_demonstrations(evaluation.demonstrations)
-        self.pool = models[0].card.pool
-        self.split = Split.of(data, share, evaluation.size.windows)
+        models, share = evaluation.fitting_models
+        data, pool = read_demonstrations(evaluation.demonstrations), models[0].card.pool
+        split = Split.of(data, share, evaluation.size.windows)
         latent = max(model.card.latent for model in models)
-        self.windows = assessment.pool_sizes(self.split, self.pool, latent)
-        self.unknown = evaluation.unknown(models, data, self.pool)
+        windows = assessment.pool_sizes(split, pool, latent)
+        return cls(pool, split, windows, evaluation.unknown(models, data, pool))
 
 
 def _judge_some(
     evaluation: TraitEvaluation, exact: Identification | None, first: int, every: int
 ) -> list[Assessment]:
     """Judge each so many-th model from one on, in a process of its own."""
-    models, share = evaluation.fitting_models
-    by, size, predictor = _Judging(evaluation, models, share), evaluation.size, None
+    by, size, predictor = _Judging.read(evaluation), evaluation.size, None
     if by.unknown is not None and has_pairs(by.unknown.observed.driver, by.pool):
         predictor = ActionPredictor(by.unknown, by.pool, size.seed)
-    some = models[first::every]
+    some = evaluation.fitting_models[0][first::every]
     total, line = assessment.PARTS * len(some), own_line()
     with tqdm(total=total, unit=" parts", desc="judging", position=line) as bar:
         return [

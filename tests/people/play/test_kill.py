@@ -86,7 +86,7 @@ def killed(folder, times):
                 assert list(kept) == [sent[place] for place in range(len(record))]
                 replay(record)
             server = Server(folder)
-        found, step = drive(server, cookie, number, rng, sent, 0.8)
+        found, step = drive(server, cookie, number, rng, sent, 4.0)  # of a busy machine too
         assert acknowledged <= found < step
     finally:
         server.kill()
