@@ -38,7 +38,7 @@ def listed(names: Iterable[str]) -> str:
     return one_line(", ".join(names), _MOST_QUOTED)
 
 
-def quoted(error: Exception) -> str:
+def quoted(error: object) -> str:
     """Write another library's message, which may quote the file, on one line of bounded length."""
     return one_line(str(error), _MOST_QUOTED)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from hmi_marl.reading import opened, parse_json
+from hmi_marl.text import quoted
 
 APPLICATION = 0x484D4950
 """Marks the file as ours, in SQLite's own header."""
@@ -107,7 +108,7 @@ class Database:
 
     def damaged(self, reason: object) -> ValueError:
         """Return the error for content that cannot be."""
-        return ValueError(f"{self.path} is damaged, or no database of hmi-marl: {reason}")
+        return ValueError(f"{self.path} is damaged, or no database of hmi-marl: {quoted(reason)}")
 
     @contextmanager
     def errors(self) -> Iterator[None]:

@@ -248,6 +248,20 @@ def test_other_files_give_one_precise_error_and_stay_as_they_are(tmp_path):
         Store(tmp_path)
 
 
+@pytest.mark.parametrize("damage", [b"\xff\xfe", b"`n"], ids=["no text", "no statement"])
+def test_sqlite_quotes_a_damaged_schema_on_one_line(tmp_path, damage):
+    path = tmp_path / "people.db"
+    Store(path).close()
+    content = path.read_bytes()
+    place = content.index(b"CREATE TABLE answers (") + len(b"CREATE TABLE answers (")
+    assert content[place : place + 1] == b"\n"  # the statement goes on in other lines
+    path.write_bytes(content[: place + 9] + damage + content[place + 9 + len(damage) :])
+    with pytest.raises(ValueError, match="is damaged") as error:
+        Store(path)
+    assert "\n" not in str(error.value)
+    assert str(error.value).isprintable()
+
+
 def test_columns_of_another_type_are_damage(store, records):
     fill(store, records[:1], 1)
     for change in (
