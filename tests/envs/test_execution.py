@@ -9,7 +9,7 @@ from step_ways import CONFIGS, play, teams_of
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TraitDistributions
-from hmi_marl.envs.elementwise import put, put_one_hot, put_row, scale_row, within
+from hmi_marl.envs.elementwise import put, put_one_hot, put_row, put_scaled, within
 from hmi_marl.envs.execution import InNumPy, WrongActionError
 from hmi_marl.envs.loops import InLoops, InOneLoop
 from hmi_marl.envs.observation_values import PARTS, first_columns
@@ -94,8 +94,8 @@ def test_totals_of_an_episode_by_hand():
         result = teams.step([alert], then=then)
         tables.append(result.table[0])
     (totals,) = result.ended_teams.totals
-    np.testing.assert_allclose(totals[:10], np.sum(tables, axis=0))
-    assert totals[OF_BOTH] == pytest.approx(np.sum(tables, axis=0)[8:].sum())
+    np.testing.assert_allclose(totals[:11], np.sum(tables, axis=0))
+    assert totals[OF_BOTH] == pytest.approx(np.sum(tables, axis=0)[8:10].sum())
     assert (totals[LENGTH], totals[ALERTS], totals[CRASHES]) == (5.0, 2.0, 0.0)
 
 
@@ -212,7 +212,7 @@ def test_the_building_blocks_by_hand(values, index, scale):
     assert rows[0, 6:].tolist() == [3.0, 4.0]
     table = np.array([[values[:2]]], np.float32)
     out = np.empty((1, 2), np.float32)
-    scale_row(out, slice(None), table, np.float32(scale), np.float32(2.0))
+    put_scaled(out, slice(None), 0, table, np.float32(scale), np.float32(2.0))
     with np.errstate(over="ignore"):
         wanted = np.clip(table / np.float32(scale), -2.0, 2.0).reshape(1, 2)
     np.testing.assert_array_equal(out, wanted)
