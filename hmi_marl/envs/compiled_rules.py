@@ -43,6 +43,10 @@ _compile_inside(attention.next_acceptance)
 _compile_inside(attention.distraction_probability)
 
 
+# Each loop below runs over a slice: places of it are known to be none counted from the end, and so
+# several are written at once.
+
+
 @overload(elementwise.choose, jit_options=_OPTIONS, strict=False)
 def _choose(condition: Any, yes: Any, no: Any) -> Any:
     return lambda condition, yes, no: yes if condition else no
@@ -61,8 +65,9 @@ def _put(rows: Any, row: Any, column: Any, low: Any, high: Any, value: Any) -> A
 def _put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> Any:
     def put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> None:
         if column >= 0:
+            places = rows[row, column : column + size]
             for value in range(size):
-                rows[row, column + value] = 1.0 if value == index else 0.0
+                places[value] = 1.0 if value == index else 0.0
 
     return put_one_hot
 
@@ -71,8 +76,9 @@ def _put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> Any
 def _put_row(rows: Any, row: Any, column: Any, values: Any) -> Any:
     def put_row(rows: Any, row: Any, column: Any, values: Any) -> None:
         if column >= 0:
+            places = rows[row, column : column + len(values)]
             for place in range(len(values)):
-                rows[row, column + place] = values[place]
+                places[place] = values[place]
 
     return put_row
 
@@ -82,8 +88,8 @@ def _put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound
     def put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound: Any) -> None:
         if column >= 0:
             flat = values.reshape(values.size)
+            places = rows[row, column : column + len(flat)]
             for place in range(len(flat)):
-                value = elementwise.within(flat[place] / scale, -bound, bound)
-                rows[row, column + place] = value
+                places[place] = elementwise.within(flat[place] / scale, -bound, bound)
 
     return put_scaled
