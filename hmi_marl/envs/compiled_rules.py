@@ -43,10 +43,6 @@ _compile_inside(attention.next_acceptance)
 _compile_inside(attention.distraction_probability)
 
 
-# Each loop below runs over a slice: places of it are known to be none counted from the end, and so
-# several are written at once.
-
-
 @overload(elementwise.choose, jit_options=_OPTIONS, strict=False)
 def _choose(condition: Any, yes: Any, no: Any) -> Any:
     return lambda condition, yes, no: yes if condition else no
@@ -65,9 +61,8 @@ def _put(rows: Any, row: Any, column: Any, low: Any, high: Any, value: Any) -> A
 def _put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> Any:
     def put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> None:
         if column >= 0:
-            places = rows[row, column : column + size]
             for value in range(size):
-                places[value] = 1.0 if value == index else 0.0
+                rows[row, column + value] = 1.0 if value == index else 0.0
 
     return put_one_hot
 
@@ -76,9 +71,8 @@ def _put_one_hot(rows: Any, row: Any, column: Any, index: Any, size: Any) -> Any
 def _put_row(rows: Any, row: Any, column: Any, values: Any) -> Any:
     def put_row(rows: Any, row: Any, column: Any, values: Any) -> None:
         if column >= 0:
-            places = rows[row, column : column + len(values)]
             for place in range(len(values)):
-                places[place] = values[place]
+                rows[row, column + place] = values[place]
 
     return put_row
 
@@ -88,6 +82,7 @@ def _put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound
     def put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound: Any) -> None:
         if column >= 0:
             flat = values.reshape(values.size)
+            # Places of a slice are not counted from its end, so that several are written at once.
             places = rows[row, column : column + len(flat)]
             for place in range(len(flat)):
                 places[place] = elementwise.within(flat[place] / scale, -bound, bound)

@@ -32,7 +32,8 @@ from hmi_marl.envs.worlds.batched.kernels import (
     look,
     move_world,
 )
-from hmi_marl.envs.worlds.batched.threads import share, take
+from hmi_marl.envs.worlds.batched.prefetch import ask_for_rows
+from hmi_marl.envs.worlds.batched.threads import new_progress, share, take
 
 
 @kernel
@@ -133,6 +134,10 @@ def step_teams(
     while first < last:
         for k in range(first, last):
             team_step.decide(k, active, alert, state, seeds, traits, window, effects, after)
+        ask_for_rows(totals, first, last)
+        for rows, _ in all_groups:
+            if len(rows):
+                ask_for_rows(rows, first, last)
         for k in range(first, last):
             if active[k]:
                 if flags[k, CRASHED] == 0:
@@ -338,5 +343,5 @@ def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[NDArray[Any], NDArray[n
 
 
 _NO_TOTALS, _NO_ACTIONS = np.zeros(TOTALS), np.zeros(0, np.int64)
-_NO_PROGRESS = np.zeros(2, np.int64)
+_NO_PROGRESS = new_progress()
 """For loops that one thread alone runs."""

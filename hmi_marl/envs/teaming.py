@@ -177,16 +177,15 @@ class Teaming(ShownTeams):
                 function raises, or an alert that is none, leaves every team as it was.
         """
         more = views, then, looking_away, scores
-        if not (callable(driver) or callable(hmi)):
-            return self._step(self._checked(driver, DRIVER), hmi, *more)
-        alerts: ArrayLike = () if sequential else self.ask(VEHICLE_AI, hmi)
-        self.intend(self.ask(DRIVER, driver))
-        try:
-            alerts = self.ask(VEHICLE_AI, hmi) if sequential else alerts
-            return self.step(alerts, *more)
-        except Exception:
-            self.withdraw()  # does nothing if the step has been taken
-            raise
+        if sequential and callable(hmi):
+            self.intend(self.ask(DRIVER, driver))
+            try:
+                return self._step(None, self.ask(VEHICLE_AI, hmi), *more)
+            except Exception:
+                self.withdraw()  # does nothing if the step has been taken
+                raise
+        alerts = self.ask(VEHICLE_AI, hmi)
+        return self._step(self._checked(self.ask(DRIVER, driver), DRIVER), alerts, *more)
 
     def ask(self, agent: str, actor: Actor) -> ArrayLike:
         """Return an actor's actions; one with an attribute ``reads`` is shown these parts only."""

@@ -147,8 +147,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         individual = teaming.config.reward == "individual"
         of_team = OF_BOTH if individual else OF_DRIVER
         column_of = {DRIVER: OF_DRIVER, VEHICLE_AI: OF_VEHICLE_AI, TEAM: of_team}
-        self._rewarded = {each: column_of[each] for each in dict.fromkeys((*self.agents, seat))}
-        """Column of the step's table of each reward, by agent and for the seat."""
+        self._rewarded = tuple(dict.fromkeys((*self.agents, seat)))
+        """Agents and the seat, each with a reward."""
+        self._reward_columns = np.array([column_of[each] for each in self._rewarded])
+        """Column of the step's table of each reward."""
         columns = (column_of[seat], *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
         self._logged = dict(zip(_LOGGED, columns, strict=True))
         """Columns of totals that are logged, by name."""
@@ -267,7 +269,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         columns = self._checked(actions)
         self._untouched = False
-        outcome = Outcome(self.num_envs, self._groups, self._rewarded)
+        outcome = Outcome(self.num_envs, self._groups, self._rewarded, self._reward_columns)
         views = self._views_in(outcome.rows)
         then, scores = Then(self._series, self._views), outcome.scores
         if self._turns is None:
@@ -327,7 +329,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def _observed(self, groups: Mapping[str, int]) -> TensorDict:
         """The present observations, of groups with so many columns."""
         self._prepare()
-        outcome = Outcome(self.num_envs, groups, {})
+        outcome = Outcome(self.num_envs, groups, (), self._reward_columns[:0])
         self.teaming.views(self._views_in(outcome.rows))
         return on_device(outcome.observations, self.device)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,24 +45,31 @@ class Outcome:
     Args:
         count: N.
         groups: columns of each group of observations.
-        rewards: column of :attr:`StepResult.table` of each reward, by name.
+        rewards: names of the rewards.
+        columns: of :attr:`StepResult.table`, one for each reward.
     """
 
-    def __init__(self, count: int, groups: Mapping[str, int], rewards: Mapping[str, int]) -> None:
+    def __init__(
+        self,
+        count: int,
+        groups: Mapping[str, int],
+        rewards: Sequence[str],
+        columns: NDArray[np.int64],
+    ) -> None:
         self.rows = {name: np.empty((count, size), np.float32) for name, size in groups.items()}
         """Observations by group, to be filled in, float32 of shape (N, size)."""
         tensors = {name: torch.from_numpy(rows) for name, rows in self.rows.items()}
-        self.observations = TensorDict(tensors, batch_size=[count], device=CPU)
+        self.observations = TensorDict(tensors, batch_size=torch.Size((count,)), device=CPU)
         """Groups of shape (N, size)."""
         self.scores = Scores(
-            np.array([*rewards.values()]),
+            columns,
             np.empty((len(rewards), count), np.float32),
             np.empty(count, np.int64),
             np.empty(count, np.bool_),
         )
         """Rewards and ends, to be filled in."""
         _, own, dones, time_outs = self.scores
-        self.rewards = dict(zip(rewards, map(torch.from_numpy, own), strict=True))
+        self.rewards = dict(zip(rewards, torch.from_numpy(own).unbind(), strict=True))
         """Rewards by name, float32 of shape (N,)."""
         self.dones, self.time_outs = torch.from_numpy(dones), torch.from_numpy(time_outs)
         """Where episodes ended: 1, else 0, int64; and by their time alone, bool. Shape (N,)."""
