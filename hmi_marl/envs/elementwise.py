@@ -72,5 +72,5 @@ def put_scaled(
 ) -> None:
     """Write a table of values divided by a scale and kept within -bound to bound, cell by cell."""
     if column >= 0:
-        scaled = within(values / scale, -bound, bound).reshape(len(values), -1)
-        rows[row, column : column + scaled.shape[1]] = scaled
+        scaled = within(values / scale, -bound, bound).reshape(*values.shape[:-2], -1)
+        rows[row, column : column + scaled.shape[-1]] = scaled

@@ -90,7 +90,7 @@ def new_progress(count: int = 0, threads: int = 1) -> NDArray[np.int64]:
     takes at a time.
     """
     part = count // (_PARTS * threads) if threads > 1 else _LARGEST
-    return np.array([0, 0, min(max(part, _SMALLEST), _LARGEST)])
+    return np.array([0, 0, min(max(part, _SMALLEST), _LARGEST)], np.int64)
 
 
 def available() -> int:
