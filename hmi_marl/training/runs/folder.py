@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.catalogue import learned_file, mixed_names
-from hmi_marl.agents.learned.cards import find_card, is_shipped
+from hmi_marl.agents.learned.cards import is_shipped
+from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import json_digest, json_value, sha256_of
@@ -24,7 +25,7 @@ CHECKPOINT = "checkpoint.safetensors"
 POLICIES = ("driver_policy", "anchor")
 """Settings that name a driver policy, which a run notes with the checksum of its weights."""
 TRAIT_MODEL = "traits"
-"""Setting that names a trait model, noted in the same way."""
+"""Setting that names a trait model, noted with the checksum of its encoder, which alone is read."""
 MIXTURE = "mixture"
 """Key of the policies in a mixture of driver policies."""
 FREE = ("device", "threads", "checkpoint_every")
@@ -85,7 +86,8 @@ def run_settings(settings: object) -> dict[str, Any]:
             mixed = [_policy(each) for each in mixed_names(name)]
             content[setting] = {MIXTURE: mixed} if mixed else _policy(name)
     if isinstance(name := content.get(TRAIT_MODEL), str):
-        content[TRAIT_MODEL] = _by_checksum(name, find_card(name, "traits", "trait model"))
+        short = name.lower() if is_shipped(name) else Path(name).name
+        content[TRAIT_MODEL] = {"name": short, "sha256": load_traits(name).digest}
     return content
 
 
