@@ -191,14 +191,18 @@ def save_traits(folder: Path, card: TraitCard, weights: Weights) -> Path:
     return FORMAT.save(folder / NAME, card, weights)
 
 
+def find_traits(place: str | Path) -> Path:
+    """Return the path of a trait model's card; see :func:`load_traits`."""
+    return find_card(place, "traits", "trait model", "; learn one with hmi-marl traits train")
+
+
 def load_traits(place: str | Path) -> TraitModel:
     """Load a trait model from the folder of a run, the ``.json`` itself, or ``trained:NAME``.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`find_card` and :meth:`CardFormat.read`.
     """
-    path = find_card(place, "traits", "trait model", "; learn one with hmi-marl traits train")
-    return TraitModel(*FORMAT.read(path))
+    return TraitModel(*FORMAT.read(find_traits(place)))
 
 
 def _with_z(x: NDArray[np.float32], z: NDArray[np.float64]) -> NDArray[np.float32]:

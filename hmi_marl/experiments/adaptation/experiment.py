@@ -13,10 +13,9 @@ from hmi_marl.agents.adaptive.evidence_model import NAME
 from hmi_marl.agents.adaptive.hmis import Trained, make_adaptive
 from hmi_marl.agents.adaptive.trip_encoder import TripEncoder
 from hmi_marl.agents.catalogue import make_driver_policy
-from hmi_marl.agents.learned.cards import find_card
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.agents.learned.trait_model import load_traits
+from hmi_marl.agents.learned.trait_model import find_traits, load_traits
 from hmi_marl.agents.rollout import begin
 from hmi_marl.checks import Count, Units
 from hmi_marl.envs.config import VEHICLE_AI
@@ -293,10 +292,7 @@ class Adaptation(_Judged):
         """See :meth:`Experiment.inputs`."""
         hidden = self._hidden(place)
         cards = [find_policy(Path(hidden.format(model)), VEHICLE_AI) for model in MODELS]
-        cards += [
-            find_card(self._traits(place, number), "traits", "trait model")
-            for number in range(self.seeds)
-        ]
+        cards += [find_traits(self._traits(place, number)) for number in range(self.seeds)]
         return super().inputs(place) + [card.with_suffix(".safetensors") for card in cards]
 
     def agents(self, place: Place) -> list[Agent]:
@@ -322,11 +318,11 @@ class Adaptation(_Judged):
 
     def _traits(self, place: Place, number: int) -> str:
         """Trait model for a training seed, counted from 0."""
-        runs = place.folder.parent / TRAITS_EXPERIMENT
-        for run in (traits_run("self", number), traits_run("self")):
-            if not self.traits and (runs / run).is_dir():
-                return str(runs / run)
-        return self.traits or Trained().traits
+        if self.traits:
+            return self.traits
+        folder = place.folder.parent / TRAITS_EXPERIMENT
+        runs = (folder / traits_run("self", each) for each in (number, 0))
+        return next((str(run) for run in runs if run.is_dir()), Trained().traits)
 
 
 def record_change(

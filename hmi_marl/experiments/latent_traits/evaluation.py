@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -77,11 +76,10 @@ class TraitEvaluation(TraitReport):
         except ceiling.NoCeilingError as error:
             print(error, file=sys.stderr)
         workers = min(place.workers, count)
-        # Every worker reads the demonstrations once, and judges each so many-th model.
-        tasks = [(self, exact, number, workers) for number in range(workers)]
         if workers == 1:
-            judged = list(starmap(_judge_some, tasks))
-        else:
+            judged = [judging.judge(self, exact)]
+        else:  # each worker reads the demonstrations once, and judges each so many-th model
+            tasks = [(self, exact, number, workers) for number in range(workers)]
             judged = list(calls_with_bars(_judge_some, tasks, workers))
         found: dict[str, list[Assessment]] = {}
         for number in range(count):
@@ -194,23 +192,33 @@ class _Judging:
         windows = assessment.pool_sizes(split, pool, latent)
         return cls(pool, split, windows, evaluation.unknown(models, data, pool))
 
+    def judge(
+        self,
+        evaluation: TraitEvaluation,
+        exact: Identification | None,
+        first: int = 0,
+        every: int = 1,
+    ) -> list[Assessment]:
+        """Judge each so many-th model from one on; by default all."""
+        unknown, size, predictor = self.unknown, evaluation.size, None
+        if unknown is not None and has_pairs(unknown.observed.driver, self.pool):
+            predictor = ActionPredictor(unknown, self.pool, size.seed)
+        some = evaluation.fitting_models[0][first::every]
+        total, line = assessment.PARTS * len(some), own_line()
+        with tqdm(total=total, unit=" parts", desc="judging", position=line) as bar:
+            return [
+                assessment.assess(
+                    model, self.split, exact, unknown, size, self.windows, bar.update, predictor
+                )
+                for model in some
+            ]
+
 
 def _judge_some(
     evaluation: TraitEvaluation, exact: Identification | None, first: int, every: int
 ) -> list[Assessment]:
     """Judge each so many-th model from one on, in a process of its own."""
-    by, size, predictor = _Judging.read(evaluation), evaluation.size, None
-    if by.unknown is not None and has_pairs(by.unknown.observed.driver, by.pool):
-        predictor = ActionPredictor(by.unknown, by.pool, size.seed)
-    some = evaluation.fitting_models[0][first::every]
-    total, line = assessment.PARTS * len(some), own_line()
-    with tqdm(total=total, unit=" parts", desc="judging", position=line) as bar:
-        return [
-            assessment.assess(
-                model, by.split, exact, by.unknown, size, by.windows, bar.update, predictor
-            )
-            for model in some
-        ]
+    return _Judging.read(evaluation).judge(evaluation, exact, first, every)
 
 
 def _digest(demonstrations: Path) -> str:

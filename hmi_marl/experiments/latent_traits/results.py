@@ -48,14 +48,15 @@ class TraitResults:
 
     def accuracy(self, setting: str, size: int, of: str = "types") -> Estimate:
         """Average the probe's accuracy on "types" or "preferences"; 1 seed: interval over pools."""
-        probes = [getattr(o.at_pool(size), of).linear_probe for o in self.assessments[setting]]
-        return probes[0] if len(probes) == 1 else statistics.mean_share(probes)
+        found = self._probes(setting, size, of)
+        return found[0] if len(found) == 1 else statistics.mean_share(found)
 
     def by_seed(self, setting: str, size: int, of: str = "types") -> Estimate:
         """Average the same over training seeds; without an interval for a single one."""
-        return statistics.mean_share(
-            [getattr(one.at_pool(size), of).linear_probe for one in self.assessments[setting]]
-        )
+        return statistics.mean_share(self._probes(setting, size, of))
+
+    def _probes(self, setting: str, size: int, of: str) -> list[Estimate]:
+        return [getattr(one.at_pool(size), of).linear_probe for one in self.assessments[setting]]
 
     def kl_ratio(self, setting: str, other: str, size: int) -> Estimate:
         """Ratio of the average KL of two settings, paired by seed, geometric mean."""

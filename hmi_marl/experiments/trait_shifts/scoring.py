@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import hmi_marl
 from hmi_marl.agents.catalogue import learned_file, make_driver_policy
-from hmi_marl.agents.learned.cards import find_card
-from hmi_marl.agents.learned.trait_model import load_traits
+from hmi_marl.agents.learned.trait_model import find_traits, load_traits
 from hmi_marl.demonstrations.dataset import Demonstrations, disjoint_pools
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.config import DRIVER, TeamConfig
@@ -101,7 +100,7 @@ class Probing:
 
     def depends_on(self) -> dict[str, Any]:
         """Checksums of what it reads, by place."""
-        card = find_card(self.model, "traits", "trait model")
+        card = find_traits(self.model)
         checksums = {self.model: sha256_of(card.with_suffix(".safetensors"))}
         for recording in (self.fitted, self.judged):
             checksums |= _checksums(recording.driver_policy)

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from hmi_marl.agents.catalogue import learned_file, mixed_names
-from hmi_marl.agents.learned.cards import find_card, is_shipped
+from hmi_marl.agents.learned.cards import is_shipped
+from hmi_marl.agents.learned.trait_model import find_traits
 from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import json_digest, json_value, sha256_of
@@ -85,7 +86,7 @@ def run_settings(settings: object) -> dict[str, Any]:
             mixed = [_policy(each) for each in mixed_names(name)]
             content[setting] = {MIXTURE: mixed} if mixed else _policy(name)
     if isinstance(name := content.get(TRAIT_MODEL), str):
-        content[TRAIT_MODEL] = _by_checksum(name, find_card(name, "traits", "trait model"))
+        content[TRAIT_MODEL] = _by_checksum(name, find_traits(name))
     return content
 
 
