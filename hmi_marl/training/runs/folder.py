@@ -8,7 +8,7 @@ from typing import Any
 
 from hmi_marl.agents.catalogue import learned_file, mixed_names
 from hmi_marl.agents.learned.cards import is_shipped
-from hmi_marl.agents.learned.trait_model import find_traits
+from hmi_marl.agents.learned.trait_model import load_traits
 from hmi_marl.checks import shown
 from hmi_marl.envs.config import DRIVER
 from hmi_marl.files import json_digest, json_value, sha256_of
@@ -25,7 +25,7 @@ CHECKPOINT = "checkpoint.safetensors"
 POLICIES = ("driver_policy", "anchor")
 """Settings that name a driver policy, which a run notes with the checksum of its weights."""
 TRAIT_MODEL = "traits"
-"""Setting that names a trait model, noted in the same way."""
+"""Setting that names a trait model, noted with the checksum of its encoder, which alone is read."""
 MIXTURE = "mixture"
 """Key of the policies in a mixture of driver policies."""
 FREE = ("device", "threads", "checkpoint_every")
@@ -76,6 +76,8 @@ def _seconds(run: Path) -> float:
 def run_settings(settings: object) -> dict[str, Any]:
     """A run's settings, a dataclass, as JSON, with the models that it reads named by checksums.
 
+    Of a trait model, only the encoder is read and counts.
+
     Raises:
         FileNotFoundError, ValueError: there is no such driver policy, or no such trait model.
     """
@@ -86,7 +88,7 @@ def run_settings(settings: object) -> dict[str, Any]:
             mixed = [_policy(each) for each in mixed_names(name)]
             content[setting] = {MIXTURE: mixed} if mixed else _policy(name)
     if isinstance(name := content.get(TRAIT_MODEL), str):
-        content[TRAIT_MODEL] = _by_checksum(name, find_traits(name))
+        content[TRAIT_MODEL] = {"name": _short(name), "sha256": load_traits(name).digest}
     return content
 
 
@@ -98,8 +100,11 @@ def _policy(name: str) -> str | dict[str, str]:
 
 def _by_checksum(name: str, file: Path) -> dict[str, str]:
     """Short name of a model, and the checksum of its weights; ``file`` is these or the card."""
-    short = name.lower() if is_shipped(name) else Path(name).name
-    return {"name": short, "sha256": sha256_of(file.with_suffix(".safetensors"))}
+    return {"name": _short(name), "sha256": sha256_of(file.with_suffix(".safetensors"))}
+
+
+def _short(name: str) -> str:
+    return name.lower() if is_shipped(name) else Path(name).name
 
 
 def read_settings(path: Path) -> dict[str, Any]:

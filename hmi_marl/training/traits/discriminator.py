@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.training.runs.divergence import check_finite
@@ -21,12 +22,15 @@ from hmi_marl.training.traits.losses import (
     log_discriminator,
     regularisation_loss,
 )
-from hmi_marl.training.traits.model import Discriminator, log_likelihood, log_policy
+from hmi_marl.training.traits.model import Discriminator, Reward, log_likelihood, log_policy
 from hmi_marl.training.traits.settings import TraitSettings
 from hmi_marl.training.traits.windows import Batch, transitions
 
 LONGEST_GRADIENT = 10.0
-_MODEL, _RATE = "model.", "learning_rate"
+AVERAGING = 0.99
+"""Share of the averaged reward that a round keeps. The reward of a single round follows what the
+policy happens to do there."""
+_MODEL, _AVERAGE, _RATE = "model.", "average.", "learning_rate"
 
 
 class Labelled(NamedTuple):
@@ -50,6 +54,8 @@ class DiscriminatorLearner:
         self, card: TraitCard, settings: TraitSettings, policy: MLPModel, device: str
     ) -> None:
         self.model = Discriminator(card).to(device)
+        averaging = get_ema_multi_avg_fn(AVERAGING)  # type: ignore[no-untyped-call]
+        self._averaged = AveragedModel(self.model.reward, multi_avg_fn=averaging)
         self._settings, self._policy = settings, policy
         self._learning = [*self.model.reward.parameters(), self.model.width]
         if not settings.fixed_encoder:
@@ -60,6 +66,20 @@ class DiscriminatorLearner:
                 {"params": list(policy.mlp.parameters()), "lr": settings.imitation_rate},
             ]
         )
+
+    @property
+    def averaged(self) -> Reward:
+        """The reward, its weights averaged over the rounds so far: the one to keep.
+
+        The policy learns from the present one.
+        """
+        reward = self._averaged.module
+        assert isinstance(reward, Reward)
+        return reward
+
+    def average(self) -> None:
+        """Let the present reward enter the average; to be called once in each round."""
+        self._averaged.update_parameters(self.model.reward)
 
     def encode(self, batch: Batch) -> Posterior:
         """Return q(z | τ) of every pool."""
@@ -170,12 +190,16 @@ class DiscriminatorLearner:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Weights and the optimizer's state, by flat names."""
-        tensors = {f"{_MODEL}{name}": value for name, value in self.model.state_dict().items()}
+        tensors = {
+            f"{of}{name}": value
+            for of, module in ((_MODEL, self.model), (_AVERAGE, self._averaged))
+            for name, value in module.state_dict().items()
+        }
         return tensors | flat_moments(self._optimizer.state_dict())
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what :meth:`tensors` returned; RuntimeError if it is of another model."""
-        mine = {name: value for name, value in tensors.items() if name.startswith(_MODEL)}
-        model = {name.removeprefix(_MODEL): value for name, value in mine.items()}
-        self.model.load_state_dict(model)
+        for of, module in ((_MODEL, self.model), (_AVERAGE, self._averaged)):
+            mine = {name: value for name, value in tensors.items() if name.startswith(of)}
+            module.load_state_dict({name.removeprefix(of): v for name, v in mine.items()})
         self._optimizer.load_state_dict(with_moments(self._optimizer.state_dict(), tensors))

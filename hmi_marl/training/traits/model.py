@@ -82,12 +82,12 @@ def log_likelihood(policy: MLPModel, batch: Batch, z: torch.Tensor) -> torch.Ten
 
 
 def weights_of_model(
-    discriminator: Discriminator, policy: MLPModel, units: Units
+    encoder: ContextEncoder, reward: Reward, policy: MLPModel, units: Units
 ) -> dict[str, NDArray[np.float32]]:
     """Return all weights by the names of :attr:`TraitCard.shapes`."""
     weights = {"state.centre": units.centre, "state.scale": units.scale}
-    weights |= discriminator.encoder.arrays()
-    networks = (discriminator.reward.reward, discriminator.reward.potential, policy.mlp)
+    weights |= encoder.arrays()
+    networks = (reward.reward, reward.potential, policy.mlp)
     for part, network in zip(PARTS, networks, strict=True):
         for name, values in layers_of(network).items():
             weights[f"{part}.{name}"] = values

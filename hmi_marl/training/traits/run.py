@@ -167,7 +167,10 @@ class _Run(ModelRun):
 
     def save_model(self) -> None:
         """See :meth:`ModelRun.save_model`."""
-        weights = weights_of_model(self._discriminator.model, self._generator.policy, self._units)
+        made = self._discriminator
+        weights = weights_of_model(
+            made.model.encoder, made.averaged, self._generator.policy, self._units
+        )
         about = self.about | self._about_data
         training = about | {"steps": self.state.steps, "command": self.command_line}
         save_traits(self.folder, replace(self._card, training=training), weights)
@@ -215,6 +218,7 @@ class _Run(ModelRun):
             self._discriminator.learn(*self._demonstrated(rng), driven, z)
             for _ in range(settings.updates)
         ]
+        self._discriminator.average()
         row = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
         f = self._discriminator.rewards(driven, z)
         if iteration >= settings.settling * self._rounds:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from trait_models import save_driver, untrained
 
-from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.agents.learned.trait_model import load_traits, save_traits
 from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.files import sha256_of
@@ -56,7 +56,7 @@ def test_a_trait_model_is_noted_in_the_same_way(tmp_path: Path) -> None:
         save_traits(folder, model.card, model.weights)
     settings = EvidenceSettings(traits=str(mine))
     content = run_settings(settings)["traits"]
-    assert content == {"name": "mine", "sha256": sha256_of(mine / "traits.safetensors")}
+    assert content == {"name": "mine", "sha256": load_traits(mine).digest}  # of the encoder
     assert run_settings(EvidenceSettings())["traits"]["name"] == "trained:traits-self"
     before = about(settings)
     check_same(before, about(replace(settings, traits=str(moved))), tmp_path)

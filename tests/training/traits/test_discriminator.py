@@ -8,7 +8,7 @@ from trait_models import SMALL
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
+from hmi_marl.training.traits.discriminator import AVERAGING, DiscriminatorLearner, Labelled
 from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.model import log_policy, make_policy
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
@@ -178,3 +178,35 @@ def test_weights_of_another_model_are_refused():
     )
     with pytest.raises(RuntimeError, match="size mismatch"):
         adversary().load(other.tensors())
+
+
+def test_the_reward_that_is_kept_is_an_average_over_rounds():
+    one = adversary()
+
+    def first(reward):
+        return next(reward.parameters()).detach().clone()
+
+    seen = []
+    for number in range(3):
+        one.learn(pools(4, seed=number), labelled(), pools(2, seed=1), torch.randn(2, 2))
+        one.average()
+        seen.append(first(one.model.reward))
+    expected = seen[0]
+    for present in seen[1:]:
+        expected = AVERAGING * expected + (1 - AVERAGING) * present
+    torch.testing.assert_close(first(one.averaged), expected)
+    assert not torch.equal(first(one.averaged), seen[-1])
+
+
+def test_the_average_goes_on_after_an_interruption():
+    one, other = adversary(), adversary()
+    for number in range(2):
+        one.average()
+        one.learn(pools(4, seed=number), labelled(), pools(2, seed=1), torch.randn(2, 2))
+    other.load({name: value.clone() for name, value in one.tensors().items()})
+    for each in (one, other):
+        each.average()
+    before = one.averaged.state_dict()
+    assert before.keys() == other.averaged.state_dict().keys()
+    for name, value in other.averaged.state_dict().items():
+        torch.testing.assert_close(value, before[name])

@@ -54,7 +54,13 @@ def learned() -> tuple[Discriminator, torch.nn.Module, TraitModel]:
     """A model in torch, and the same in NumPy."""
     discriminator, policy = loud(Discriminator(CARD)), make_policy(CARD)
     loud(policy.mlp, seed=1)
-    return discriminator, policy, TraitModel(CARD, weights_of_model(discriminator, policy, UNITS))
+    return (
+        discriminator,
+        policy,
+        TraitModel(
+            CARD, weights_of_model(discriminator.encoder, discriminator.reward, policy, UNITS)
+        ),
+    )
 
 
 # f and π.
@@ -123,7 +129,7 @@ def test_policy_and_value_read_a_situation_and_z() -> None:
 
 def test_the_weights_fit_the_card_and_are_copies() -> None:
     discriminator, policy = Discriminator(CARD), make_policy(CARD)
-    weights = weights_of_model(discriminator, policy, UNITS)
+    weights = weights_of_model(discriminator.encoder, discriminator.reward, policy, UNITS)
     assert {name: values.shape for name, values in weights.items()} == CARD.shapes
     assert {values.dtype for values in weights.values()} == {np.dtype(np.float32)}
     before = {name: values.copy() for name, values in weights.items()}
