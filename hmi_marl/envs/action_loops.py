@@ -1,4 +1,4 @@
-"""Compiled loops that check actions and set them, in the order of a turn."""
+"""Compiled loops that check actions and set them."""
 
 from __future__ import annotations
 
@@ -12,48 +12,56 @@ from hmi_marl.envs.worlds.batched.compiler import kernel
 def check_actions(progress, actions, sizes, columns, found):
     """Copy actions of shape (N, C) to int64 of shape (C, N), in which they are whole numbers.
 
-    ``found`` becomes the team and column of the first that is not, or not below its column's size,
-    else -1.
+    Returns whether they are, and below their columns' sizes. If not, ``found`` becomes the team and
+    column of the first that is not.
     """
-    found[0] = -1
     for column in range(len(sizes)):
         for team in range(len(actions)):
             value = actions[team, column]
             if not 0 <= value < sizes[column] or value != np.int64(value):
                 found[0], found[1] = team, column
-                return
+                return False
             columns[column, team] = np.int64(value)
+    return True
+
+
+TWICE, NO_INTENT, TOO_EARLY, NO_ALERT = range(4)
+"""Reasons to refuse actions: a driver has acted already; its action is none; an alert before the
+driver has acted; an alert that is none."""
 
 
 @kernel
-def intend_teams(progress, teams, actions, choices, acts, found):
-    """Set the drivers' actions; see :meth:`Execution.intend`."""
+def enter_actions(progress, teams, intents, alerts, acts, choices, active, alert, refused):
+    """Check the actions of one seat or both, and set them; see :meth:`Execution.enter`.
+
+    A seat that does not act has no actions, and ``choices`` are the numbers of both seats' actions.
+    Returns whether they are set. If not, ``refused`` holds the first team of each reason to refuse,
+    -1 where there is none.
+    """
     state, over, given = teams.state, teams.over, teams.intent_given
-    found[0], found[1] = -1, -1
+    drives, alerted = len(intents) > 0, len(alerts) > 0
+    for reason in range(len(refused)):
+        refused[reason] = -1
+    for k in range(len(over) - 1, -1, -1):
+        if acts[k] and not over[k]:
+            if drives and given[k]:
+                refused[TWICE] = k
+            if drives and not 0 <= intents[k] < choices[0]:
+                refused[NO_INTENT] = k
+            if alerted and not drives and not given[k]:
+                refused[TOO_EARLY] = k
+            if alerted and not 0 <= alerts[k] < choices[1]:
+                refused[NO_ALERT] = k
+    for reason in range(len(refused)):
+        if refused[reason] >= 0:
+            return False
     for k in range(len(over)):
         on = acts[k] and not over[k]
-        if on and given[k] and found[0] < 0:
-            found[0] = k
-        if on and not 0 <= actions[k] < choices and found[1] < 0:
-            found[1] = k
-    if found[0] >= 0 or found[1] >= 0:
-        return
-    for k in range(len(over)):
-        if acts[k] and not over[k]:
+        if drives and on:
             state[k, team_step.PREVIOUS] = state[k, team_step.INTENDED]
-            state[k, team_step.INTENDED] = actions[k]
+            state[k, team_step.INTENDED] = intents[k]
             given[k] = True
-
-
-@kernel
-def admit_alerts(progress, teams, alerts, choices, active, alert, found):
-    """Find out which teams take a step, and by which alerts; see :meth:`Execution.admit`."""
-    found[0], found[1] = -1, -1
-    for k in range(len(teams.over)):
-        on = not teams.over[k]
-        if on and not teams.intent_given[k] and found[0] < 0:
-            found[0] = k
-        if on and not 0 <= alerts[k] < choices and found[1] < 0:
-            found[1] = k
-        active[k] = on
-        alert[k] = alerts[k] if on else 0
+        if alerted:
+            active[k] = on
+            alert[k] = alerts[k] if on else 0
+    return True

@@ -28,7 +28,7 @@ for rule in (
     team_step.begin,
     team_step.decide,
     team_step.reward,
-    values.scale_lidar,
+    team_step.score,
     values.write,
 ):
     register_jitable(**_OPTIONS)(rule)
@@ -77,11 +77,14 @@ def _put_row(rows: Any, row: Any, column: Any, values: Any) -> Any:
     return put_row
 
 
-@overload(elementwise.scale_row, jit_options=_OPTIONS, strict=False)
-def _scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> Any:
-    def scale_row(rows: Any, row: Any, values: Any, scale: Any, bound: Any) -> None:
-        flat, scaled = values.reshape(values.size), rows[row]
-        for place in range(len(flat)):
-            scaled[place] = elementwise.within(flat[place] / scale, -bound, bound)
+@overload(elementwise.put_scaled, jit_options=_OPTIONS, strict=False)
+def _put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound: Any) -> Any:
+    def put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound: Any) -> None:
+        if column >= 0:
+            flat = values.reshape(values.size)
+            # Places of a slice are not counted from its end, so that several are written at once.
+            places = rows[row, column : column + len(flat)]
+            for place in range(len(flat)):
+                places[place] = elementwise.within(flat[place] / scale, -bound, bound)
 
-    return scale_row
+    return put_scaled

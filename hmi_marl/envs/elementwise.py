@@ -67,6 +67,10 @@ def put_row(rows: NDArray[Any], row: Any, column: int, values: Any) -> None:
         rows[row, column : column + values.shape[-1]] = values
 
 
-def scale_row(rows: NDArray[np.float32], row: Any, values: Any, scale: Any, bound: Any) -> None:
-    """Write a whole row: a table of values divided by a scale, kept within -bound to bound."""
-    rows[row] = within(values / scale, -bound, bound).reshape(rows[row].shape)
+def put_scaled(
+    rows: NDArray[np.float32], row: Any, column: int, values: Any, scale: Any, bound: Any
+) -> None:
+    """Write a table of values divided by a scale and kept within -bound to bound, cell by cell."""
+    if column >= 0:
+        scaled = within(values / scale, -bound, bound).reshape(*values.shape[:-2], -1)
+        rows[row, column : column + scaled.shape[-1]] = scaled

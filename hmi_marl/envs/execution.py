@@ -8,6 +8,7 @@ where numba need not be imported; the loops (:mod:`hmi_marl.envs.loops`) suit al
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,10 @@ from hmi_marl.envs import team_step
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.copies import OwnArrays
 from hmi_marl.envs.elementwise import EVERY
-from hmi_marl.envs.observation_values import (
-    Shown,
-    scale_lidar,
-    write,
-)
+from hmi_marl.envs.observation_values import Shown, write
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.team_arrays import After, Group, Rules, Teams, lidars_shown
+from hmi_marl.envs.team_arrays import NO_SCORES, After, Group, Rules, Teams, lidars_shown
+from hmi_marl.envs.team_step import Scores
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 
@@ -48,8 +46,9 @@ class Execution(OwnArrays, ABC):
         self.world, self.rules = world, rules
         self._readings = Readings.of(world.ego())
         self._every = np.arange(world.num_worlds)
-        self._cells = 2 * world.scene.lidar_cells
-        self._no_lidar = np.zeros((0, self._cells), np.float32)
+        self._everywhere = np.ones(world.num_worlds, np.bool_)
+        self._no_lidar = np.zeros((0, world.scene.lidar_cells, 2), np.float32)
+        self._choices = len(VEHICLE_ACTIONS), len(rules.effects.strengths)
 
     @property
     def bytes_per_team(self) -> int:
@@ -70,26 +69,28 @@ class Execution(OwnArrays, ABC):
         """
 
     @abstractmethod
-    def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
-        """Set the drivers' a^H.
+    def enter(
+        self,
+        teams: Teams,
+        intents: NDArray[np.int64] | None,
+        alerts: NDArray[np.int64] | None,
+        acts: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Take the actions of one seat or both.
 
         Args:
-            teams: written into.
-            actions: a^H, shape (N,).
-            acts: teams in which the driver acts now, unless they are over.
+            teams: the drivers' actions are written into them.
+            intents: a^H, shape (N,); None if the drivers do not act now.
+            alerts: a^A, shape (N,); None if the HMIs do not act now.
+            acts: teams that act now, unless they are over. With alerts, every team.
+
+        Returns:
+            Which teams take a step, shape (N,), and their alerts, 0 for the others; to be read if
+            there are alerts.
 
         Raises:
-            ValueError: a driver has acted already, or by no action. Nothing has changed then.
-        """
-
-    @abstractmethod
-    def admit(
-        self, teams: Teams, alerts: NDArray[np.int64]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Return which teams take a step, shape (N,), and their alerts, 0 for the others.
-
-        Raises:
-            ValueError: a driver has not acted, or an alert is none.
+            ValueError: a driver has acted already, or has not when its HMI acts, or an action is
+                none. Nothing has changed then.
         """
 
     @abstractmethod
@@ -131,16 +132,19 @@ class Execution(OwnArrays, ABC):
     def step(
         self,
         teams: Teams,
+        intents: NDArray[np.int64] | None,
         alerts: NDArray[np.int64],
         state: NDArray[np.int64],
         groups: tuple[Group, ...] = (),
         finals: tuple[Group, ...] = (),
         series: Series | None = None,
+        scores: Scores = NO_SCORES,
     ) -> After:
-        """Take a step in which both agents have acted.
+        """Take a step.
 
         Args:
-            teams: before the step. All but their state is written into.
+            teams: before the step; written into, but for what is in ``state``.
+            intents: a^H_t, shape (N,); None if the drivers have acted already.
             alerts: a^A_t, shape (N,).
             state: of the teams after the step, to be filled in.
             groups: observations after the step, to be written for every team.
@@ -148,15 +152,18 @@ class Execution(OwnArrays, ABC):
                 whose episode ends; read only if there are ``series``.
             series: of episodes. Teams whose episode ends begin their next one at once; without
                 series they stay as they are. Call :meth:`Series.look_ahead` before.
+            scores: to be filled in.
 
         Raises:
-            ValueError: see :meth:`admit`. Nothing has changed then.
+            ValueError: see :meth:`enter`. Nothing has changed then.
         """
-        active, alert = self.admit(teams, alerts)
+        active, alert = self.enter(teams, intents, alerts, self._everywhere)
         self.decide(teams, active, alert, state)
         self._move_world(active, state[:, team_step.APPLIED])
         after = After.new(len(alert))
         self.reward(teams, active, alert, state, after)
+        if len(scores.dones):
+            team_step.score(EVERY, after.rewards, after.ends, scores)
         teams.over[:] = after.ends[:, team_step.OVER]
         teams.intent_given[:] = False
         now = teams._replace(state=state)
@@ -213,17 +220,22 @@ class Execution(OwnArrays, ABC):
         self.world.reset(teams.seeds.copy(), inflations, marks)
         self._readings = Readings.of(self.world.ego())
 
-    def check_intent(self, found: NDArray[np.int64], actions: NDArray[np.int64]) -> None:
-        """Raise if a driver had acted already, or acted by no action; -1 stands for neither."""
-        if found[0] >= 0:
+    def refuse(
+        self,
+        refused: Sequence[int],
+        intents: NDArray[np.int64] | None,
+        alerts: NDArray[np.int64] | None,
+    ) -> None:
+        """Raise ValueError for the first reason; see :mod:`action_loops` for reasons and teams."""
+        twice, no_intent, too_early, no_alert = refused
+        if twice >= 0:
             raise ValueError("the drivers have already acted in this step; now alert with step()")
-        _check_found(DRIVER, found[1], actions, len(VEHICLE_ACTIONS))
-
-    def check_admission(self, found: NDArray[np.int64], alerts: NDArray[np.int64]) -> None:
-        """Raise if a driver has not acted, or an alert is none; -1 stands for neither."""
-        if found[0] >= 0:
+        if intents is not None and no_intent >= 0:
+            raise _none_of(DRIVER, intents[no_intent], self._choices[0])
+        if too_early >= 0:
             raise ValueError("the driver acts first: call intend() with the driver's action")
-        _check_found(VEHICLE_AI, found[1], alerts, len(self.rules.effects.strengths))
+        if alerts is not None and no_alert >= 0:
+            raise _none_of(VEHICLE_AI, alerts[no_alert], self._choices[1])
 
     def _move_world(self, active: NDArray[np.bool_], applied: NDArray[np.int64]) -> None:
         """Move the cars, but those that are crashed: these stand."""
@@ -238,24 +250,18 @@ class Execution(OwnArrays, ABC):
     def _shown(self, teams: Teams, groups: tuple[Group, ...]) -> Shown:
         """What observations show, with those lidars that the groups read."""
         true, perceived = (
-            self._scaled_lidar(inflated) if wanted else self._no_lidar
+            self._lidar(inflated) if wanted else self._no_lidar
             for inflated, wanted in zip((False, True), lidars_shown(groups), strict=True)
         )
         return Shown(true, perceived, *self.readings, teams.state, teams.intent_given, teams.traits)
 
-    def _scaled_lidar(self, inflated: bool) -> NDArray[np.float32]:
-        """A lidar of every team as it is shown, shape (N, 2 cells)."""
-        lidar = np.asarray(self.world.lidar(inflated), np.float32)
-        shown = np.empty((len(lidar), self._cells), np.float32)
-        scale_lidar(shown, EVERY, lidar, self.rules.scales)
-        return shown
+    def _lidar(self, inflated: bool) -> NDArray[np.float32]:
+        """A lidar of every team, shape (N, cells, 2); compiled loops take no read-only arrays."""
+        return np.require(self.world.lidar(inflated), np.float32, ("C", "W"))
 
 
-def _check_found(agent: str, team: int, actions: NDArray[np.int64], choices: int) -> None:
-    if team >= 0:
-        raise ValueError(
-            f"{agent} action {actions[team]} is out of range: it is one of 0 to {choices - 1}"
-        )
+def _none_of(agent: str, action: int, choices: int) -> ValueError:
+    return ValueError(f"{agent} action {action} is out of range: it is one of 0 to {choices - 1}")
 
 
 class InNumPy(Execution):
@@ -271,23 +277,29 @@ class InNumPy(Execution):
             raise WrongActionError(actions, team, column)
         return np.ascontiguousarray(whole.T)
 
-    def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
-        """See :meth:`Execution.intend`."""
-        state, given, on = teams.state, teams.intent_given, acts & ~teams.over
-        wrong = on & ((actions < 0) | (actions >= len(VEHICLE_ACTIONS)))
-        self.check_intent(_first(on & given, wrong), actions)
-        np.copyto(state[:, team_step.PREVIOUS], state[:, team_step.INTENDED], where=on)
-        np.copyto(state[:, team_step.INTENDED], actions, where=on)
-        given |= on
-
-    def admit(
-        self, teams: Teams, alerts: NDArray[np.int64]
+    def enter(
+        self,
+        teams: Teams,
+        intents: NDArray[np.int64] | None,
+        alerts: NDArray[np.int64] | None,
+        acts: NDArray[np.bool_],
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """See :meth:`Execution.admit`."""
-        active, choices = ~teams.over, len(self.rules.effects.strengths)
-        wrong = active & ((alerts < 0) | (alerts >= choices))
-        self.check_admission(_first(active & ~teams.intent_given, wrong), alerts)
-        return active, np.where(active, alerts, 0)
+        """See :meth:`Execution.enter`."""
+        state, given, on = teams.state, teams.intent_given, acts & ~teams.over
+        nowhere = np.zeros_like(on)
+        refused = [
+            nowhere if intents is None else on & given,
+            nowhere if intents is None else on & ((intents < 0) | (intents >= self._choices[0])),
+            nowhere if alerts is None or intents is not None else on & ~given,
+            nowhere if alerts is None else on & ((alerts < 0) | (alerts >= self._choices[1])),
+        ]
+        first = [int(each.argmax()) if each.any() else -1 for each in refused]
+        self.refuse(first, intents, alerts)
+        if intents is not None:
+            np.copyto(state[:, team_step.PREVIOUS], state[:, team_step.INTENDED], where=on)
+            np.copyto(state[:, team_step.INTENDED], intents, where=on)
+            given |= on
+        return on, np.where(on, 0 if alerts is None else alerts, 0)
 
     def decide(
         self,
@@ -328,8 +340,3 @@ class InNumPy(Execution):
         shown = self._shown(teams, groups)
         for group in groups:
             write(group.rows, EVERY, group.first, which, shown, self.rules.scales)
-
-
-def _first(*marks: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """First team of each mark, -1 where there is none."""
-    return np.array([each.argmax() if each.any() else -1 for each in marks])

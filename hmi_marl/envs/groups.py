@@ -10,24 +10,17 @@ from numpy.typing import NDArray
 
 from hmi_marl.checks import check_choice
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
-from hmi_marl.envs.drivers import TRAIT_NAMES
-from hmi_marl.envs.observations import Layout, Part
 from hmi_marl.envs.seats import Policy, check_policy
-from hmi_marl.envs.teaming import STATE
+from hmi_marl.envs.teaming import STATE, TRAITS
 
 Seat = Literal["driver", "vehicle_ai", "team"]
 TEAM = "team"
-TRAITS, CRITIC = "traits", "critic"
+CRITIC = "critic"
 GROUPS = (DRIVER, VEHICLE_AI, TRAITS, CRITIC)
 """Groups of observations."""
 
-VIEW = {DRIVER: DRIVER, VEHICLE_AI: VEHICLE_AI, CRITIC: STATE}
+VIEW = {DRIVER: DRIVER, VEHICLE_AI: VEHICLE_AI, TRAITS: TRAITS, CRITIC: STATE}
 """Names of groups among the views that a Teaming gives."""
-
-TRAITS_LAYOUT = Layout(
-    tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
-)
-"""Columns of the group ``traits``."""
 
 
 def check_seat(seat: str, partner: Policy | None) -> None:
@@ -44,7 +37,7 @@ def check_seat(seat: str, partner: Policy | None) -> None:
 
 def views_of(groups: Sequence[str]) -> tuple[str, ...]:
     """Names of the views that these groups consist of."""
-    return tuple(VIEW[group] for group in groups if group in VIEW)
+    return tuple(VIEW[group] for group in groups)
 
 
 def checked_groups(groups: Collection[str]) -> tuple[str, ...]:

@@ -16,25 +16,24 @@ from hmi_marl.envs import (
     team_step,
 )
 from hmi_marl.envs import observation_values as values
-from hmi_marl.envs.action_loops import admit_alerts, check_actions, intend_teams
+from hmi_marl.envs.action_loops import check_actions, enter_actions
 from hmi_marl.envs.execution import Execution, WrongActionError
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.team_arrays import After, Group, Rules, Teams, lidars_shown
-from hmi_marl.envs.team_step import AT_START, TOTALS
-from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
+from hmi_marl.envs.team_arrays import NO_SCORES, After, Group, Rules, Teams, lidars_shown
+from hmi_marl.envs.team_step import AT_START, TOTALS, Scores
+from hmi_marl.envs.worlds import World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 from hmi_marl.envs.worlds.batched import BatchedWorld
 from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare_once
 from hmi_marl.envs.worlds.batched.kernels import (
-    TAKEN,
-    TRACED,
     Merges,
     begin_world,
     halt_world,
     look,
     move_world,
 )
-from hmi_marl.envs.worlds.batched.threads import share, take
+from hmi_marl.envs.worlds.batched.prefetch import ask_for_rows
+from hmi_marl.envs.worlds.batched.threads import new_progress, share, take
 
 
 @kernel
@@ -83,18 +82,6 @@ def write_teams(progress, which, shown, rules, groups):
         first, last = take(progress, last - first, len(which))
 
 
-@inlined
-def look_and_scale(k, merges, true, perceived, shown, scales):
-    """Trace those lidars of team k that are wanted and have changed, and scale them."""
-    look(k, merges, true, perceived)
-    if true and merges.true_news[k] == TRACED:
-        values.scale_lidar(shown.true_lidar, k, merges.true_lidar, scales)
-        merges.true_news[k] = TAKEN
-    if perceived and merges.perceived_news[k] == TRACED:
-        values.scale_lidar(shown.perceived_lidar, k, merges.perceived_lidar, scales)
-        merges.perceived_news[k] = TAKEN
-
-
 @kernel
 def look_and_write_teams(progress, merges, true, perceived, which, shown, rules, groups):
     """Trace the lidars that are read and have changed, then do as :func:`write_teams`."""
@@ -102,7 +89,7 @@ def look_and_write_teams(progress, merges, true, perceived, which, shown, rules,
     first, last = take(progress, 0, len(which))
     while first < last:
         for row in range(first, last):
-            look_and_scale(which[row], merges, true, perceived, shown, scales)
+            look(which[row], merges, true, perceived)
             write_groups(groups, row, which[row], shown, scales)
         first, last = take(progress, last - first, len(which))
 
@@ -125,8 +112,8 @@ class NextEpisodes(NamedTuple):
 
 @kernel
 def step_teams(
-    progress, merges, room, teams, active, alert, rules, after, rewards, ends,
-    following, shown_lidars, finals, groups,
+    progress, merges, room, teams, active, alert, rules, after, rewards, ends, scores,
+    following, finals, groups,
 ):  # fmt: skip
     """Take a whole step of every team: decide, move, reward, begin what follows, look and write.
 
@@ -137,8 +124,9 @@ def step_teams(
     state, traits, seeds, over, intent_given, totals = teams
     window, effects, settings, scales = rules
     numbers, flags = merges.numbers, merges.flags
-    true_shown, perceived_shown = shown_lidars
-    shown = values.Shown(true_shown, perceived_shown, numbers, flags, after, intent_given, traits)
+    shown = values.Shown(
+        merges.true_lidar, merges.perceived_lidar, numbers, flags, after, intent_given, traits
+    )  # fmt: skip
     final_true, final_perceived, final_groups = finals
     true, perceived, all_groups = groups
     ahead = following.seeds_ahead.shape[1]
@@ -146,6 +134,10 @@ def step_teams(
     while first < last:
         for k in range(first, last):
             team_step.decide(k, active, alert, state, seeds, traits, window, effects, after)
+        ask_for_rows(totals, first, last)
+        for rows, _ in all_groups:
+            if len(rows):
+                ask_for_rows(rows, first, last)
         for k in range(first, last):
             if active[k]:
                 if flags[k, CRASHED] == 0:
@@ -156,11 +148,13 @@ def step_teams(
             team_step.reward(
                 k, active, alert, state, after, numbers, flags, settings, rewards, ends, totals
             )
+            if len(scores.dones):
+                team_step.score(k, rewards, ends, scores)
             over[k] = ends[k, team_step.OVER]
             intent_given[k] = False
         for k in range(first, last):
             if following.wanted and ends[k, team_step.ENDED]:
-                look_and_scale(k, merges, final_true, final_perceived, shown, scales)
+                look(k, merges, final_true, final_perceived)
                 write_groups(final_groups, k, k, shown, scales)
                 for column in range(team_step.TOTALS):
                     following.last_totals[k, column] = totals[k, column]
@@ -173,7 +167,7 @@ def step_teams(
                 )  # fmt: skip
                 begin_world(k, merges, room, seed, driver[team_step.INFLATION])
         for k in range(first, last):
-            look_and_scale(k, merges, true, perceived, shown, scales)
+            look(k, merges, true, perceived)
         for rows, first_of in all_groups:
             if len(rows):
                 for k in range(first, last):
@@ -181,7 +175,7 @@ def step_teams(
         first, last = take(progress, last - first, len(active))
 
 
-_GROUPS = 3
+_GROUPS = 4
 """Groups of observations that one loop writes."""
 _NO_GROUP = np.empty((0, 0), np.float32), np.full(len(values.PARTS), -1)
 
@@ -192,7 +186,7 @@ class InLoops(Execution):
     def __init__(self, world: World, rules: Rules) -> None:
         super().__init__(world, rules)
         count = world.num_worlds
-        self._found = np.zeros(2, np.int64)
+        self._found, self._refused = np.zeros(2, np.int64), np.zeros(4, np.int64)
         self._active, self._alert = np.zeros(count, np.bool_), np.zeros(count, np.int64)
 
     def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
@@ -200,23 +194,23 @@ class InLoops(Execution):
         if not actions.flags.carray:
             actions = np.require(actions, None, ("C", "W"))
         columns = np.empty((len(sizes), len(actions)), np.int64)
-        check_actions(_NO_PROGRESS, actions, sizes, columns, self._found)
-        if self._found[0] >= 0:
+        if not check_actions(_NO_PROGRESS, actions, sizes, columns, self._found):
             raise WrongActionError(actions, *self._found)
         return columns
 
-    def intend(self, teams: Teams, actions: NDArray[np.int64], acts: NDArray[np.bool_]) -> None:
-        """See :meth:`Execution.intend`."""
-        intend_teams(_NO_PROGRESS, teams, actions, len(VEHICLE_ACTIONS), acts, self._found)
-        self.check_intent(self._found, actions)
-
-    def admit(
-        self, teams: Teams, alerts: NDArray[np.int64]
+    def enter(
+        self,
+        teams: Teams,
+        intents: NDArray[np.int64] | None,
+        alerts: NDArray[np.int64] | None,
+        acts: NDArray[np.bool_],
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """See :meth:`Execution.admit`; the arrays are the same at each call."""
-        admitted, choices = (self._active, self._alert), len(self.rules.effects.strengths)
-        admit_alerts(_NO_PROGRESS, teams, alerts, choices, *admitted, self._found)
-        self.check_admission(self._found, alerts)
+        """See :meth:`Execution.enter`; the arrays are the same at each call."""
+        given = (_NO_ACTIONS if each is None else each for each in (intents, alerts))
+        admitted = self._active, self._alert
+        arguments = teams, *given, acts, self._choices, *admitted, self._refused
+        if not enter_actions(_NO_PROGRESS, *arguments):
+            self.refuse(self._refused.tolist(), intents, alerts)
         return admitted
 
     def decide(
@@ -265,13 +259,7 @@ class InOneLoop(InLoops):
     def __init__(self, world: BatchedWorld, rules: Rules) -> None:
         super().__init__(world, rules)
         count, nothing = world.num_worlds, (np.zeros((0, 1), np.uint64), np.zeros((0, 1, 4)))
-        cells = count, self._cells
-        self._lidars = np.zeros(cells, np.float32), np.zeros(cells, np.float32)
-        """The lidars as they are shown."""
         self._last_totals = np.zeros((count, TOTALS))
-        merges = world.arrays()
-        for news in (merges.true_news, merges.perceived_news):
-            news[news == TAKEN] = TRACED  # by teams that had this world before
         self._nothing_follows = NextEpisodes(
             False, np.zeros(0, np.int64), *nothing, AT_START, _NO_TOTALS, np.zeros((0, TOTALS))
         )
@@ -279,7 +267,7 @@ class InOneLoop(InLoops):
     @property
     def bytes_per_team(self) -> int:
         """See :meth:`Execution.bytes_per_team`."""
-        arrays = (*self._lidars, self._last_totals, self._active, self._alert, self._every)
+        arrays = self._last_totals, self._active, self._alert, self._every, self._everywhere
         return sum(array.nbytes for array in arrays) // len(self._active)
 
     @property
@@ -315,14 +303,17 @@ class InOneLoop(InLoops):
     def step(
         self,
         teams: Teams,
+        intents: NDArray[np.int64] | None,
         alerts: NDArray[np.int64],
         state: NDArray[np.int64],
         groups: tuple[Group, ...] = (),
         finals: tuple[Group, ...] = (),
         series: Series | None = None,
+        scores: Scores = NO_SCORES,
     ) -> After:
         """See :meth:`Execution.step`."""
-        admitted, merges = self.admit(teams, alerts), self.world.arrays()
+        admitted = self.enter(teams, intents, alerts, self._everywhere)
+        merges = self.world.arrays()
         after = After.new(len(alerts), self._last_totals)
         following = self._nothing_follows
         if series is not None:
@@ -330,7 +321,7 @@ class InOneLoop(InLoops):
             following = NextEpisodes(True, *ahead, AT_START, _NO_TOTALS, self._last_totals)
         arguments = (
             merges, self.world.room, teams, *admitted, self.rules, state, after.rewards,
-            after.ends, following, self._lidars,
+            after.ends, scores, following,
             (*lidars_shown(finals), _filled_up(finals)),
             (*lidars_shown(groups), _filled_up(groups)),
         )  # fmt: skip
@@ -340,7 +331,7 @@ class InOneLoop(InLoops):
 
     def _showing(self, merges: Merges, teams: Teams) -> values.Shown:
         state, given, traits = teams.state, teams.intent_given, teams.traits
-        true, perceived = self._lidars
+        true, perceived = merges.true_lidar, merges.perceived_lidar
         return values.Shown(true, perceived, merges.numbers, merges.flags, state, given, traits)
 
 
@@ -351,6 +342,6 @@ def _filled_up(groups: tuple[Group, ...]) -> tuple[tuple[NDArray[Any], NDArray[n
     return (*[group[:2] for group in groups], *[_NO_GROUP] * (_GROUPS - len(groups)))
 
 
-_NO_TOTALS = np.zeros(TOTALS)
-_NO_PROGRESS = np.zeros(2, np.int64)
+_NO_TOTALS, _NO_ACTIONS = np.zeros(TOTALS), np.zeros(0, np.int64)
+_NO_PROGRESS = new_progress()
 """For loops that one thread alone runs."""

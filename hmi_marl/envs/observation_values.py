@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hmi_marl.envs import team_step
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import MAX_INFLATION
-from hmi_marl.envs.elementwise import choose, put, put_one_hot, put_row, scale_row
-from hmi_marl.envs.observations import FASTEST, Layout, lidar_bound, state_layout
+from hmi_marl.envs.drivers import MAX_INFLATION, TRAIT_NAMES
+from hmi_marl.envs.elementwise import choose, put, put_one_hot, put_scaled
+from hmi_marl.envs.observations import FASTEST, TRAITS_LAYOUT, Layout, lidar_bound, state_layout
 from hmi_marl.envs.scene import LANE_WIDTH
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, base
 
@@ -41,12 +41,15 @@ PARTS = (
     "counter",
     "fatigue",
     "traits",
+    *TRAIT_NAMES,
 )
-"""All parts that :func:`write` knows, in its order. A driver's ``lidar`` is the perceived one."""
+"""All parts that :func:`write` knows, in its order. A driver's ``lidar`` is the perceived one; the
+names of traits stand for them as they are."""
 (
     TRUE_LIDAR, PERCEIVED_LIDAR, SPEED, TARGET_SPEED, HEADING, LATERAL, LANE, POSITION, INTENDED,
-    PREVIOUS, APPLIED, ALERTED, TIME, DISTRACTED, ACCEPTED, COUNTER, FATIGUE, TRAITS,
+    PREVIOUS, APPLIED, ALERTED, TIME, DISTRACTED, ACCEPTED, COUNTER, FATIGUE, TRAITS, *_,
 ) = range(len(PARTS))  # fmt: skip
+_UNSCALED, _TRAITS = PARTS.index(TRAIT_NAMES[0]), len(TRAIT_NAMES)
 
 
 def first_columns(
@@ -81,7 +84,7 @@ class Shown(NamedTuple):
     """Everything about N teams that observations show; for the columns see :mod:`team_step`."""
 
     true_lidar: NDArray[np.float32]
-    """Shape (N, 2 cells), scaled by :func:`scale_lidar`; not read if no column shows it."""
+    """As :meth:`World.lidar` gives it, (N, cells, 2); not read if no column shows it."""
     perceived_lidar: NDArray[np.float32]
     numbers: NDArray[np.float64]
     """Readings of the driven cars."""
@@ -132,24 +135,10 @@ def scales_of(config: TeamConfig) -> Scales:
 def _bounds(config: TeamConfig) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Least and largest value of each of :data:`PARTS`, which are the same in every layout."""
     bounds = np.zeros((2, len(PARTS)), np.float32)
-    for part in state_layout(config).parts:
+    for part in (*state_layout(config).parts, *TRAITS_LAYOUT.parts):
         bounds[:, PARTS.index(_known_as(part.name, VEHICLE_AI))] = part.low, part.high
     low, high = bounds
     return low, high
-
-
-def scale_lidar(
-    shown: NDArray[np.float32], k: Any, lidar: NDArray[np.float32], scales: Scales
-) -> None:
-    """Write what is shown of team k's lidar: over its range, as highway-env does.
-
-    Args:
-        shown: shape (N, 2 cells), written into.
-        k: number of the team.
-        lidar: as :meth:`World.lidar` gives it, (N, cells, 2).
-        scales: constants.
-    """
-    scale_row(shown, k, lidar[k], scales.lidar_range, scales.lidar_bound)
 
 
 def write(
@@ -173,10 +162,11 @@ def write(
     low, high = scales.low, scales.high
     numbers, state, traits = shown.numbers, shown.state, shown.traits
     strengths = scales.strengths
+    reach, bound = scales.lidar_range, scales.lidar_bound  # over its range, as highway-env does
     if first[TRUE_LIDAR] >= 0:
-        put_row(rows, row, first[TRUE_LIDAR], shown.true_lidar[k])
+        put_scaled(rows, row, first[TRUE_LIDAR], shown.true_lidar[k], reach, bound)
     if first[PERCEIVED_LIDAR] >= 0:
-        put_row(rows, row, first[PERCEIVED_LIDAR], shown.perceived_lidar[k])
+        put_scaled(rows, row, first[PERCEIVED_LIDAR], shown.perceived_lidar[k], reach, bound)
     put(rows, row, first[SPEED], low[SPEED], high[SPEED], numbers[k, base.SPEED] / FASTEST)
     put(
         rows,
@@ -264,3 +254,8 @@ def write(
             high[TRAITS],
             traits[k, team_step.INFLATION] / MAX_INFLATION,
         )
+    start = first[_UNSCALED]
+    if start >= 0:
+        for trait in range(_TRAITS):
+            column, part = start + trait, _UNSCALED + trait
+            put(rows, row, column, low[part], high[part], traits[k, trait])

@@ -202,6 +202,12 @@ def state_layout(config: TeamConfig) -> Layout:
     )
 
 
+TRAITS_LAYOUT = Layout(
+    tuple(Part(name, 1, 0.0, np.inf, f"the driver's {name}, unscaled") for name in TRAIT_NAMES)
+)
+"""Columns of the drivers' traits as they are."""
+
+
 def traits_part(traits: Traits) -> NDArray[np.float64]:
     """Traits of N drivers as observed: shape (N, 4), inflation over its maximum."""
     shown = traits.as_array()

@@ -38,8 +38,8 @@ class StepResult(NamedTuple):
     """Rewards and ends of one step of N teams."""
 
     table: NDArray[np.float64]
-    """Reward terms and each agent's reward, float64 of shape (N, 10); for the columns see
-    :mod:`team_step`."""
+    """Reward terms, each agent's reward and the sum of both, float64 of shape (N, 11); for the
+    columns see :mod:`team_step`."""
     ends: NDArray[np.bool_]
     """How the step ended episodes, shape (N, 4); for the columns see :mod:`team_step`."""
     views: Mapping[str, NDArray[np.float32]] = MappingProxyType({})

@@ -12,7 +12,7 @@ from hmi_marl.envs.alerts import Effects
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.observation_values import PERCEIVED_LIDAR, TRUE_LIDAR, Scales, scales_of
-from hmi_marl.envs.team_step import Settings, settings_of
+from hmi_marl.envs.team_step import Scores, Settings, settings_of
 
 
 class Rules(NamedTuple):
@@ -57,6 +57,15 @@ class Teams(NamedTuple):
             np.zeros(count, np.bool_),
             np.zeros((count, team_step.TOTALS)),
         )
+
+
+NO_SCORES = Scores(
+    np.zeros(0, np.int64),
+    np.zeros((0, 0), np.float32),
+    np.zeros(0, np.int64),
+    np.zeros(0, np.bool_),
+)
+"""Scores that are not wanted."""
 
 
 class Group(NamedTuple):

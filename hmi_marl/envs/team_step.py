@@ -41,15 +41,16 @@ BETA, ALPHA, ETA, INFLATION = range(len(TRAIT_NAMES))
 """Columns of traits, float64 of shape (N, 4)."""
 
 _TERMS = len(TERMS)
-OF_DRIVER, OF_VEHICLE_AI = _TERMS, _TERMS + 1
-SUMS = _TERMS + 2
-"""Columns of rewards, float64 of shape (N, 10): each of ``TERMS``, then each agent's sum."""
+OF_DRIVER, OF_VEHICLE_AI, OF_BOTH = range(_TERMS, _TERMS + 3)
+SUMS = _TERMS + 3
+"""Columns of rewards, float64 of shape (N, 11): each of ``TERMS``, each agent's sum, and the sum of
+both agents."""
 TERMINATED, TRUNCATED, ENDED, OVER = range(4)
 """Columns of ends, bool of shape (N, 4). ENDED: in this step; OVER: in this or an earlier one."""
-OF_BOTH, LENGTH, ALERTS, CRASHES = range(SUMS, SUMS + 4)
-TOTALS = SUMS + 4
+LENGTH, ALERTS, CRASHES = range(SUMS, SUMS + 3)
+TOTALS = SUMS + 3
 """Columns of totals, sums over the present episode, float64 of shape (N, 14): those of rewards,
-then the sum of both agents, the number of steps and of alerts, and 1 if the car is crashed."""
+then the number of steps and of alerts, and 1 if the car is crashed."""
 
 
 def begin(
@@ -205,6 +206,7 @@ def reward(
         totals[k, term] += value
     rewards[k, OF_DRIVER] = driver
     rewards[k, OF_VEHICLE_AI] = vehicle_ai
+    rewards[k, OF_BOTH] = driver + vehicle_ai
     totals[k, OF_DRIVER] += driver
     totals[k, OF_VEHICLE_AI] += vehicle_ai
     totals[k, OF_BOTH] += driver + vehicle_ai
@@ -218,3 +220,30 @@ def reward(
     ends[k, TRUNCATED] = truncated
     ends[k, ENDED] = terminated | truncated
     ends[k, OVER] = np.logical_not(on) | terminated | truncated
+
+
+class Scores(NamedTuple):
+    """What trainers get of a step of N teams, by :func:`score`."""
+
+    columns: NDArray[np.int64]
+    """Columns of the rewards to hand out, shape (R,)."""
+    rewards: NDArray[np.float32]
+    """Shape (R, N)."""
+    dones: NDArray[np.int64]
+    """1 where the episode ended, else 0; shape (N,)."""
+    time_outs: NDArray[np.bool_]
+    """Where it ended by its time alone, shape (N,)."""
+
+
+def score(k: Any, rewards: NDArray[np.float64], ends: NDArray[np.bool_], scores: Scores) -> None:
+    """Fill in the scores of team k.
+
+    Args:
+        k: number of the team.
+        rewards, ends: as :func:`reward` fills them in.
+        scores: to be filled in.
+    """
+    for row in range(len(scores.columns)):
+        scores.rewards[row, k] = rewards[k, scores.columns[row]]
+    scores.dones[k] = choose(ends[k, ENDED], 1, 0)
+    scores.time_outs[k] = ends[k, TRUNCATED]

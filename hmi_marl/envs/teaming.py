@@ -26,7 +26,7 @@ from hmi_marl.envs.observation_values import first_columns
 from hmi_marl.envs.seen_attention import seen_from_outside
 from hmi_marl.envs.shown_teams import ShownTeams
 from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
-from hmi_marl.envs.team_arrays import Group, Rules, Teams
+from hmi_marl.envs.team_arrays import NO_SCORES, Group, Rules, Teams
 from hmi_marl.envs.team_checks import check_mask, check_seeds, check_team_numbers
 from hmi_marl.envs.team_step import (
     AT_START,
@@ -34,6 +34,7 @@ from hmi_marl.envs.team_step import (
     ENDED,
     INTENDED,
     PREVIOUS,
+    Scores,
 )
 from hmi_marl.envs.worlds import World, make_world
 
@@ -42,8 +43,9 @@ Views = Sequence[str] | Mapping[str, NDArray[np.float32]]
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
-STATE = "state"
-"""Name of the whole team's state among what :meth:`Teaming.views` gives."""
+STATE, TRAITS = "state", "traits"
+"""Names of the whole team's state, and of the drivers' traits as they are, among what
+:meth:`Teaming.views` gives."""
 
 
 class Teaming(ShownTeams):
@@ -72,6 +74,7 @@ class Teaming(ShownTeams):
             VEHICLE_AI: obs.vehicle_ai_layout(config),
         }
         self.state_layout = obs.state_layout(config)
+        self._layouts = self.layouts | {STATE: self.state_layout, TRAITS: obs.TRAITS_LAYOUT}
         self._unseen = {agent: _nothing(num_teams, each) for agent, each in self.layouts.items()}
         """Observations for policies that read no part of them."""
         self._columns: dict[tuple[str, tuple[str, ...] | None], Group] = {}
@@ -158,6 +161,7 @@ class Teaming(ShownTeams):
         views: Views = (),
         then: Then | None = None,
         looking_away: ArrayLike | None = None,
+        scores: Scores = NO_SCORES,
     ) -> StepResult:
         """Take one step of every team, each seat in its turn.
 
@@ -166,20 +170,22 @@ class Teaming(ShownTeams):
             hmi: a^A_t, or a function from the vehicle AI's observations to them.
             sequential: whether the vehicle AI is asked after the driver and so sees a^H_t. If
                 not, it is asked first and sees a^H_{t-1}.
-            views, then, looking_away: see :meth:`step`.
+            views, then, looking_away, scores: see :meth:`step`.
 
         Raises:
             ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
                 function raises, or an alert that is none, leaves every team as it was.
         """
-        alerts: ArrayLike = () if sequential else self.ask(VEHICLE_AI, hmi)
-        self.intend(self.ask(DRIVER, driver))
-        try:
-            alerts = self.ask(VEHICLE_AI, hmi) if sequential else alerts
-            return self.step(alerts, views, then, looking_away)
-        except Exception:
-            self.withdraw()  # does nothing if the step has been taken
-            raise
+        more = views, then, looking_away, scores
+        if sequential and callable(hmi):
+            self.intend(self.ask(DRIVER, driver))
+            try:
+                return self._step(None, self.ask(VEHICLE_AI, hmi), *more)
+            except Exception:
+                self.withdraw()  # does nothing if the step has been taken
+                raise
+        alerts = self.ask(VEHICLE_AI, hmi)
+        return self._step(self._checked(self.ask(DRIVER, driver), DRIVER), alerts, *more)
 
     def ask(self, agent: str, actor: Actor) -> ArrayLike:
         """Return an actor's actions; one with an attribute ``reads`` is shown these parts only."""
@@ -198,7 +204,7 @@ class Teaming(ShownTeams):
             ValueError: an action out of range, or a second intent in the same step.
         """
         acts = self._everywhere if which is None else check_mask(which, self.num_teams)
-        self._execution.intend(self._teams, self._checked(driver_actions, DRIVER), acts)
+        self._execution.enter(self._teams, self._checked(driver_actions, DRIVER), None, acts)
 
     def withdraw(self) -> None:
         """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called."""
@@ -212,6 +218,7 @@ class Teaming(ShownTeams):
         views: Views = (),
         then: Then | None = None,
         looking_away: ArrayLike | None = None,
+        scores: Scores = NO_SCORES,
     ) -> StepResult:
         """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
 
@@ -225,11 +232,24 @@ class Teaming(ShownTeams):
             looking_away: d_t where it is seen from outside, shape (N,): 1 while the driver looks
                 away, 0 while at the road, -1 where the chain draws it, as it does by default. c_t,
                 i_t and v_t follow as always. Those of ended teams are not read.
+            scores: to be filled in.
 
         Raises:
             ValueError: an action out of range, no :meth:`intend` before, or ``then`` with
                 ``looking_away``.
         """
+        return self._step(None, alerts, views, then, looking_away, scores)
+
+    def _step(
+        self,
+        intents: NDArray[np.int64] | None,
+        alerts: ArrayLike,
+        views: Views,
+        then: Then | None,
+        looking_away: ArrayLike | None,
+        scores: Scores,
+    ) -> StepResult:
+        """Take the step with a^A_t, and with a^H_t unless the drivers have acted already."""
         groups = self._groups(views, self.num_teams)
         moved, along = self._teams, groups
         if looking_away is not None:
@@ -243,11 +263,13 @@ class Teaming(ShownTeams):
             then.series.look_ahead()  # before anything moves, since a population may fail
         rewards, ends, totals = self._execution.step(
             moved,
+            intents,
             self._checked(alerts, VEHICLE_AI),
             self._spare,
             tuple(along.values()),
             tuple(finals),
             then.series if then else None,
+            scores,
         )
         before = self._teams.state
         self._teams, self._spare = Teams(self._spare, *self._teams[1:]), before
@@ -255,8 +277,9 @@ class Teaming(ShownTeams):
         if then is not None and len(teams := ends[:, ENDED].nonzero()[0]):
             assert totals is not None
             then.series.moved = True
-            seen = {name: group.rows[teams] for name, group in zip(then.views, finals, strict=True)}
-            ended = EndedTeams(teams, seen, totals[teams])
+            last = [group.rows.take(teams, axis=0) for group in finals]
+            seen = dict(zip(then.views, last, strict=True))
+            ended = EndedTeams(teams, seen, totals.take(teams, axis=0))
         if groups and not along:
             self._execution.write(self._teams, self._every, tuple(groups.values()))
         shown = {name: group.rows for name, group in groups.items()}
@@ -293,8 +316,8 @@ class Teaming(ShownTeams):
         """Return several observations by name, computed together; no lidar is traced in vain.
 
         Args:
-            names: agents, or "state" for the whole team's state; up to three. Or arrays by these
-                names, to be filled.
+            names: agents, "state" for the whole team's state, or "traits" for the drivers' traits
+                as they are; up to four. Or arrays by these names, to be filled.
             teams: numbers of M teams, shape (M,); every team by default.
 
         Returns:
@@ -318,13 +341,10 @@ class Teaming(ShownTeams):
             self._finals[name] = self._columns_of(name).empty(self.num_teams)
         return self._finals[name]
 
-    def _layout(self, name: str) -> obs.Layout:
-        return self.state_layout if name == STATE else self.layouts[name]
-
     def _columns_of(self, name: str, parts: tuple[str, ...] | None = None) -> Group:
         """An observation's columns, without rows."""
         if (name, parts) not in self._columns:
-            layout = self._layout(name)
+            layout = self._layouts[name]
             no_rows = np.empty((0, layout.size), np.float32)
             self._columns[name, parts] = Group.of(no_rows, first_columns(layout, name, parts))
         return self._columns[name, parts]

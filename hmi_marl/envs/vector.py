@@ -46,8 +46,6 @@ from hmi_marl.envs.groups import (
     CRITIC,
     GROUPS,
     TEAM,
-    TRAITS,
-    TRAITS_LAYOUT,
     VIEW,
     Seat,
     check_seat,
@@ -55,15 +53,15 @@ from hmi_marl.envs.groups import (
     views_of,
     whole_steps,
 )
-from hmi_marl.envs.observations import Layout
+from hmi_marl.envs.observations import TRAITS_LAYOUT, Layout
 from hmi_marl.envs.rewards import TERMS
 from hmi_marl.envs.seats import PartnerTurns, Policy
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.step_result import EndedTeams, Then
 from hmi_marl.envs.streams import check_seed, team_seed
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
-from hmi_marl.envs.teaming import Teaming
-from hmi_marl.envs.vector_outcome import EpisodeLog, Outcome, on_device
+from hmi_marl.envs.teaming import TRAITS, Teaming
+from hmi_marl.envs.vector_outcome import CPU, EpisodeLog, Outcome, on_device
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
@@ -147,16 +145,13 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._sizes = {group: layout.size for group, layout in self.layouts.items()}
         self.groups = groups  # checks them
         individual = teaming.config.reward == "individual"
-        columns_of = {
-            DRIVER: (OF_DRIVER,),
-            VEHICLE_AI: (OF_VEHICLE_AI,),
-            TEAM: (OF_DRIVER, OF_VEHICLE_AI) if individual else (OF_DRIVER,),
-        }
-        self._rewarded = {each: columns_of[each] for each in {*self.agents, seat}}
-        """Columns of the step's table that each reward is the sum of, by agent and for the seat."""
-        summed = self._rewarded[seat]
-        total = OF_BOTH if len(summed) > 1 else summed[0]
-        columns = (total, *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
+        of_team = OF_BOTH if individual else OF_DRIVER
+        column_of = {DRIVER: OF_DRIVER, VEHICLE_AI: OF_VEHICLE_AI, TEAM: of_team}
+        self._rewarded = tuple(dict.fromkeys((*self.agents, seat)))
+        """Agents and the seat, each with a reward."""
+        self._reward_columns = np.array([column_of[each] for each in self._rewarded])
+        """Column of the step's table of each reward."""
+        columns = (column_of[seat], *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
         self._logged = dict(zip(_LOGGED, columns, strict=True))
         """Columns of totals that are logged, by name."""
         self._viewer: Viewer | None = None
@@ -274,29 +269,24 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         columns = self._checked(actions)
         self._untouched = False
-        outcome = Outcome(self.num_envs, self._groups, self._rewarded)
+        outcome = Outcome(self.num_envs, self._groups, self._rewarded, self._reward_columns)
         views = self._views_in(outcome.rows)
-        then = Then(self._series, self._views)
-        traits = None
-        if TRAITS in self._groups:  # before episodes end
-            traits = self.teaming.trait_table.astype(np.float32)
+        then, scores = Then(self._series, self._views), outcome.scores
         if self._turns is None:
-            result = self.teaming.turn(columns[0], columns[1], views=views, then=then)
+            result = self.teaming.turn(columns[0], columns[1], True, views, then, scores=scores)
         else:  # a partner who drives acts before anything is observed
-            result = self._turns.step(columns[0], () if self.seat == VEHICLE_AI else views, then)
-        outcome.fill(result)
+            shown = () if self.seat == VEHICLE_AI else views
+            result = self._turns.step(columns[0], shown, then, scores=scores)
         extras: dict[str, Any] = {"time_outs": outcome.time_outs}
         if self.seat == TEAM:
             extras["rewards"] = {agent: outcome.rewards[agent] for agent in self.agents}
         if result.ended_teams is not None:
-            extras |= self._extras_of(result.ended_teams, traits)
+            extras |= self._extras_of(result.ended_teams)
             if self._turns is not None:
                 self._turns.begin(self.teaming.seeds, result.ended.copy())
         if self.seat == VEHICLE_AI:
             self._prepare()
             self.teaming.views(views)
-        if TRAITS in self._groups:
-            outcome.rows[TRAITS][:] = self.teaming.trait_table
         returned = outcome.observations, outcome.rewards[self.seat], outcome.dones, extras
         return returned if self._on_cpu else on_device(returned, self.device)
 
@@ -339,25 +329,20 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
     def _observed(self, groups: Mapping[str, int]) -> TensorDict:
         """The present observations, of groups with so many columns."""
         self._prepare()
-        outcome = Outcome(self.num_envs, groups, {})
+        outcome = Outcome(self.num_envs, groups, (), self._reward_columns[:0])
         self.teaming.views(self._views_in(outcome.rows))
-        if TRAITS in groups:
-            outcome.rows[TRAITS][:] = self.teaming.trait_table
         return on_device(outcome.observations, self.device)
 
     def _views_in(self, rows: Mapping[str, NDArray[np.float32]]) -> Views:
-        """Rows of groups by the names of the Teaming's views, without the traits."""
-        return {VIEW[group]: rows[group] for group in rows if group != TRAITS}
+        """Rows of groups by the names of the Teaming's views."""
+        return {VIEW[group]: rows[group] for group in rows}
 
-    def _extras_of(self, ended: EndedTeams, traits: NDArray[np.float32] | None) -> dict[str, Any]:
-        """``extras`` about the episodes that ended, of drivers with these traits, (N, 4)."""
-        rows = {group: ended.views[VIEW[group]] for group in self._groups if group != TRAITS}
-        if traits is not None:
-            rows[TRAITS] = traits[ended.teams]
-        last = {group: torch.from_numpy(rows[group]) for group in self._groups}
+    def _extras_of(self, ended: EndedTeams) -> dict[str, Any]:
+        """``extras`` about the episodes that ended."""
+        last = {group: torch.from_numpy(ended.views[VIEW[group]]) for group in self._groups}
         return {
             "final_teams": torch.from_numpy(ended.teams),
-            "final_observation": TensorDict(last, batch_size=[len(ended.teams)], device="cpu"),
+            "final_observation": TensorDict(last, batch_size=[len(ended.teams)], device=CPU),
             "log": EpisodeLog(ended.totals, self._logged),
         }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from hmi_marl.envs.step_result import StepResult
+from hmi_marl.envs.team_step import Scores
 
-_CPU = torch.device("cpu")
+CPU = torch.device("cpu")
 
 
 class EpisodeLog(Mapping[str, torch.Tensor]):
@@ -45,36 +45,34 @@ class Outcome:
     Args:
         count: N.
         groups: columns of each group of observations.
-        rewards: columns of :attr:`StepResult.table` that each reward is the sum of, by name.
+        rewards: names of the rewards.
+        columns: of :attr:`StepResult.table`, one for each reward.
     """
 
     def __init__(
-        self, count: int, groups: Mapping[str, int], rewards: Mapping[str, tuple[int, ...]]
+        self,
+        count: int,
+        groups: Mapping[str, int],
+        rewards: Sequence[str],
+        columns: NDArray[np.int64],
     ) -> None:
         self.rows = {name: np.empty((count, size), np.float32) for name, size in groups.items()}
         """Observations by group, to be filled in, float32 of shape (N, size)."""
-        self._columns = rewards
-        self._rewards = {name: np.empty(count, np.float32) for name in rewards}
-        self._dones, self._time_outs = np.empty(count, np.int64), np.empty(count, np.bool_)
         tensors = {name: torch.from_numpy(rows) for name, rows in self.rows.items()}
-        self.observations = TensorDict(tensors, batch_size=[count], device=_CPU)
+        self.observations = TensorDict(tensors, batch_size=torch.Size((count,)), device=CPU)
         """Groups of shape (N, size)."""
-        self.rewards = {name: torch.from_numpy(row) for name, row in self._rewards.items()}
+        self.scores = Scores(
+            columns,
+            np.empty((len(rewards), count), np.float32),
+            np.empty(count, np.int64),
+            np.empty(count, np.bool_),
+        )
+        """Rewards and ends, to be filled in."""
+        _, own, dones, time_outs = self.scores
+        self.rewards = dict(zip(rewards, torch.from_numpy(own).unbind(), strict=True))
         """Rewards by name, float32 of shape (N,)."""
-        self.dones = torch.from_numpy(self._dones)
-        """1 where an episode ended, else 0; int64 of shape (N,)."""
-        self.time_outs = torch.from_numpy(self._time_outs)
-        """Where it ended by its time alone, bool of shape (N,)."""
-
-    def fill(self, result: StepResult) -> None:
-        """Fill in rewards and ends."""
-        for name, (first, *others) in self._columns.items():
-            reward = result.table[:, first]
-            for other in others:
-                reward = reward + result.table[:, other]
-            self._rewards[name][:] = reward
-        self._dones[:] = result.ended
-        self._time_outs[:] = result.truncated
+        self.dones, self.time_outs = torch.from_numpy(dones), torch.from_numpy(time_outs)
+        """Where episodes ended: 1, else 0, int64; and by their time alone, bool. Shape (N,)."""
 
 
 def on_device(values: Any, device: torch.device) -> Any:

@@ -9,7 +9,7 @@ from step_ways import CONFIGS, play, teams_of
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TraitDistributions
-from hmi_marl.envs.elementwise import put, put_one_hot, put_row, scale_row, within
+from hmi_marl.envs.elementwise import put, put_one_hot, put_row, put_scaled, within
 from hmi_marl.envs.execution import InNumPy, WrongActionError
 from hmi_marl.envs.loops import InLoops, InOneLoop
 from hmi_marl.envs.observation_values import PARTS, first_columns
@@ -17,7 +17,7 @@ from hmi_marl.envs.observations import driver_layout, state_layout, vehicle_ai_l
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.step_result import Then
-from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH
+from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, Scores
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.batched import BatchedWorld
 
@@ -94,8 +94,8 @@ def test_totals_of_an_episode_by_hand():
         result = teams.step([alert], then=then)
         tables.append(result.table[0])
     (totals,) = result.ended_teams.totals
-    np.testing.assert_allclose(totals[:10], np.sum(tables, axis=0))
-    assert totals[OF_BOTH] == pytest.approx(np.sum(tables, axis=0)[8:].sum())
+    np.testing.assert_allclose(totals[:11], np.sum(tables, axis=0))
+    assert totals[OF_BOTH] == pytest.approx(np.sum(tables, axis=0)[8:10].sum())
     assert (totals[LENGTH], totals[ALERTS], totals[CRASHES]) == (5.0, 2.0, 0.0)
 
 
@@ -123,6 +123,38 @@ def test_what_was_returned_stays_as_it_is():
         teams.reset([5, 6])
         for ours, theirs in zip(held, kept, strict=True):
             np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("kind", [InNumPy, InLoops, InOneLoop])
+def test_traits_are_shown_as_they_are_and_scores_are_columns_of_the_table(kind):
+    config = TeamConfig(driver=TraitDistributions(), duration=0.4, reward="individual")
+    teams = teams_of(kind, config, 3)
+    series = Series(np.arange(3, dtype=np.uint64), config.population)
+    teams.reset(series.present)
+    columns, rng = np.array([OF_BOTH, 1]), np.random.default_rng(0)
+    for step in range(4):
+        traits = teams.trait_table.astype(np.float32)
+        np.testing.assert_array_equal(teams.views(("traits",))["traits"], traits)
+        rewards, dones, late = (
+            np.empty((2, 3), np.float32),
+            np.empty(3, np.int64),
+            np.empty(3, bool),
+        )
+        result = teams.turn(
+            rng.integers(0, 5, 3),
+            np.array([1, 0, 1]),
+            then=Then(series, ("traits",)),
+            scores=Scores(columns, rewards, dones, late),
+        )
+        table = result.table
+        both = (table[:, 8] + table[:, 9]).astype(np.float32)
+        np.testing.assert_array_equal(rewards, [both, table[:, 1].astype(np.float32)])
+        np.testing.assert_array_equal(dones, result.ended)
+        np.testing.assert_array_equal(late, result.truncated)
+        assert result.ended.all() == (step % 2 == 1)
+        if result.ended.all():
+            np.testing.assert_array_equal(result.ended_teams.views["traits"], traits)
+            assert (teams.trait_table.astype(np.float32) != traits).any()
 
 
 @pytest.mark.parametrize("kind", [InNumPy, InLoops])
@@ -212,7 +244,7 @@ def test_the_building_blocks_by_hand(values, index, scale):
     assert rows[0, 6:].tolist() == [3.0, 4.0]
     table = np.array([[values[:2]]], np.float32)
     out = np.empty((1, 2), np.float32)
-    scale_row(out, slice(None), table, np.float32(scale), np.float32(2.0))
+    put_scaled(out, slice(None), 0, table, np.float32(scale), np.float32(2.0))
     with np.errstate(over="ignore"):
         wanted = np.clip(table / np.float32(scale), -2.0, 2.0).reshape(1, 2)
     np.testing.assert_array_equal(out, wanted)

@@ -18,6 +18,7 @@ from hmi_marl.envs.seats import parts_read
 from hmi_marl.envs.streams import episode_seed, team_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.vector import TeamVecEnv
+from hmi_marl.envs.worlds.batched.kernels import TRACED
 from hmi_marl.files import json_value
 
 ATTENTIVE = Driver("attentive", beta=0.0, alpha=1.0, eta=0.0, inflation=1.0)
@@ -635,7 +636,8 @@ def test_rsl_rls_ppo_learns_on_it(seat, tmp_path):
 def lidars_read(env):
     """Which lidars of the batched world were traced since it last moved: true, perceived."""
     arrays = env.teaming.world.arrays()
-    return bool((arrays.true_news < 2).any()), bool((arrays.perceived_news < 2).any())
+    news = arrays.true_news, arrays.perceived_news
+    return tuple(bool((each == TRACED).any()) for each in news)
 
 
 @pytest.mark.parametrize(

@@ -65,9 +65,8 @@ def read_ego(f, i, world, lanes, table, rows, numbers, flags, k):
     flags[k, base.CRASHED] = i[m.CRASHED, 0]
 
 
-TAKEN, TRACED, CHANGED = range(3)
-"""TAKEN: a loop elsewhere has read the lidar and keeps something of it. TRACED: it is as the world
-is. CHANGED: it has to be traced again before it is read."""
+TRACED, CHANGED = range(2)
+"""TRACED: a lidar is as the world is. CHANGED: it has to be traced again before it is read."""
 
 
 class Merges(NamedTuple):
@@ -98,8 +97,7 @@ class Merges(NamedTuple):
     true_lidar: NDArray[np.float32]
     """Shape (N, cells, 2)."""
     true_news: NDArray[np.uint8]
-    """How far each world's lidar has been read since the world changed, shape (N,): CHANGED,
-    TRACED or TAKEN."""
+    """Whether each world's lidar has to be traced again, shape (N,): TRACED or CHANGED."""
     perceived_lidar: NDArray[np.float32]
     perceived_news: NDArray[np.uint8]
 

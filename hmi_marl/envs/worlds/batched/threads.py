@@ -30,8 +30,11 @@ from hmi_marl.envs.worlds.batched.compiler import WITHOUT_COMPILER, compiled
 
 WORTH_A_THREAD = 16
 """Worlds below which another thread costs more time than it saves."""
-_PART = 8
+_SMALLEST, _LARGEST = 8, 32
 """Worlds that a thread takes at a time."""
+_PARTS = 32
+"""Parts for each thread, if they are not too small or too large: with few, threads wait at the end;
+with many, each phase of a step displaces another's code from the processor's cache more often."""
 
 
 def _add_compiled(typing_context: Any, array: Any, place: Any, amount: Any) -> Any:
@@ -60,12 +63,13 @@ def take(progress, finished, count):
     """Return (first, last) of the next part of ``count`` worlds; empty when all are taken.
 
     Args:
-        progress: (2,), int64: how many worlds have been taken, and how many are finished.
+        progress: see :func:`new_progress`.
         finished: worlds of the part that the caller has just done, 0 at first.
     """
+    part = progress[2]
     _add(progress, 1, finished)
-    first = _add(progress, 0, _PART)
-    return min(first, count), min(first + _PART, count)
+    first = _add(progress, 0, part)
+    return min(first, count), min(first + part, count)
 
 
 @compiled
@@ -77,6 +81,16 @@ def _stop(progress, count):
 @compiled
 def _finished(progress):
     return _add(progress, 1, 0)
+
+
+def new_progress(count: int = 0, threads: int = 1) -> NDArray[np.int64]:
+    """Return the progress of a loop over so many worlds, int64 of shape (3,).
+
+    Its numbers are how many worlds have been taken, how many are finished, and how many a thread
+    takes at a time.
+    """
+    part = count // (_PARTS * threads) if threads > 1 else _LARGEST
+    return np.array([0, 0, min(max(part, _SMALLEST), _LARGEST)], np.int64)
 
 
 def available() -> int:
@@ -138,8 +152,8 @@ def share(loop: Callable[..., None], count: int, threads: int, *arguments: Any) 
     Raises:
         BaseException: an interrupt, or what a loop raised. No thread touches the worlds any more.
     """
-    progress = np.zeros(2, np.int64)
     helpers = min(threads, count // WORTH_A_THREAD) - 1
+    progress = new_progress(count, helpers + 1)
     if helpers < 1 or WITHOUT_COMPILER:
         loop(progress, *arguments)
         return

@@ -22,7 +22,13 @@ from hmi_marl.envs.worlds.batched.kernels import (
     step_worlds,
 )
 from hmi_marl.envs.worlds.batched.lanes import lane_table
-from hmi_marl.envs.worlds.batched.threads import WORTH_A_THREAD, Pace, available, share
+from hmi_marl.envs.worlds.batched.threads import (
+    WORTH_A_THREAD,
+    Pace,
+    available,
+    new_progress,
+    share,
+)
 
 _CARRAY: tuple[Literal["C", "W"], ...] = ("C", "W")
 """Requirements of the compiled loops: arrays in one piece that can be written to."""
@@ -208,7 +214,7 @@ class BatchedWorld:
             look_around: (self._merges, True, False),
             fill_directions: (self._merges.directions,),
         }
-        progress = np.zeros(2, np.int64)
+        progress = new_progress()
         prepare([(each, (progress, *arguments)) for each, arguments in calls.items()])
 
     def __setstate__(self, state: dict[str, Any]) -> None:
