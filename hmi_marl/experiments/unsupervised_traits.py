@@ -58,6 +58,7 @@ WAYS: tuple[Way, ...] = (
     Way("paper", "the paper's losses"),
     Way("cohesion", "and cohesion, weight 1", _COHESION),
     Way("imitate", "and imitation in the encoder", _IMITATE),
+    Way("inform", "and log q of z in the policy's reward", {"information_reward": 1.0}),
     Way("latent-8", "the paper's losses, z of 8", {"latent": 8}),
     Way("cohesion-8", "and cohesion, z of 8", _COHESION | {"latent": 8}),
     Way("imitate-8", "and imitation, z of 8", _IMITATE | {"latent": 8}),

@@ -19,6 +19,7 @@ from hmi_marl.training.traits.losses import (
     cohesion_loss,
     contrastive_loss,
     information_loss,
+    information_losses,
     log_discriminator,
     regularisation_loss,
 )
@@ -187,6 +188,12 @@ class DiscriminatorLearner:
             f = self.model.reward(steps.before, steps.actions, steps.after, z[steps.pool])
         rewards: torch.Tensor = f.reshape(*driven.length.shape, -1)
         return rewards
+
+    def information(self, driven: Batch, z: torch.Tensor) -> torch.Tensor:
+        """Return log q(z | τ) of the vectors given to driven pools, shape (P,) [nats]."""
+        with torch.no_grad():
+            mean = self.encode(driven).mean
+            return -information_losses(z, mean, self.model.width.expand_as(z))
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Weights and the optimizer's state, by flat names."""

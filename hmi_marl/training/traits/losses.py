@@ -69,8 +69,15 @@ def information_loss(
         mean: mean of q(z | τ) for the resulting driving, shape (P, Z).
         log_variance: log variance of the same, shape (P, Z).
     """
+    return information_losses(z, mean, log_variance).mean()
+
+
+def information_losses(
+    z: torch.Tensor, mean: torch.Tensor, log_variance: torch.Tensor
+) -> torch.Tensor:
+    """Return -log q(z | τ) of each pool, shape (P,); see :func:`information_loss`."""
     squares = (z - mean) ** 2 / log_variance.exp()
-    return 0.5 * (squares + log_variance + math.log(2 * math.pi)).sum(dim=1).mean()
+    return 0.5 * (squares + log_variance + math.log(2 * math.pi)).sum(dim=1)
 
 
 def contrastive_loss(

@@ -221,6 +221,10 @@ class _Run(ModelRun):
         self._discriminator.average()
         row = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
         f = self._discriminator.rewards(driven, z)
+        if settings.information_reward:
+            information = self._discriminator.information(driven, z)
+            row["information"] = information.mean().item()
+            f = f + settings.information_reward * information[:, None, None] / f.shape[2]
         if iteration >= settings.settling * self._rounds:
             row |= self._generator.learn(driven, z, f)
         row["speed"], row["crash_rate"] = float(drives.speed.mean()), float(drives.crashed.mean())

@@ -210,3 +210,12 @@ def test_the_average_goes_on_after_an_interruption():
     assert before.keys() == other.averaged.state_dict().keys()
     for name, value in other.averaged.state_dict().items():
         torch.testing.assert_close(value, before[name])
+
+
+def test_information_is_the_log_density_of_z_under_q():
+    one, driven, z = adversary(), pools(4), torch.randn(4, 2)
+    with torch.no_grad():
+        one.model.width.copy_(torch.tensor([0.4, -0.7]))
+        mean, width = one.encode(driven).mean, one.model.width
+    expected = torch.distributions.Normal(mean, (0.5 * width).exp()).log_prob(z).sum(dim=1)
+    torch.testing.assert_close(one.information(driven, z), expected)

@@ -154,6 +154,20 @@ def test_without_a_truth_the_same_is_learned(supervision, dataset, tmp_path):
     assert learned(tmp_path / "two", alone, settings) == one
 
 
+@pytest.mark.parametrize("supervision", ["self", "none"])
+def test_the_policy_can_be_paid_for_driving_that_tells_its_z(supervision, dataset, tmp_path):
+    settings, weight = replace(TINY, supervision=supervision), 0.5
+    paid = replace(settings, information_reward=weight)
+    without = learned(tmp_path / "without", dataset, settings)
+    assert learned(tmp_path / "with", dataset, paid) != without
+    before, after = rows(tmp_path / "without"), rows(tmp_path / "with")
+    first = next(k for k, row in enumerate(before) if row["steps"])  # the first round
+    assert "information" not in before[first]
+    # Networks are still the same, and each window is paid log q(z | τ) of its pool in all.
+    gained = after[first]["return"] - before[first]["return"]
+    assert gained == pytest.approx(weight * after[first]["information"], rel=1e-4)
+
+
 def test_held_out_windows_are_not_learned_from(dataset, tmp_path):
     data = read_demonstrations(dataset)
     last = data.observed.number >= 8
