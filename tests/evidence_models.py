@@ -61,12 +61,15 @@ def hidden_card(config: TeamConfig = HIDDEN, context: int = 0) -> PolicyCard:
     return make_card(VEHICLE_AI, config, NetworkConfig((6,), rnn_hidden_dim=3), False, context)
 
 
-def save_trained(folder: Path, config: TeamConfig = HIDDEN) -> Trained:
-    """Save all learned models that adaptive HMIs need in ``folder``."""
+def save_trained(folder: Path, config: TeamConfig = HIDDEN, seed: int = 1) -> Trained:
+    """Save all learned models that adaptive HMIs need in ``folder``.
+
+    ``seed`` is that of the HMI conditioned on z.
+    """
     model = untrained_evidence(config)
     save_evidence(folder / "evidence", model.card, model.weights)
     conditioned = hidden_card(config, 2 * model.card.context)
-    save_policy(folder / "conditioned", conditioned, drawn(conditioned.shapes, seed=1))
+    save_policy(folder / "conditioned", conditioned, drawn(conditioned.shapes, seed=seed))
     plain = hidden_card(config)
     for number, name in enumerate(DRIVERS):
         save_policy(folder / f"hidden-{name}", plain, drawn(plain.shapes, seed=2 + number))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Self, TypeVar, cast
@@ -95,7 +95,22 @@ class SeededExperiment(Experiment[Repeated[R]], Generic[R]):
         """See :meth:`Experiment.run`."""
         each = self.by_seed(place)
         self.learn(each, place)
-        return Repeated(tuple(_play_each(each, place)))
+        return Repeated(tuple(self.play_each(each, place)))
+
+    def play_each(self, each: Sequence[tuple[Self, Place]], place: Place) -> Sequence[R]:
+        """Play what every seed has learned, several seeds at a time."""
+        if min(place.workers, len(each)) == 1:
+            return [alone.play(where) for alone, where in each]
+        share = max(1, place.workers // len(each))
+        tasks = [
+            (alone, replace(where, workers=share, cluster=None, watch=Stopwatch()))
+            for alone, where in each
+        ]
+        found = []
+        for results, seconds in calls_with_bars(_play_alone, tasks, place.workers):
+            place.watch.add(seconds)
+            found.append(results)
+        return found
 
     def numbers(self, results: Repeated[R]) -> dict[str, Any]:
         """JSON content: the average, and each seed where there are several."""
@@ -111,21 +126,6 @@ class SeededExperiment(Experiment[Repeated[R]], Generic[R]):
     def blocks(self, results: Repeated[R]) -> Sequence[Block]:
         """See :meth:`Experiment.blocks`."""
         return self.blocks_of(results.mean)
-
-
-def _play_each(each: Sequence[tuple[SeededExperiment[R], Place]], place: Place) -> Iterator[R]:
-    """Play what every seed has learned, several seeds at a time."""
-    if min(place.workers, len(each)) == 1:
-        yield from (alone.play(where) for alone, where in each)
-        return
-    share = max(1, place.workers // len(each))
-    tasks = [
-        (alone, replace(where, workers=share, cluster=None, watch=Stopwatch()))
-        for alone, where in each
-    ]
-    for results, seconds in calls_with_bars(_play_alone, tasks, place.workers):
-        place.watch.add(seconds)
-        yield results
 
 
 def _play_alone(alone: SeededExperiment[R], place: Place) -> tuple[R, dict[str, float]]:

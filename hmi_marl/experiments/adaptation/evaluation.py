@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
 from typing import Annotated
 
 import numpy as np
@@ -32,6 +33,7 @@ from hmi_marl.experiments.adaptation.hmis import (
     LEARNED_KNOWING,
     Hmis,
     hmi_names,
+    read_by,
 )
 from hmi_marl.experiments.adaptation.trips import (
     Closed,
@@ -340,25 +342,44 @@ def _exact_worth(group: Group, settings: AdaptSettings) -> float | None:
     return own.total_return - rule_return(average, group.drivers[0], TEAM.weights)
 
 
-def tasks(settings: AdaptSettings, driver_policy: str, trained: Trained) -> list[Play]:
-    """List all plays: every group with every HMI; the driver policy by name, or its run."""
-    return [
-        Play(group, hmi, settings, driver_policy, trained)
-        for group in groups(settings)
-        for hmi in hmi_names(group.all_drivers)
-    ]
+def tasks(settings: AdaptSettings, driver_policy: str, trained: Sequence[Trained]) -> list[Play]:
+    """List all plays, by group; an HMI that reads the same models of several is played once.
+
+    Args:
+        settings: size of the evaluation.
+        driver_policy: the driver policy by name, or its run.
+        trained: learned models of each training seed.
+    """
+    found: list[Play] = []
+    for group in groups(settings):
+        names = hmi_names(group.all_drivers)
+        different = dict.fromkeys((hmi, read_by(hmi, each)) for each in trained for hmi in names)
+        found += [Play(group, hmi, settings, driver_policy, read) for hmi, read in different]
+    return found
 
 
 def evaluate(
-    plays: Sequence[Play], workers: int, progress: Callable[[int], object] = lambda plays: None
-) -> list[Result]:
-    """Play :func:`tasks`, calling ``progress`` after each, and sum up; the same for any workers."""
-    played: dict[str, Trips] = {}
-    found = []
-    for task, trips in zip(plays, results(play, plays, workers), strict=True):
-        played[task.hmi] = trips
-        if len(played) == len(hmi_names(task.group.all_drivers)):
-            found.append(summarise(task.group, played, task.settings))
-            played = {}
-        progress(1)
+    settings: AdaptSettings,
+    driver_policy: str,
+    trained: Sequence[Trained],
+    workers: int,
+    progress: Callable[[int], object] = lambda plays: None,
+) -> list[list[Result]]:
+    """Play :func:`tasks`, calling ``progress`` after each, and sum up; the same for any workers.
+
+    Returns:
+        Results of every group, for each of ``trained``.
+    """
+    plays = tasks(settings, driver_policy, trained)
+    found: list[list[Result]] = [[] for _ in trained]
+    played = zip(plays, results(play, plays, workers), strict=True)
+    for group, rows in groupby(played, key=lambda row: row[0].group):
+        trips = {}
+        for task, its_trips in rows:
+            trips[task.hmi, task.trained] = its_trips
+            progress(1)
+        names = hmi_names(group.all_drivers)
+        for each, own in zip(trained, found, strict=True):
+            of_each = {hmi: trips[hmi, read_by(hmi, each)] for hmi in names}
+            own.append(summarise(group, of_each, settings))
     return found

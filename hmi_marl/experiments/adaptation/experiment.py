@@ -165,9 +165,7 @@ class AdaptEvaluation(_Judged):
 
     def play(self, place: Place) -> list[Result]:
         """See :meth:`SeededExperiment.play`."""
-        plays = evaluation.tasks(self.size, str(place.driver_run), self.trained)
-        with place.playing(len(plays), "plays") as progress:
-            return evaluation.evaluate(plays, place.workers, progress)
+        return _play(self.size, [self.trained], place)[0]
 
     def settings(self) -> dict[str, Any]:
         """See :meth:`Experiment.settings`."""
@@ -284,9 +282,14 @@ class Adaptation(_Judged):
 
     def play(self, place: Place) -> list[Result]:
         """See :meth:`SeededExperiment.play`."""
-        evidence, conditioned = place.folder / EVIDENCE_RUN, place.folder / CONDITIONED_RUN
-        trained = Trained(str(evidence), str(conditioned), self._hidden(place), self.traits)
-        return AdaptEvaluation(self.evaluation, trained).play(place)
+        return self.play_each([(self, place)], place)[0]
+
+    def play_each(
+        self, each: Sequence[tuple[Adaptation, Place]], place: Place
+    ) -> list[list[Result]]:
+        """See :meth:`SeededExperiment.play_each`; what is the same for all is played once."""
+        trained = [alone._trained(where) for alone, where in each]
+        return _play(self.evaluation, trained, place)
 
     def inputs(self, place: Place) -> list[Path]:
         """See :meth:`Experiment.inputs`."""
@@ -311,6 +314,11 @@ class Adaptation(_Judged):
             ),
         ]
 
+    def _trained(self, place: Place) -> Trained:
+        """What one training seed learned, and reads."""
+        evidence, conditioned = place.folder / EVIDENCE_RUN, place.folder / CONDITIONED_RUN
+        return Trained(str(evidence), str(conditioned), self._hidden(place), self.traits)
+
     def _hidden(self, place: Place) -> str:
         """Runs of the HMIs that do not see attention, {} for the driver model."""
         runs = place.folder.parent / HIDDEN_EXPERIMENT
@@ -323,6 +331,13 @@ class Adaptation(_Judged):
         folder = place.folder.parent / TRAITS_EXPERIMENT
         runs = (folder / traits_run("self", each) for each in (number, 0))
         return next((str(run) for run in runs if run.is_dir()), Trained().traits)
+
+
+def _play(size: AdaptSettings, trained: Sequence[Trained], place: Place) -> list[list[Result]]:
+    """Play with the models of each training seed."""
+    evaluated = size, str(place.driver_run), trained
+    with place.playing(len(evaluation.tasks(*evaluated)), "plays") as progress:
+        return evaluation.evaluate(*evaluated, place.workers, progress)
 
 
 def record_change(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,17 @@ ADAPTIVE = {
     EXPECTED + BAYES: ("expected", True),
 }
 """Adaptive HMIs: their kind, and whether they use the exact posterior instead of the encoder."""
+_LEARNED_EVIDENCE = ("evidence", "traits")
+_READS = {
+    LEARNED_KNOWING: ("hidden",),
+    LEARNED_AVERAGE: ("hidden",),
+    CHOOSING: ("hidden", *_LEARNED_EVIDENCE),
+    CONDITIONED: ("conditioned", *_LEARNED_EVIDENCE),
+    EXPECTED: _LEARNED_EVIDENCE,
+    CHOOSING + BAYES: ("hidden",),
+    CONDITIONED + BAYES: ("conditioned", "evidence"),
+}
+"""Fields of :class:`Trained` that the HMIs read; others read none."""
 
 
 class KnownDriver:
@@ -66,6 +77,12 @@ def hmi_names(drivers: Sequence[Driver]) -> tuple[str, ...]:
     only = drivers[0].name if len(drivers) == 1 else ""
     learned = (LEARNED_KNOWING,) if only in PAPER_DRIVERS else ()
     return (KNOWING, AVERAGE, NONE, *learned, LEARNED_AVERAGE, *ADAPTIVE)
+
+
+def read_by(hmi: str, trained: Trained) -> Trained:
+    """Return what an HMI reads of the trained models; the others' places are empty."""
+    read = _READS.get(hmi, ())
+    return replace(trained, **{each.name: "" for each in fields(trained) if each.name not in read})
 
 
 @dataclass

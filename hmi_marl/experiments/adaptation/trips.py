@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,10 +216,13 @@ def by_second(
     return seconds
 
 
+@lru_cache(maxsize=2)
 def _resamples(count: int, seed: int) -> NDArray[np.float64]:
-    """Draw how often each of ``count`` is in each resample, shape (DRAWS, count)."""
+    """Draw how often each of ``count`` is in each resample, shape (DRAWS, count), read-only."""
     rng = np.random.default_rng(seed)
-    return rng.multinomial(count, np.full(count, 1 / count), DRAWS).astype(np.float64)
+    drawn = rng.multinomial(count, np.full(count, 1 / count), DRAWS).astype(np.float64)
+    drawn.flags.writeable = False
+    return drawn
 
 
 def _interval(draws: NDArray[np.float64], linear: Estimate) -> Estimate:

@@ -221,9 +221,9 @@ def small(monkeypatch):
 def test_everybody_meets_every_hmi(tmp_path):
     told = []
     trained = save_trained(tmp_path)
-    found = evaluate(tasks(TINY, "random", trained), 1, told.append)
+    (found,) = evaluate(TINY, "random", [trained], 1, told.append)
     assert [result.group for result in found] == ["lisa", "bart", POPULATION, "change to bart"]
-    assert len(told) == len(tasks(TINY, "random", trained)) == 11 + 11 + 10 + 10
+    assert len(told) == len(tasks(TINY, "random", [trained])) == 11 + 11 + 10 + 10
     for result in found:
         json.dumps(json_value(result), allow_nan=False)
         assert set(ADAPTIVE) < set(result.returns)
@@ -239,6 +239,19 @@ def test_everybody_meets_every_hmi(tmp_path):
     # the same HMI is as good as itself
     assert lisa.first_seconds[AVERAGE].mean == 0.0
     assert set(lisa.regret[KNOWING]) == {0.0}
+
+
+@pytest.mark.usefixtures("small")
+def test_several_trainings_share_what_none_of_them_learned(tmp_path):
+    one = save_trained(tmp_path / "one")
+    other = replace(one, conditioned=save_trained(tmp_path / "other", seed=7).conditioned)
+    told = []
+    together = evaluate(TINY, "random", [one, other], 1, told.append)
+    # Only the HMI conditioned on z is another, with either evidence, in each of the four groups.
+    assert len(told) == 11 + 11 + 10 + 10 + 4 * 2
+    alone = [evaluate(TINY, "random", [each], 1)[0] for each in (one, other)]
+    assert json_value(together) == json_value(alone)
+    assert json_value(alone[0]) != json_value(alone[1])
 
 
 @pytest.mark.usefixtures("small")
@@ -261,5 +274,5 @@ def test_workers_change_nothing(tmp_path, monkeypatch):
         adapt, "groups", lambda size: tuple(g for g in every(size) if g.name in wanted)
     )
     trained = save_trained(tmp_path)
-    found = [json_value(evaluate(tasks(TINY, "random", trained), workers)) for workers in (1, 2)]
+    found = [json_value(evaluate(TINY, "random", [trained], workers)) for workers in (1, 2)]
     assert found[0] == found[1]

@@ -1,3 +1,5 @@
+from dataclasses import fields, replace
+
 import numba
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from hmi_marl.experiments.adaptation.hmis import (
     Hmis,
     KnownDriver,
     hmi_names,
+    read_by,
 )
 from hmi_marl.experiments.adaptation.trips import HandOver, play_trips
 
@@ -50,6 +53,21 @@ def test_who_drives_is_told_without_a_doubt():
     evidence.reset(3, np.array([True, False, False]))
     others = evidence.observe(np.zeros((3, 1), np.float32), np.ones(3, np.bool_))
     assert others.tolist() == [[0, -np.inf], [0, -np.inf], [-np.inf, 0]]
+
+
+@pytest.mark.parametrize("name", hmi_names([BART]))
+def test_an_hmi_reads_what_is_said_and_no_less(name, tmp_path):
+    trained = save_trained(tmp_path)
+    read = read_by(name, trained)
+    Hmis(HIDDEN, read, [BART], TYPES, revealing=0.4, caution=0.7).make(name)
+    for field in fields(read):
+        missing = replace(read, **{field.name: str(tmp_path / "nothing-{}")})
+        factory = Hmis(HIDDEN, missing, [BART], TYPES, revealing=0.4, caution=0.7)
+        if getattr(read, field.name):
+            with pytest.raises(FileNotFoundError):
+                factory.make(name)
+        else:
+            factory.make(name)
 
 
 def test_one_learned_for_the_driver_is_there_for_a_type_alone():
