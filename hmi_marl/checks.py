@@ -116,6 +116,33 @@ class Real(Check):
         return f"{ends}{self.unit and ' '}{self.unit}{' or is 0' if self.or_zero else ''}"
 
 
+@dataclass(frozen=True)
+class Names(Check):
+    """One or more different names of ``choices``."""
+
+    choices: tuple[str, ...]
+    needed: str = ""
+    """Name that has to be among them, to compare with; empty if none has."""
+
+    def __call__(self, name: str, value: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names.
+
+        Raises:
+            ValueError: one is unknown or named twice, there are none, or the needed one is missing.
+        """
+        wrong = [each for each in value if each not in self.choices]
+        if wrong:
+            raise ValueError(f"{name}: {shown(wrong[0])} is none of {', '.join(self.choices)}")
+        if not value or len(set(value)) < len(value):
+            raise ValueError(f"{name} are one or more different ones of {', '.join(self.choices)}")
+        if self.needed and self.needed not in value:
+            raise ValueError(f"{name} need {self.needed!r} among them, to compare with")
+        return value
+
+    def __str__(self) -> str:
+        return f"{self.needed} and others by name" if self.needed else "one or more by name"
+
+
 COUNT = Whole(1, 1_000_000)
 """Range of most numbers of things."""
 SHARE = Real(0.0, 1.0)

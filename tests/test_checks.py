@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from hmi_marl.checks import Checked, Count, CountOrZero, Real, Share, Weight, Whole, shown
+from hmi_marl.checks import Checked, Count, CountOrZero, Names, Real, Share, Weight, Whole, shown
 from hmi_marl.envs.streams import Seed
 
 
@@ -107,6 +107,20 @@ def test_ends_are_part_of_a_range_unless_they_are_left_out():
     for end in (0.0, 1.0):
         with pytest.raises(ValueError, match="x lies in"):
             Real(0.0, 1.0, above=True, below=True)("x", end)
+
+
+def test_names_are_different_known_ones():
+    names = Names(("none", "more", "less"), needed="none")
+    assert names("shifts", ("none", "less")) == ("none", "less")
+    assert str(names) == "none and others by name"
+    for wrong, message in (
+        (("none", "x"), "shifts: 'x' is none of none, more, less"),
+        (("none", "none"), "one or more different ones"),
+        ((), "one or more different ones"),
+        (("more",), "need 'none' among them"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            names("shifts", wrong)
 
 
 def test_values_are_shown_in_one_short_line():

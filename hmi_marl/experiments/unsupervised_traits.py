@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 from hmi_marl.agents.learned.trait_model import load_traits
-from hmi_marl.checks import Check, Count, Steps, Whole, shown
+from hmi_marl.checks import Count, Names, Steps, Whole
 from hmi_marl.demonstrations.dataset import Split
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.config import TeamConfig
@@ -73,15 +73,6 @@ WAYS: tuple[Way, ...] = (
 BY_NAME = {each.name: each for each in WAYS}
 
 
-def _check_ways(name: str, value: tuple[str, ...]) -> tuple[str, ...]:
-    wrong = [each for each in value if each not in BY_NAME]
-    if wrong:
-        raise ValueError(f"{name}: {shown(wrong[0])} is none of {', '.join(BY_NAME)}")
-    if not value or len(set(value)) < len(value):
-        raise ValueError(f"{name} are one or more different ones of {', '.join(BY_NAME)}")
-    return value
-
-
 @dataclass(frozen=True)
 class Named:
     """Drivers named by the z of one way."""
@@ -122,7 +113,7 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
         ValueError: an unknown way, or too few windows to judge by.
     """
 
-    ways: Annotated[tuple[str, ...], Check(_check_ways, "ways by name")] = tuple(BY_NAME)
+    ways: Annotated[tuple[str, ...], Names(tuple(BY_NAME))] = tuple(BY_NAME)
     """Ways by name."""
     demonstrated: Steps = 300_000
     """Steps demonstrated by each of the four drivers."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from hmi_marl.checks import Check, Count, CountOrZero, Whole, shown
+from hmi_marl.checks import Count, CountOrZero, Names, Whole
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.streams import Seed, part_seed
@@ -47,17 +47,6 @@ _JUDGED_PART, _NAMED_PART = 2**32 + 5, 2**32 + 6
 _POOL = TraitSettings.pool
 
 
-def _check_variants(name: str, value: tuple[str, ...]) -> tuple[str, ...]:
-    wrong = [each for each in value if each not in BY_NAME]
-    if wrong:
-        raise ValueError(f"{name}: {shown(wrong[0])} is none of {', '.join(BY_NAME)}")
-    if BASELINE.name not in value or len(set(value)) < len(value):
-        raise ValueError(
-            f"{name} are different ones and {BASELINE.name!r} among them, to compare with"
-        )
-    return value
-
-
 @dataclass(frozen=True)
 class TraitAblations(AblationReport):
     """Learn the self-supervised encoder again with one part changed at a time, and compare.
@@ -66,9 +55,7 @@ class TraitAblations(AblationReport):
         ValueError: an unknown variant, or too few strangers or windows.
     """
 
-    variants: Annotated[tuple[str, ...], Check(_check_variants, "baseline and others by name")] = (
-        tuple(BY_NAME)
-    )
+    variants: Annotated[tuple[str, ...], Names(tuple(BY_NAME), BASELINE.name)] = tuple(BY_NAME)
     """Variants by name."""
     strangers: Annotated[int, Whole(2, 100_000)] = 2000
     """Strangers that all but the variants of the population learn from."""

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.agents.learned.trait_model import load_traits
-from hmi_marl.checks import Check, Whole, shown
+from hmi_marl.checks import Names, Whole
 from hmi_marl.demonstrations.recording import CollectSettings
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.streams import Seed, part_seed
@@ -40,18 +40,9 @@ from hmi_marl.workers import calls
 
 PARTS = "parts"
 """Folder of what has been found, below that of the experiment."""
+_NAMES = tuple(shift.name for shift in SHIFTS)
 _FITTED_PART = 2**32 + 4
 """Part of the experiment's seed."""
-
-
-def _check_shifts(name: str, value: tuple[str, ...]) -> tuple[str, ...]:
-    known = [shift.name for shift in SHIFTS]
-    wrong = [each for each in value if each not in known]
-    if wrong:
-        raise ValueError(f"{name}: {shown(wrong[0])} is none of {', '.join(known)}")
-    if NONE.name not in value or len(set(value)) < len(value):
-        raise ValueError(f"{name} are different ones and {NONE.name!r} among them, to compare with")
-    return value
 
 
 @dataclass(frozen=True)
@@ -64,9 +55,7 @@ class TraitShifts(ShiftsReport):
 
     traits_model: str = "trained:traits-self"
     """Trait model: the folder of a run of hmi-marl traits train, or trained:NAME."""
-    shifts: Annotated[tuple[str, ...], Check(_check_shifts, "none and others by name")] = tuple(
-        shift.name for shift in SHIFTS
-    )
+    shifts: Annotated[tuple[str, ...], Names(_NAMES, NONE.name)] = _NAMES
     """Shifts by name."""
     fitted: Annotated[int, Whole(3, 100_000)] = 300
     """Strangers without shift on whom the probes are fitted."""
