@@ -6,11 +6,21 @@ import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import hmi_marl
-from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, MOST_WEIGHTS, Shipped, shipped_agents
+from hmi_marl.agents.adaptive.hmis import CONDITIONED, Trained, make_adaptive
+from hmi_marl.agents.learned.cards import (
+    INDEX,
+    INDEX_FORMAT,
+    MOST_WEIGHTS,
+    PREFIX,
+    Shipped,
+    shipped_agents,
+)
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Agent, Place
 from hmi_marl.files import with_checksum, without_checksum, write_bytes, write_json
 from hmi_marl.ownership import check_free
@@ -38,7 +48,8 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
         out: a folder of shipped agents, an empty folder, or a new one.
 
     Raises:
-        ValueError: an experiment is not finished, or ``out`` holds something else.
+        ValueError: an experiment is not finished, ``out`` holds something else, or its agents that
+            infer drivers would read another encoder than the one next to them.
     """
     before = {}
     if out.exists() and any(out.iterdir()):
@@ -102,6 +113,7 @@ def _write(agents: Sequence[Agent], before: Mapping[str, Shipped], out: Path) ->
         folder = Path(made) / out.name
         index = {name: _keep(agent, out, folder) for name, agent in kept.items()}
         index |= {agent.name: _copy(agent, folder) for agent in agents}
+        _check_adaptive(folder)
         about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
         write_json(folder / INDEX, with_checksum(about))
         aside = out.with_name(f".{out.name}-before")
@@ -109,6 +121,26 @@ def _write(agents: Sequence[Agent], before: Mapping[str, Shipped], out: Path) ->
             out.replace(aside)  # still there if what comes next is interrupted
         folder.replace(out)
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def _check_adaptive(folder: Path) -> None:
+    """Check that the agents that infer drivers read the shipped encoder, where all are there.
+
+    Raises:
+        ValueError: they were learned with another one.
+    """
+    names = {each.name: str(each.default).removeprefix(PREFIX) for each in fields(Trained)}
+    models = Trained(**{model: str(folder / name) for model, name in names.items()})
+    read = models.evidence, models.conditioned, models.traits
+    if not all(Path(place).is_dir() for place in read):
+        return
+    try:
+        make_adaptive(CONDITIONED, TeamConfig(ai_sees_attention=False), trained=models)
+    except ValueError as error:
+        raise ValueError(
+            f"the agents that would be shipped do not belong together: {error}; ship the stages "
+            "traits and adapt of one reproduction"
+        ) from None
 
 
 def _keep(agent: Shipped, out: Path, folder: Path) -> dict[str, Any]:

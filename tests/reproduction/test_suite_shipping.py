@@ -2,14 +2,18 @@ import json
 from pathlib import Path
 
 import pytest
+from evidence_models import save_trained, trait_model
 from model_cards import with_card
 from stages import Counting
-from trait_models import save_driver
+from trait_models import save_driver, untrained
 
-from hmi_marl.agents.learned.cards import INDEX, find_shipped, shipped_agents
+from hmi_marl.agents.learned.cards import INDEX, INDEX_FORMAT, find_shipped, shipped_agents
 from hmi_marl.agents.learned.policy import load_policy
+from hmi_marl.agents.learned.trait_model import save_traits
+from hmi_marl.demonstrations.dataset import observed_layout
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Agent
+from hmi_marl.files import with_checksum, write_json
 from hmi_marl.reproduction.shipping import ship, ship_more, without_places
 from hmi_marl.reproduction.suite import run_suite
 
@@ -102,3 +106,28 @@ def test_more_agents_are_added_to_those_that_are_there(run: Path, tmp_path: Path
     ship(stages, run, run, out)
     assert shipped_agents(out)["mine"].what == "drives"
     assert shipped_agents(out)["other"].what == "drives too", "of a run of its own: it stays"
+
+
+def test_agents_that_infer_drivers_are_shipped_with_their_encoder_alone(tmp_path: Path) -> None:
+    team, out = TeamConfig(ai_sees_attention=False), tmp_path / "trained"
+    learned = save_trained(tmp_path / "run", team)
+    cards = {"evidence": "evidence", "conditioned": "vehicle_ai"}
+    inferring = [
+        Agent(name, Path(getattr(learned, name)) / f"{card}.json", "infers")
+        for name, card in cards.items()
+    ]
+    own, other = trait_model(), untrained(observed_layout(team))
+    for name, model in (("own", own), ("other", other)):
+        save_traits(tmp_path / name, model.card, model.weights)
+    read, another = (
+        Agent("traits-self", tmp_path / name / "traits.json", "encodes")
+        for name in ("own", "other")
+    )
+    write_json(out / INDEX, with_checksum({"format": INDEX_FORMAT, "version": "1", "agents": {}}))
+    ship_more([another], out)
+    before = {path: path.read_bytes() for path in out.rglob("*.*")}
+    with pytest.raises(ValueError, match=r"do not belong together: .* ship the stages traits"):
+        ship_more(inferring, out)
+    assert {path: path.read_bytes() for path in out.rglob("*.*")} == before
+    ship_more([*inferring, read], out)
+    assert set(shipped_agents(out)) == {"evidence", "conditioned", "traits-self"}
