@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 
 from hmi_marl.agents.learned.trait_model import TraitCard
 from hmi_marl.training.runs.divergence import check_finite
@@ -28,9 +28,9 @@ from hmi_marl.training.traits.settings import TraitSettings
 from hmi_marl.training.traits.windows import Batch, transitions
 
 LONGEST_GRADIENT = 10.0
-AVERAGING = 0.99
-"""Share of the averaged reward that a round keeps. The reward of a single round follows what the
-policy happens to do there."""
+AVERAGED = 100
+"""Rounds over which the reward that is kept is averaged: equally until so many have passed, then
+exponentially. The reward of a single round follows what the policy happens to do there."""
 _MODEL, _AVERAGE, _RATE = "model.", "average.", "learning_rate"
 
 
@@ -55,8 +55,7 @@ class DiscriminatorLearner:
         self, card: TraitCard, settings: TraitSettings, policy: MLPModel, device: str
     ) -> None:
         self.model = Discriminator(card).to(device)
-        averaging = get_ema_multi_avg_fn(AVERAGING)  # type: ignore[no-untyped-call]
-        self._averaged = AveragedModel(self.model.reward, multi_avg_fn=averaging)
+        self._averaged = AveragedModel(self.model.reward, avg_fn=_averaged)
         self._settings, self._policy = settings, policy
         self._learning = [*self.model.reward.parameters(), self.model.width]
         if not settings.fixed_encoder:
@@ -210,3 +209,10 @@ class DiscriminatorLearner:
             mine = {name: value for name, value in tensors.items() if name.startswith(of)}
             module.load_state_dict({name.removeprefix(of): v for name, v in mine.items()})
         self._optimizer.load_state_dict(with_moments(self._optimizer.state_dict(), tensors))
+
+
+def _averaged(
+    average: torch.Tensor, present: torch.Tensor, rounds: torch.Tensor | int
+) -> torch.Tensor:
+    """Average weights over so many earlier rounds and the present one."""
+    return torch.lerp(average, present, 1 / min(int(rounds) + 1, AVERAGED))

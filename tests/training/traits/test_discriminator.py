@@ -8,7 +8,8 @@ from trait_models import SMALL
 
 from hmi_marl.agents.learned.network import NetworkConfig
 from hmi_marl.training.protocols.settings import PPOSettings
-from hmi_marl.training.traits.discriminator import AVERAGING, DiscriminatorLearner, Labelled
+from hmi_marl.training.traits import discriminator
+from hmi_marl.training.traits.discriminator import DiscriminatorLearner, Labelled
 from hmi_marl.training.traits.episodes import Episodes
 from hmi_marl.training.traits.model import log_policy, make_policy
 from hmi_marl.training.traits.settings import LossWeights, TraitSettings
@@ -180,21 +181,22 @@ def test_weights_of_another_model_are_refused():
         adversary().load(other.tensors())
 
 
-def test_the_reward_that_is_kept_is_an_average_over_rounds():
+def test_the_reward_that_is_kept_is_an_average_over_rounds(monkeypatch):
+    monkeypatch.setattr(discriminator, "AVERAGED", 3)
     one = adversary()
 
     def first(reward):
         return next(reward.parameters()).detach().clone()
 
     seen = []
-    for number in range(3):
+    for number in range(5):
         one.learn(pools(4, seed=number), labelled(), pools(2, seed=1), torch.randn(2, 2))
         one.average()
         seen.append(first(one.model.reward))
-    expected = seen[0]
-    for present in seen[1:]:
-        expected = AVERAGING * expected + (1 - AVERAGING) * present
-    torch.testing.assert_close(first(one.averaged), expected)
+        expected = torch.stack(seen[:3]).mean(dim=0)  # equally at first, then exponentially
+        for present in seen[3:]:
+            expected = (2 * expected + present) / 3
+        torch.testing.assert_close(first(one.averaged), expected)
     assert not torch.equal(first(one.averaged), seen[-1])
 
 
