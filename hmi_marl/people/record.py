@@ -30,6 +30,7 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DriverList, TraitDistributions
 from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import Seed
+from hmi_marl.envs.team_step import OF_BOTH
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS, World
 from hmi_marl.files import json_value
@@ -237,7 +238,8 @@ class StateDigest(Observer):
         snapshot, attention = teaming.world.snapshot(0), teaming.attention
         whole = [teaming.applied, attention.distracted, attention.accepted]
         whole += [attention.counter, attention.fatigue, snapshot.crashed.astype(np.int64)]
-        for numbers in (snapshot.position, snapshot.heading, snapshot.speed, result.table[0]):
+        rewards = result.table[0, :OF_BOTH]  # their sum says no more
+        for numbers in (snapshot.position, snapshot.heading, snapshot.speed, rewards):
             self._digest.update(np.ascontiguousarray(numbers, "<f8").tobytes())
         for numbers in whole:
             self._digest.update(np.ascontiguousarray(numbers, "<i8").tobytes())

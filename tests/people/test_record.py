@@ -118,3 +118,15 @@ def test_an_unfinished_trip_replays_too():
     assert not record.finished
     assert int(replay(record).steps[0]) == 4
     assert int(replay(a_trip(seed=2, steps=0).record()).steps[0]) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "digest"),
+    [
+        ("paper", "65ca61ce63d7b476b4400dcea67c538e9753a51e88d78a0cd1593811193f0b6f"),
+        ("graded", "7ce107c5d6c122b75c704e12557aba65d2c186a9351c7478a74d46bfa7003b8a"),
+    ],
+)
+def test_trips_that_were_recorded_before_still_replay(name, digest):
+    # Digests of version 0.2.0, commit af7681d. Change the format if they have to differ.
+    assert a_trip(name, seed=3).record().digest == digest
