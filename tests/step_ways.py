@@ -9,6 +9,7 @@ from hmi_marl.envs.loops import InLoops, InOneLoop
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.step_result import Then
 from hmi_marl.envs.team_arrays import Rules
+from hmi_marl.envs.team_step import SUMS, Scores
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.batched import BatchedWorld
 
@@ -30,7 +31,14 @@ CONFIGS = {
         "weights": RewardWeights(speed_reward=-0.3, merging=0.7, collision=-1.5, alert=-2.0),
     },
 }
-VIEWS = ("driver", "vehicle_ai", "state")
+VIEWS = ("driver", "vehicle_ai", "state", "traits")
+
+
+def new_scores(count):
+    """Arrays for all rewards and the ends of a step, to be filled in."""
+    columns = np.arange(SUMS)
+    rewards = np.full((SUMS, count), -9, np.float32)
+    return Scores(columns, rewards, np.full(count, -9), np.zeros(count, np.bool_))
 
 
 class Plain:
@@ -58,11 +66,16 @@ def play(teams, steps, seed, series=None):
         shown += teams.views(VIEWS).values()
         some = rng.random(teams.num_teams) < 0.5
         actions = rng.integers(0, 5, teams.num_teams)
-        for which in (some, ~some):
-            teams.intend(actions, which)
-            shown += teams.views(VIEWS).values()
         alerts = rng.integers(0, teams.alerts.choices, teams.num_teams)
-        result = teams.step(alerts, VIEWS, then)
+        if step % 3 == 2:  # both seats at once
+            scores = new_scores(teams.num_teams)
+            result = teams.turn(actions, alerts, views=VIEWS, then=then, scores=scores)
+            shown += scores
+        else:
+            for which in (some, ~some):
+                teams.intend(actions, which)
+                shown += teams.views(VIEWS).values()
+            result = teams.step(alerts, VIEWS, then)
         shown += [result.table, result.ends, *result.views.values()]
         if result.ended_teams is not None:
             ended = result.ended_teams

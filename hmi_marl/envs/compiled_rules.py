@@ -82,7 +82,7 @@ def _put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound
     def put_scaled(rows: Any, row: Any, column: Any, values: Any, scale: Any, bound: Any) -> None:
         if column >= 0:
             flat = values.reshape(values.size)
-            # Places of a slice are not counted from its end, so that several are written at once.
+            # Indices into a slice are never negative, so the compiler writes several at once.
             places = rows[row, column : column + len(flat)]
             for place in range(len(flat)):
                 places[place] = elementwise.within(flat[place] / scale, -bound, bound)

@@ -8,12 +8,13 @@ import numpy as np
 
 
 def writeable(value: Any) -> Any:
-    """Return ``value`` with copies in place of arrays that cannot be written to.
+    """Return ``value`` with copies in place of arrays that compiled loops cannot write to.
 
-    joblib hands large arrays to its workers as read-only memory maps.
+    joblib hands large arrays to its workers as read-only memory maps, and small ones at odd
+    addresses.
     """
     if isinstance(value, np.ndarray):
-        return value if value.flags.writeable else np.array(value)
+        return value if value.flags.behaved else np.array(value)
     if isinstance(value, tuple):
         parts = map(writeable, value)
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)

@@ -72,5 +72,6 @@ def put_scaled(
 ) -> None:
     """Write a table of values divided by a scale and kept within -bound to bound, cell by cell."""
     if column >= 0:
-        scaled = within(values / scale, -bound, bound).reshape(*values.shape[:-2], -1)
-        rows[row, column : column + scaled.shape[-1]] = scaled
+        size = values.shape[-2] * values.shape[-1]
+        scaled = within(values / scale, -bound, bound).reshape(*values.shape[:-2], size)
+        rows[row, column : column + size] = scaled

@@ -74,7 +74,7 @@ class Execution(OwnArrays, ABC):
         teams: Teams,
         intents: NDArray[np.int64] | None,
         alerts: NDArray[np.int64] | None,
-        acts: NDArray[np.bool_],
+        acts: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """Take the actions of one seat or both.
 
@@ -82,7 +82,8 @@ class Execution(OwnArrays, ABC):
             teams: the drivers' actions are written into them.
             intents: a^H, shape (N,); None if the drivers do not act now.
             alerts: a^A, shape (N,); None if the HMIs do not act now.
-            acts: teams that act now, unless they are over. With alerts, every team.
+            acts: teams whose drivers act now, unless they are over; None for every team, and with
+                alerts.
 
         Returns:
             Which teams take a step, shape (N,), and their alerts, 0 for the others; to be read if
@@ -155,9 +156,10 @@ class Execution(OwnArrays, ABC):
             scores: to be filled in.
 
         Raises:
-            ValueError: see :meth:`enter`. Nothing has changed then.
+            ValueError: see :meth:`enter`. Nothing has changed then. After any other error the
+                drivers may have acted.
         """
-        active, alert = self.enter(teams, intents, alerts, self._everywhere)
+        active, alert = self.enter(teams, intents, alerts)
         self.decide(teams, active, alert, state)
         self._move_world(active, state[:, team_step.APPLIED])
         after = After.new(len(alert))
@@ -282,10 +284,11 @@ class InNumPy(Execution):
         teams: Teams,
         intents: NDArray[np.int64] | None,
         alerts: NDArray[np.int64] | None,
-        acts: NDArray[np.bool_],
+        acts: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """See :meth:`Execution.enter`."""
-        state, given, on = teams.state, teams.intent_given, acts & ~teams.over
+        state, given = teams.state, teams.intent_given
+        on = ~teams.over if acts is None else acts & ~teams.over
         nowhere = np.zeros_like(on)
         refused = [
             nowhere if intents is None else on & given,

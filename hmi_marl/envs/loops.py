@@ -24,7 +24,7 @@ from hmi_marl.envs.team_step import AT_START, TOTALS, Scores
 from hmi_marl.envs.worlds import World
 from hmi_marl.envs.worlds.base import CRASHED, SPEED, Readings
 from hmi_marl.envs.worlds.batched import BatchedWorld
-from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare_once
+from hmi_marl.envs.worlds.batched.compiler import inlined, kernel, prepare_once, ready
 from hmi_marl.envs.worlds.batched.kernels import (
     Merges,
     begin_world,
@@ -119,8 +119,10 @@ def step_teams(
 
     One loop over parts for all of it, since starting one on several threads costs as much as some
     of its parts. Within a part the teams take each of these in turn, since all of the machine code
-    at once does not fit into the processor's instruction cache.
+    at once does not fit into the processor's instruction cache. ``rewards`` and ``ends`` have a row
+    for each column of :class:`After`, so that they are of one type for one team and for many.
     """
+    rewards, ends = rewards.T, ends.T
     state, traits, seeds, over, intent_given, totals = teams
     window, effects, settings, scales = rules
     numbers, flags = merges.numbers, merges.flags
@@ -203,13 +205,14 @@ class InLoops(Execution):
         teams: Teams,
         intents: NDArray[np.int64] | None,
         alerts: NDArray[np.int64] | None,
-        acts: NDArray[np.bool_],
+        acts: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """See :meth:`Execution.enter`; the arrays are the same at each call."""
         given = (_NO_ACTIONS if each is None else each for each in (intents, alerts))
         admitted = self._active, self._alert
-        arguments = teams, *given, acts, self._choices, *admitted, self._refused
-        if not enter_actions(_NO_PROGRESS, *arguments):
+        acting = self._everywhere if acts is None else acts
+        arguments = teams, *given, acting, self._choices, *admitted, self._refused
+        if not ready(enter_actions, *arguments)(_NO_PROGRESS, *arguments):
             self.refuse(self._refused.tolist(), intents, alerts)
         return admitted
 
@@ -297,8 +300,8 @@ class InOneLoop(InLoops):
             merges, *lidars_shown(groups), which, self._showing(merges, teams), self.rules,
             _filled_up(groups),
         )  # fmt: skip
-        prepare_once(look_and_write_teams, *arguments)
-        share(look_and_write_teams, len(which), self.world.sharing(len(which)), *arguments)
+        loop = ready(look_and_write_teams, *arguments)
+        share(loop, len(which), self.world.sharing(len(which)), *arguments)
 
     def step(
         self,
@@ -312,7 +315,7 @@ class InOneLoop(InLoops):
         scores: Scores = NO_SCORES,
     ) -> After:
         """See :meth:`Execution.step`."""
-        admitted = self.enter(teams, intents, alerts, self._everywhere)
+        admitted = self.enter(teams, intents, alerts)
         merges = self.world.arrays()
         after = After.new(len(alerts), self._last_totals)
         following = self._nothing_follows
@@ -320,13 +323,12 @@ class InOneLoop(InLoops):
             ahead = series.episodes, series.seeds, series.traits
             following = NextEpisodes(True, *ahead, AT_START, _NO_TOTALS, self._last_totals)
         arguments = (
-            merges, self.world.room, teams, *admitted, self.rules, state, after.rewards,
-            after.ends, scores, following,
+            merges, self.world.room, teams, *admitted, self.rules, state, after.rewards.T,
+            after.ends.T, scores, following,
             (*lidars_shown(finals), _filled_up(finals)),
             (*lidars_shown(groups), _filled_up(groups)),
         )  # fmt: skip
-        prepare_once(step_teams, *arguments)
-        self.world.take_step(step_teams, *arguments)
+        self.world.take_step(ready(step_teams, *arguments), *arguments)
         return after
 
     def _showing(self, merges: Merges, teams: Teams) -> values.Shown:

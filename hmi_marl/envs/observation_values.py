@@ -254,8 +254,6 @@ def write(
             high[TRAITS],
             traits[k, team_step.INFLATION] / MAX_INFLATION,
         )
-    start = first[_UNSCALED]
-    if start >= 0:
-        for trait in range(_TRAITS):
-            column, part = start + trait, _UNSCALED + trait
-            put(rows, row, column, low[part], high[part], traits[k, trait])
+    for trait in range(_TRAITS):
+        part = _UNSCALED + trait
+        put(rows, row, first[part], low[part], high[part], traits[k, trait])

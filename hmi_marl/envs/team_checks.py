@@ -1,9 +1,16 @@
-"""Checks of arrays that say which teams, and with which seeds."""
+"""Checks of arrays that say which teams, and with which seeds, and of those to be filled."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from hmi_marl.envs.team_step import SUMS, Scores
+
+FLOAT32 = np.dtype(np.float32)
+_INT64, _BOOL = np.dtype(np.int64), np.dtype(np.bool_)
 
 
 def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:
@@ -25,6 +32,35 @@ def check_team_numbers(teams: NDArray[np.int64], count: int) -> NDArray[np.int64
     if len(which) and not 0 <= which.min() <= which.max() < count:
         raise ValueError(f"teams= are numbers from 0 to {count - 1}, not {teams!r}")
     return which
+
+
+def check_filled(
+    name: str, array: NDArray[Any], dtype: np.dtype[Any], shape: tuple[int, ...]
+) -> NDArray[Any]:
+    """Return an array that a loop will fill, or raise ValueError if it would write elsewhere."""
+    is_array = isinstance(array, np.ndarray)
+    if not is_array or array.dtype != dtype or array.shape != shape or not array.flags.carray:
+        found = f"{array.dtype} of shape {array.shape}" if is_array else type(array).__name__
+        raise ValueError(
+            f"{name} is to be filled, so it is a writable array of {dtype} and shape {shape}, row "
+            f"by row in memory, but got {found}"
+        )
+    return array
+
+
+def check_scores(scores: Scores, count: int) -> None:
+    """Check the arrays of :class:`Scores` for N teams.
+
+    Raises:
+        ValueError: one is of another type or shape, or a reward's column is none.
+    """
+    columns = scores.columns
+    check_filled("scores.columns", columns, _INT64, (len(columns),))
+    check_filled("scores.rewards", scores.rewards, FLOAT32, (len(columns), count))
+    check_filled("scores.dones", scores.dones, _INT64, (count,))
+    check_filled("scores.time_outs", scores.time_outs, _BOOL, (count,))
+    if min(columns.tolist(), default=0) < 0 or max(columns.tolist(), default=0) >= SUMS:
+        raise ValueError(f"scores.columns lie in [0, {SUMS - 1}], but got {columns}")
 
 
 def check_seeds(seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:

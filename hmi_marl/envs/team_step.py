@@ -223,7 +223,7 @@ def reward(
 
 
 class Scores(NamedTuple):
-    """What trainers get of a step of N teams, by :func:`score`."""
+    """Rewards and ends of a step of N teams as trainers read them; see :func:`score`."""
 
     columns: NDArray[np.int64]
     """Columns of the rewards to hand out, shape (R,)."""

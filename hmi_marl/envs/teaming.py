@@ -27,7 +27,14 @@ from hmi_marl.envs.seen_attention import seen_from_outside
 from hmi_marl.envs.shown_teams import ShownTeams
 from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
 from hmi_marl.envs.team_arrays import NO_SCORES, Group, Rules, Teams
-from hmi_marl.envs.team_checks import check_mask, check_seeds, check_team_numbers
+from hmi_marl.envs.team_checks import (
+    FLOAT32,
+    check_filled,
+    check_mask,
+    check_scores,
+    check_seeds,
+    check_team_numbers,
+)
 from hmi_marl.envs.team_step import (
     AT_START,
     DISTRACTED,
@@ -80,7 +87,6 @@ class Teaming(ShownTeams):
         self._columns: dict[tuple[str, tuple[str, ...] | None], Group] = {}
         self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
-        self._everywhere = np.ones(num_teams, np.bool_)
         self._every = np.arange(num_teams)
         self._teams = Teams.new(num_teams)
         self._spare = np.empty_like(self._teams.state)
@@ -173,8 +179,9 @@ class Teaming(ShownTeams):
             views, then, looking_away, scores: see :meth:`step`.
 
         Raises:
-            ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever the vehicle AI's
-                function raises, or an alert that is none, leaves every team as it was.
+            ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever a function or the
+                world raises, or an action that is none, leaves the drivers as if they had not
+                acted.
         """
         more = views, then, looking_away, scores
         if sequential and callable(hmi):
@@ -185,7 +192,14 @@ class Teaming(ShownTeams):
                 self.withdraw()  # does nothing if the step has been taken
                 raise
         alerts = self.ask(VEHICLE_AI, hmi)
-        return self._step(self._checked(self.ask(DRIVER, driver), DRIVER), alerts, *more)
+        intents = self._checked(self.ask(DRIVER, driver), DRIVER)
+        had_acted = self._teams.intent_given.any()
+        try:
+            return self._step(intents, alerts, *more)
+        except Exception:
+            if not had_acted:
+                self.withdraw()
+            raise
 
     def ask(self, agent: str, actor: Actor) -> ArrayLike:
         """Return an actor's actions; one with an attribute ``reads`` is shown these parts only."""
@@ -203,7 +217,7 @@ class Teaming(ShownTeams):
         Raises:
             ValueError: an action out of range, or a second intent in the same step.
         """
-        acts = self._everywhere if which is None else check_mask(which, self.num_teams)
+        acts = None if which is None else check_mask(which, self.num_teams)
         self._execution.enter(self._teams, self._checked(driver_actions, DRIVER), None, acts)
 
     def withdraw(self) -> None:
@@ -232,11 +246,11 @@ class Teaming(ShownTeams):
             looking_away: d_t where it is seen from outside, shape (N,): 1 while the driver looks
                 away, 0 while at the road, -1 where the chain draws it, as it does by default. c_t,
                 i_t and v_t follow as always. Those of ended teams are not read.
-            scores: to be filled in.
+            scores: arrays for rewards and ends, to be filled in; see :class:`Scores`.
 
         Raises:
-            ValueError: an action out of range, no :meth:`intend` before, or ``then`` with
-                ``looking_away``.
+            ValueError: an action out of range, no :meth:`intend` before, ``then`` with
+                ``looking_away``, or arrays to be filled of another type or shape.
         """
         return self._step(None, alerts, views, then, looking_away, scores)
 
@@ -251,6 +265,8 @@ class Teaming(ShownTeams):
     ) -> StepResult:
         """Take the step with a^A_t, and with a^H_t unless the drivers have acted already."""
         groups = self._groups(views, self.num_teams)
+        if scores is not NO_SCORES:
+            check_scores(scores, self.num_teams)
         moved, along = self._teams, groups
         if looking_away is not None:
             if then is not None:
@@ -332,7 +348,12 @@ class Teaming(ShownTeams):
     def _groups(self, views: Views, count: int) -> dict[str, Group]:
         """Room for observations of so many teams, by name."""
         if isinstance(views, Mapping):
-            return {name: self._columns_of(name).another(rows) for name, rows in views.items()}
+            return {
+                name: self._columns_of(name).another(
+                    check_filled(name, rows, FLOAT32, (count, self._layouts[name].size))
+                )
+                for name, rows in views.items()
+            }
         return {name: self._columns_of(name).empty(count) for name in views}
 
     def _final(self, name: str) -> Group:

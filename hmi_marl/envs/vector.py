@@ -273,10 +273,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         views = self._views_in(outcome.rows)
         then, scores = Then(self._series, self._views), outcome.scores
         if self._turns is None:
-            result = self.teaming.turn(columns[0], columns[1], True, views, then, scores=scores)
+            result = self.teaming.turn(columns[0], columns[1], False, views, then, scores=scores)
         else:  # a partner who drives acts before anything is observed
-            shown = () if self.seat == VEHICLE_AI else views
-            result = self._turns.step(columns[0], shown, then, scores=scores)
+            wanted = () if self.seat == VEHICLE_AI else views
+            result = self._turns.step(columns[0], wanted, then, scores=scores)
         extras: dict[str, Any] = {"time_outs": outcome.time_outs}
         if self.seat == TEAM:
             extras["rewards"] = {agent: outcome.rewards[agent] for agent in self.agents}

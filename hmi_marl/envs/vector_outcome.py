@@ -69,7 +69,7 @@ class Outcome:
         )
         """Rewards and ends, to be filled in."""
         _, own, dones, time_outs = self.scores
-        self.rewards = dict(zip(rewards, torch.from_numpy(own).unbind(), strict=True))
+        self.rewards = {name: torch.from_numpy(own[k]) for k, name in enumerate(rewards)}
         """Rewards by name, float32 of shape (N,)."""
         self.dones, self.time_outs = torch.from_numpy(dones), torch.from_numpy(time_outs)
         """Where episodes ended: 1, else 0, int64; and by their time alone, bool. Shape (N,)."""

@@ -241,8 +241,8 @@ class StateDigest(Observer):
         rewards = result.table[0, :OF_BOTH]  # their sum says no more
         for numbers in (snapshot.position, snapshot.heading, snapshot.speed, rewards):
             self._digest.update(np.ascontiguousarray(numbers, "<f8").tobytes())
-        for numbers in whole:
-            self._digest.update(np.ascontiguousarray(numbers, "<i8").tobytes())
+        for counts in whole:
+            self._digest.update(np.ascontiguousarray(counts, "<i8").tobytes())
 
     def hexdigest(self) -> str:
         """Digest of the steps until now."""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from standing_world import StandingWorld
-from step_ways import CONFIGS, play, teams_of
+from step_ways import CONFIGS, WAYS, new_scores, play, teams_of
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TraitDistributions
@@ -321,6 +321,72 @@ def test_a_turn_that_cannot_be_taken_leaves_no_team_in_mid_turn():
     teams.turn([1, 1], [0, 0])
 
 
+@pytest.mark.parametrize("way", WAYS)
+def test_a_world_that_fails_leaves_no_team_in_mid_turn(way):
+    config = TeamConfig()
+    teams = teams_of(way, config, 2)
+    teams.reset([1, 2])
+    move = "take_step" if way is InOneLoop else "step"
+    moves, before = getattr(teams.world, move), teams.state()
+
+    def fail(*arguments):
+        raise OSError("no road")
+
+    for asked in ([0, 0], lambda observations: np.zeros(2, int)):
+        setattr(teams.world, move, fail)
+        with pytest.raises(OSError, match="no road"):
+            teams.turn([1, 1], asked)
+        assert not teams.intent_given.any()
+        np.testing.assert_array_equal(teams.state(), before)
+    setattr(teams.world, move, moves)
+    teams.turn([1, 1], [0, 0])
+    # Drivers who had acted before the turn keep their actions.
+    teams.intend([1, 1])
+    with pytest.raises(ValueError, match="already acted"):
+        teams.turn([2, 2], [0, 0])
+    assert teams.intent_given.all()
+
+
+def wrong_arrays(shape, dtype):
+    """Arrays that a loop of this shape and type would not fill as it should."""
+    right = np.zeros(shape, dtype)
+    read_only = right.copy()
+    read_only.flags.writeable = False
+    wrong = [right.tolist(), right[:-1], right[..., None], right.astype(">f4"), read_only]
+    if right.itemsize > 1:  # at an odd address
+        memory = np.frombuffer(bytearray(right.nbytes + 1), np.uint8)[1:]
+        wrong.append(memory.view(dtype).reshape(shape))
+    return [*wrong, np.zeros((2, *shape), dtype)[0, ::-1], np.zeros(shape, np.float16)]
+
+
+@pytest.mark.parametrize("world", ["batched", "highway"])
+def test_arrays_to_be_filled_are_checked_before_anything_moves(world):
+    teams = Teaming(TeamConfig(), 2, world)
+    teams.reset([1, 2])
+    before, size = teams.state(), teams.layouts["driver"].size
+    views = [{"driver": wrong} for wrong in wrong_arrays((2, size), np.float32)]
+    right = new_scores(2)
+    scores = [
+        right._replace(**{name: wrong})
+        for name, array in right._asdict().items()
+        for wrong in wrong_arrays(array.shape, array.dtype)
+        if name != "columns"
+    ]
+    scores += [right._replace(columns=right.columns + delta) for delta in (-1, 1)]
+    scores += [right._replace(columns=right.columns[:-1])]
+    arguments = [{"views": each} for each in views] + [{"scores": each} for each in scores]
+    for wrong in arguments:
+        with pytest.raises(ValueError, match=r"to be filled|scores\.columns lie in"):
+            teams.turn([1, 1], [0, 0], **wrong)
+        np.testing.assert_array_equal(teams.state(), before)
+    for each in views:
+        with pytest.raises(ValueError, match="driver is to be filled"):
+            teams.views(each)
+    filled = {"driver": np.zeros((2, size), np.float32)}
+    teams.turn([1, 1], [0, 0], views=filled, scores=right)
+    np.testing.assert_array_equal(filled["driver"], teams.observe("driver"))
+
+
 def test_a_second_teaming_on_a_world_sees_its_lidars():
     config = TeamConfig(driver="homer")
     world = BatchedWorld(config.scene, 2, 1)
@@ -333,7 +399,6 @@ def test_a_second_teaming_on_a_world_sees_its_lidars():
     )
 
 
-@pytest.mark.slow  # arrays at other places in memory: loops are compiled anew, for half a minute
 def test_teams_that_were_mapped_into_memory_go_on(tmp_path):
     joblib = pytest.importorskip("joblib")
     config = TeamConfig(driver=["lisa", "homer"])

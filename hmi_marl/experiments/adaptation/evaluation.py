@@ -359,18 +359,18 @@ def tasks(settings: AdaptSettings, driver_policy: str, trained: Sequence[Trained
 
 
 def evaluate(
-    settings: AdaptSettings,
-    driver_policy: str,
+    plays: Sequence[Play],
     trained: Sequence[Trained],
     workers: int,
     progress: Callable[[int], object] = lambda plays: None,
 ) -> list[list[Result]]:
-    """Play :func:`tasks`, calling ``progress`` after each, and sum up; the same for any workers.
+    """Play what :func:`tasks` lists for ``trained``, and sum up; the same for any workers.
+
+    Calls ``progress`` after each play.
 
     Returns:
         Results of every group, for each of ``trained``.
     """
-    plays = tasks(settings, driver_policy, trained)
     found: list[list[Result]] = [[] for _ in trained]
     played = zip(plays, results(play, plays, workers), strict=True)
     for group, rows in groupby(played, key=lambda row: row[0].group):
@@ -381,5 +381,5 @@ def evaluate(
         names = hmi_names(group.all_drivers)
         for each, own in zip(trained, found, strict=True):
             of_each = {hmi: trips[hmi, read_by(hmi, each)] for hmi in names}
-            own.append(summarise(group, of_each, settings))
+            own.append(summarise(group, of_each, task.settings))
     return found

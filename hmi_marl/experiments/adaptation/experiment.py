@@ -282,7 +282,7 @@ class Adaptation(_Judged):
 
     def play(self, place: Place) -> list[Result]:
         """See :meth:`SeededExperiment.play`."""
-        return self.play_each([(self, place)], place)[0]
+        return _play(self.evaluation, [self._trained(place)], place)[0]
 
     def play_each(
         self, each: Sequence[tuple[Adaptation, Place]], place: Place
@@ -315,7 +315,7 @@ class Adaptation(_Judged):
         ]
 
     def _trained(self, place: Place) -> Trained:
-        """What one training seed learned, and reads."""
+        """Models that one training seed learned and reads."""
         evidence, conditioned = place.folder / EVIDENCE_RUN, place.folder / CONDITIONED_RUN
         return Trained(str(evidence), str(conditioned), self._hidden(place), self.traits)
 
@@ -335,9 +335,9 @@ class Adaptation(_Judged):
 
 def _play(size: AdaptSettings, trained: Sequence[Trained], place: Place) -> list[list[Result]]:
     """Play with the models of each training seed."""
-    evaluated = size, str(place.driver_run), trained
-    with place.playing(len(evaluation.tasks(*evaluated)), "plays") as progress:
-        return evaluation.evaluate(*evaluated, place.workers, progress)
+    plays = evaluation.tasks(size, str(place.driver_run), trained)
+    with place.playing(len(plays), "plays") as progress:
+        return evaluation.evaluate(plays, trained, place.workers, progress)
 
 
 def record_change(

@@ -139,7 +139,7 @@ class TraitSettings(Checked):
     """Weights of the losses."""
     information_reward: Weight = 0.0
     """Weight of log q(z | τ) in the policy's reward, in equal parts over a window's steps, as in
-    InfoGAIL and PEMIRL: the policy is then paid for driving from which its z can be told. The paper
+    InfoGAIL and PEMIRL: the policy is then paid for driving from which z can be inferred. The paper
     has the information term in the encoder's loss alone."""
     reward: NetworkConfig = field(default_factory=lambda: NetworkConfig((32, 32)))
     """Network of the base reward g."""

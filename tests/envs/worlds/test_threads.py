@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hmi_marl.envs.worlds.batched.threads import Pace, share, take
+from hmi_marl.envs.worlds.batched.threads import Pace, new_progress, share, take
 
 
 def drive(pace, steps, cost):
@@ -59,3 +59,11 @@ def test_every_world_is_taken_exactly_once(count, threads):
 
     share(loop, count, threads)
     assert (visits == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("count", "threads", "part"),
+    [(5000, 1, 32), (3, 0, 32), (32, 2, 8), (1024, 2, 16), (4096, 2, 32), (4096, 16, 8)],
+)
+def test_parts_are_neither_small_nor_large(count, threads, part):
+    assert new_progress(count, threads).tolist() == [0, 0, part]

@@ -221,7 +221,7 @@ def small(monkeypatch):
 def test_everybody_meets_every_hmi(tmp_path):
     told = []
     trained = save_trained(tmp_path)
-    (found,) = evaluate(TINY, "random", [trained], 1, told.append)
+    (found,) = evaluate(tasks(TINY, "random", [trained]), [trained], 1, told.append)
     assert [result.group for result in found] == ["lisa", "bart", POPULATION, "change to bart"]
     assert len(told) == len(tasks(TINY, "random", [trained])) == 11 + 11 + 10 + 10
     for result in found:
@@ -246,10 +246,11 @@ def test_several_trainings_share_what_none_of_them_learned(tmp_path):
     one = save_trained(tmp_path / "one")
     other = replace(one, conditioned=save_trained(tmp_path / "other", seed=7).conditioned)
     told = []
-    together = evaluate(TINY, "random", [one, other], 1, told.append)
+    both = [one, other]
+    together = evaluate(tasks(TINY, "random", both), both, 1, told.append)
     # Only the HMI conditioned on z is another, with either evidence, in each of the four groups.
     assert len(told) == 11 + 11 + 10 + 10 + 4 * 2
-    alone = [evaluate(TINY, "random", [each], 1)[0] for each in (one, other)]
+    alone = [evaluate(tasks(TINY, "random", [each]), [each], 1)[0] for each in both]
     assert json_value(together) == json_value(alone)
     assert json_value(alone[0]) != json_value(alone[1])
 
@@ -274,5 +275,6 @@ def test_workers_change_nothing(tmp_path, monkeypatch):
         adapt, "groups", lambda size: tuple(g for g in every(size) if g.name in wanted)
     )
     trained = save_trained(tmp_path)
-    found = [json_value(evaluate(TINY, "random", [trained], workers)) for workers in (1, 2)]
+    plays = tasks(TINY, "random", [trained])
+    found = [json_value(evaluate(plays, [trained], workers)) for workers in (1, 2)]
     assert found[0] == found[1]

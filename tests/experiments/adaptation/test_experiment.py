@@ -1,6 +1,7 @@
 import pytest
 
 from hmi_marl.agents.adaptive.hmis import Trained
+from hmi_marl.experiments.adaptation import evaluation
 from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
 from hmi_marl.experiments.adaptation.experiment import Adaptation
 from hmi_marl.experiments.experiment import Place
@@ -61,3 +62,24 @@ def test_each_seed_reads_the_traits_that_the_same_seed_of_its_reproduction_has_l
     assert read() == [first, first, third]
     (other, *_) = Adaptation(seeds=3, traits="other").by_seed(place)
     assert other[0].traits == "other"
+
+
+def test_each_seed_is_played_with_what_it_has_learned(tmp_path, monkeypatch):
+    place, size = Place(tmp_path / "adapt", tmp_path / "driver", workers=2), Adaptation(seeds=3)
+    asked = {}
+
+    def evaluate(plays, trained, workers, progress):
+        asked.update(trained=trained, policies={each.driver_policy for each in plays})
+        return [str(number) for number in range(len(trained))]
+
+    monkeypatch.setattr(evaluation, "evaluate", evaluate)
+    each = size.by_seed(place)
+    assert size.play_each(each, place) == ["0", "1", "2"]
+    assert asked["policies"] == {str(tmp_path / "driver")}
+    folders = [tmp_path / "adapt" / name for name in ("", "seed-1", "seed-2")]
+    for trained, folder in zip(asked["trained"], folders, strict=True):
+        assert trained.evidence == str(folder / "evidence")
+        assert trained.conditioned == str(folder / "conditioned")
+    third, where = each[2]
+    assert third.play(where) == "0"
+    assert asked["trained"][0].evidence == str(folders[2] / "evidence")

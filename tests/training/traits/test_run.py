@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from trait_models import SMALL
 from unchecked import unchecked
 
@@ -166,6 +167,18 @@ def test_the_policy_can_be_paid_for_driving_that_tells_its_z(supervision, datase
     # Networks are still the same, and each window is paid log q(z | τ) of its pool in all.
     gained = after[first]["return"] - before[first]["return"]
     assert gained == pytest.approx(weight * after[first]["information"], rel=1e-4)
+
+
+def test_the_reward_that_is_saved_is_the_average_over_the_rounds(dataset, tmp_path):
+    learned(tmp_path, dataset)
+    tensors = Checkpoint.load(tmp_path / "checkpoint.safetensors").tensors["discriminator"]
+    saved = load_traits(tmp_path).weights
+    for of, layer in (("reward", "layer0"), ("potential", "layer1")):
+        place = f"{of}.{2 * int(layer[-1])}.weight"
+        average, present = tensors[f"average.module.{place}"], tensors[f"model.reward.{place}"]
+        np.testing.assert_array_equal(saved[f"{of}.{layer}.weight"], average.numpy())
+        assert not torch.equal(average, present)
+    assert int(tensors["average.n_averaged"]) == 2  # rounds
 
 
 def test_held_out_windows_are_not_learned_from(dataset, tmp_path):

@@ -108,7 +108,7 @@ class KeptCode(caching._Cache):  # what numba asks for when it has to compile
         sources: files that it is compiled from, besides those of the environment.
     """
 
-    def __init__(self, function: Callable[..., None], sources: Sequence[str] = ()) -> None:
+    def __init__(self, function: Callable[..., object], sources: Sequence[str] = ()) -> None:
         self._name = function.__name__
         self._stamp = source_stamp(*sources)[:16]  # of the sources while they are imported
 
@@ -247,7 +247,7 @@ inlined: Any = njit(forceinline=True, **_OPTIONS)
 """The same, always merged into its caller."""
 
 
-def kernel(loop: Callable[..., None], sources: Sequence[str] = ()) -> Any:
+def kernel(loop: Callable[..., object], sources: Sequence[str] = ()) -> Any:
     """Compile a loop over worlds when :func:`prepare` is called, or take what was kept of it.
 
     Args:
@@ -260,18 +260,33 @@ def kernel(loop: Callable[..., None], sources: Sequence[str] = ()) -> Any:
     return function
 
 
-_prepared: set[str] = set()
-"""Names of the kernels that :func:`prepare_once` has prepared."""
+_ready: dict[str, Callable[..., Any]] = {}
+"""Kernels that :func:`ready` has compiled, by name, without numba's dispatcher around them."""
+
+
+def ready(loop: Any, *arguments: Any) -> Callable[..., Any]:
+    """Return a compiled kernel, to be called with arguments of the same types as these.
+
+    It does not look at their types again, which takes numba 10 µs for a hundred of them, as long as
+    all else around a step of a few hundred teams. So the types, and for arrays their order in
+    memory, have to be the same in every call of the process, and what comes from a caller is to be
+    checked before. ``arguments`` are those after its progress.
+    """
+    name = loop.__name__
+    if name not in _ready:
+        given = np.zeros(3, np.int64), *arguments
+        prepare([(loop, given)])
+        types = tuple(map(numba.typeof, given))
+        _ready[name] = loop if WITHOUT_COMPILER else loop.overloads[types].entry_point
+    return _ready[name]
 
 
 def prepare_once(loop: Any, *arguments: Any) -> None:
-    """Compile a kernel before its first call, whose arguments always have the same types.
+    """Compile a kernel before its first call, whose arguments are of the types of these.
 
     ``arguments`` are those after its progress.
     """
-    if loop.__name__ not in _prepared:
-        prepare([(loop, (np.zeros(2, np.int64), *arguments))])
-        _prepared.add(loop.__name__)
+    ready(loop, *arguments)
 
 
 def prepare(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
