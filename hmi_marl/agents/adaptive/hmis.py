@@ -15,24 +15,24 @@ driver as before. :func:`adaptive_by_name` makes them by name: ``adapt``, ``adap
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.adaptive.advantages import Advantages
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
 from hmi_marl.agents.adaptive.trait_estimator import CHANGE_RATE, TraitEstimator
 from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.learned.policy import CONTEXT_OF, LearnedPolicy, load_policy
 from hmi_marl.agents.learned.trait_model import load_traits
-from hmi_marl.agents.memory import AttentionWatch
 from hmi_marl.checks import Real
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, Traits
 from hmi_marl.envs.seats import Policy, moves_sequentially
-from hmi_marl.exact.evidence import ChainEvidence, Evidence, chains
-from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING, look_up, solve_belief
+from hmi_marl.exact.evidence import ChainEvidence, Evidence
+from hmi_marl.exact.hidden_attention import DEFAULT_REVEALING
 from hmi_marl.exact.identify import TraitBelief
 from hmi_marl.registry import unknown
 
@@ -184,46 +184,21 @@ class ExpectedValueHMI(AdaptiveHMI):
         default: str | Driver = "average",
     ) -> None:
         super().__init__(estimator)
-        drivers, alike = chains(estimator.evidence.drivers)
         self.caution = DOUBT("caution", caution)
         self._default = BeliefAlert(default, config, revealing)
-        self._attention = AttentionWatch(drivers, config)
-        game = config.alert_window, config.horizon, config.weights, revealing
-        tables = (solve_belief(driver, *game).advantage for driver in drivers)
-        self._advantage = _stacked(tables, len(drivers))
-        self._which = (alike[:, None] == np.arange(len(drivers))).astype(np.float64)
+        self._advantages = Advantages(estimator.evidence.drivers, config, revealing)
 
     def _begin(self, seeds: NDArray[np.uint64], which: NDArray[np.bool_] | None) -> None:
         self._default.reset(seeds, which)
-        self._attention.reset(len(seeds), which)
+        self._advantages.reset(len(seeds), which)
 
     def _act(self, observations: NDArray[np.float32], belief: TraitBelief) -> NDArray[np.int64]:
         usual = self._default.act(observations)
-        gain = np.where(usual[:, None] == 1, -1.0, 1.0) * self._advantages(observations)
-        p = belief.probabilities @ self._which
+        gain = np.where(usual[:, None] == 1, -1.0, 1.0) * self._advantages.observe(observations)
+        p = self._advantages.by_chain(belief.probabilities)
         mean = (p * gain).sum(axis=1)
         spread = np.sqrt((p * (gain - mean[:, None]) ** 2).sum(axis=1))
         return np.where(mean > self.caution * _doubt(p) * spread, 1 - usual, usual)
-
-    def _advantages(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return A_k of every different chain, shape (N, K)."""
-        step = self._attention.observe(observations)
-        reveals = self._attention.reveals(observations).astype(np.int64)
-        now = self._attention.filter
-        who = np.arange(len(self._advantage))
-        t, m, i, c = (x[:, None] for x in (step, reveals, now.accepted, now.counter))
-        return look_up(self._advantage, (who, t, m), now.distracted, (i, c))
-
-
-def _stacked(tables: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:
-    """Stack so many tables of one shape, each as it comes: hundreds take a gigabyte."""
-    rest = iter(tables)
-    first = next(rest)
-    whole = np.empty((count, *first.shape), first.dtype)
-    whole[0] = first
-    for place, table in zip(whole[1:], rest, strict=True):
-        place[...] = table
-    return whole
 
 
 def _doubt(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:

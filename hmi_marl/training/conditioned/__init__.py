@@ -1,1 +1,1 @@
-"""Learning of one HMI for a whole population, conditioned on z, from the exact rules of drivers."""
+"""Learning of one HMI for a whole population, conditioned on z, from expected values."""

@@ -3,8 +3,8 @@
 In half of each round's trips alerts are drawn from the HMI as it is learned so far, so that it
 learns what to do in the situations that it gets into (DAgger); AvgHMI, with exceptions at random,
 alerts in the others. The HMI acts as a :class:`ConditionedHMI` does later: z comes from an
-estimator that reads the trip under way. The exact rules of the simulated drivers are its teachers,
-in training alone.
+estimator that reads the trip under way. It learns what has the highest value that is expected under
+the same belief, by the exact rules for the candidates; it is never told who drives.
 
 Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the policy,
 ``vehicle_ai.json`` with its weights.
@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from hmi_marl.agents.adaptive.advantages import Advantages
 from hmi_marl.agents.adaptive.evidence_model import LearnedEvidence, load_evidence
 from hmi_marl.agents.adaptive.hmis import TYPES, ConditionedHMI
 from hmi_marl.agents.adaptive.trait_estimator import TraitEstimator
@@ -34,7 +35,6 @@ from hmi_marl.training.conditioned.settings import (
     strangers,
     with_any_inflation,
 )
-from hmi_marl.training.conditioned.teacher import Teacher
 from hmi_marl.training.conditioned.trips import TaughtTrips, drive
 
 with needing("training"):
@@ -98,20 +98,11 @@ class _Run(ModelRun):
         settings, state, name = self._settings, self.state, self.folder.name
         others = [get_driver(each) for each in strangers(settings.strangers, settings.seed)]
         known = [driver for driver in TYPES for _ in range(settings.types)]
-        groups = [
-            (drivers, Teacher(drivers, settings.team, settings.revealing))
-            for drivers in (others, known)
-        ]
         with self.progress(name, settings.rounds, state.iteration, "rounds") as progress:
             while state.iteration < settings.rounds:
                 began = time.monotonic()
-                candidates = self._candidates(), TYPES
-                trips = [
-                    self._drive(number, *group, considered)
-                    for number, (group, considered) in enumerate(
-                        zip(groups, candidates, strict=True)
-                    )
-                ]
+                groups = (others, self._candidates()), (known, TYPES)
+                trips = [self._drive(number, *group) for number, group in enumerate(groups)]
                 row = {"loss": self._update(TaughtTrips.joined(trips))}
                 regrets = [self._regret(part) for part in trips]
                 row |= {"regret": regrets[0], "regret_types": regrets[1]}
@@ -144,7 +135,7 @@ class _Run(ModelRun):
         return with_any_inflation(strangers(settings.candidates, seed), settings.inflations)
 
     def _drive(
-        self, number: int, drivers: list[Driver], teacher: Teacher, candidates: tuple[Driver, ...]
+        self, number: int, drivers: list[Driver], candidates: tuple[Driver, ...]
     ) -> TaughtTrips:
         """Drive this round's trips of one group of drivers."""
         settings, team = self._settings, self._settings.team
@@ -160,14 +151,14 @@ class _Run(ModelRun):
             self._driver,
             hmi,
             drivers,
-            teacher,
+            Advantages(candidates, team, settings.revealing),
             settings.revealing,
             seeds,
             settings.threads,
         )
 
     def _regret(self, trips: TaughtTrips) -> float:
-        """Mean regret of a group's trips with the learned HMI, which every second driver has."""
+        """Mean expected loss of a group's trips with the learned HMI, of every second driver."""
         return float(trips.regret.reshape(self._settings.trips, -1)[:, ::2].mean())
 
     def _update(self, trips: TaughtTrips) -> float:

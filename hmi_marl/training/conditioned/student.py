@@ -1,13 +1,16 @@
 r"""The HMI that is conditioned on z, in torch, and its loss.
 
-With A_t the advantage of alerting by the exact rule of the driver at the wheel, and ℓ_t the log
-odds of an alert by the HMI, which knows neither the driver nor A, the loss is
+With A_t the advantage of alerting, by the exact rules of the drivers who may be at the wheel,
+that is expected under the belief of the estimator, and ℓ_t the log odds of an alert by the HMI,
+which reads only mean and standard deviation of z under that belief, the loss is
 
 .. math:: E\left[ |A_t| \log(1 + e^{-\mathrm{sign}(A_t)\, ℓ_t}) \right]
 
 It weighs each step by what is at stake. An HMI that minimises it alerts with more than even odds
-exactly where the expected advantage, given all that it has seen, is positive; so it does what has
-the highest expected value, and 1 / log 2 times the loss is an upper bound of its regret per step.
+exactly where the advantage that is expected, given all that it has read, is positive; and 1 / log 2
+times the loss is an upper bound of its expected loss per step against the HMI that knows the whole
+belief. The advantage for the driver at the wheel alone has the same expectation if the belief is
+right, but varies more: with it the HMI learned less from as many trips.
 """
 
 from __future__ import annotations

@@ -1,13 +1,15 @@
-"""Trips with drivers who are unknown at first, and what the exact rules say about each turn."""
+"""Trips with drivers who are unknown at first, and what an alert is worth in each turn."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.adaptive.advantages import Advantages
 from hmi_marl.agents.adaptive.hmis import ConditionedHMI
 from hmi_marl.agents.hmis import BeliefAlert
 from hmi_marl.agents.memory import Draws
@@ -19,7 +21,6 @@ from hmi_marl.envs.step_result import StepResult
 from hmi_marl.envs.streams import Stream
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds import make_world
-from hmi_marl.training.conditioned.teacher import Teacher
 
 ODD_TURNS = 0.1
 """Share of turns in which AvgHMI does the opposite of its rule."""
@@ -32,7 +33,7 @@ class TaughtTrips:
     inputs: NDArray[np.float32]
     """Inputs of the HMI's network, shape (M, T, inputs)."""
     advantage: NDArray[np.float32]
-    """Advantage of alerting by the exact rule of the driver, shape (M, T)."""
+    """Advantage of alerting that is expected under the belief about the driver, shape (M, T)."""
     alerts: NDArray[np.bool_]
     """Whether the HMI alerted, shape (M, T)."""
     driving: NDArray[np.bool_]
@@ -40,7 +41,7 @@ class TaughtTrips:
 
     @property
     def regret(self) -> NDArray[np.float64]:
-        """Regret of each trip, by the rules' own model, shape (M,)."""
+        """Expected loss of each trip against the HMI that maximises it turn by turn, shape (M,)."""
         wrong = self.driving & (self.alerts != (self.advantage > 0))
         lost: NDArray[np.float64] = np.where(wrong, np.abs(self.advantage), 0.0).sum(axis=1)
         return lost
@@ -84,24 +85,27 @@ class _AndAverage:
 class _Recorder(Observer):
     """Record the turns of one trip of every team."""
 
-    def __init__(self, hmi: ConditionedHMI, teacher: Teacher, columns: NDArray[np.int64]) -> None:
-        self._hmi, self._teacher, self._columns = hmi, teacher, columns
-        self._turns: list[tuple[NDArray[np.float32], ...]] = []
+    def __init__(
+        self, hmi: ConditionedHMI, advantages: Advantages, columns: NDArray[np.int64]
+    ) -> None:
+        self._hmi, self._advantages, self._columns = hmi, advantages, columns
+        self._turns: list[tuple[NDArray[Any], NDArray[Any]]] = []
         self._alerts: list[NDArray[np.bool_]] = []
         self._driving: list[NDArray[np.bool_]] = []
 
     def seen(self, teaming: Teaming, observations: NDArray[np.float32]) -> None:
-        """Note what the network reads of the observations, and the advantage."""
-        advantage = self._teacher.advantage(observations).astype(np.float32)
-        self._turns.append((observations[:, self._columns], advantage))
+        """Note what the network reads of the observations, and the candidates' advantages."""
+        self._turns.append((observations[:, self._columns], self._advantages.observe(observations)))
         self._driving.append(~teaming.over)
 
     def after(self, teaming: Teaming, result: StepResult) -> None:
-        """Note z as the HMI has just read it, and its alert."""
-        read, advantage = self._turns[-1]
+        """Note z as the HMI has just read it, the advantage by the same belief, and its alert."""
+        read, of_each = self._turns[-1]
         context = self._hmi.policy.context
         assert context is not None
-        self._turns[-1] = np.concatenate([read, context], axis=1, dtype=np.float32), advantage
+        p = self._advantages.by_chain(self._hmi.estimator.belief.probabilities)
+        expected = (p * of_each).sum(axis=1).astype(np.float32)
+        self._turns[-1] = np.concatenate([read, context], axis=1, dtype=np.float32), expected
         self._alerts.append(teaming.alerted > 0)
 
     def trips(self) -> TaughtTrips:
@@ -117,7 +121,7 @@ def drive(
     driver: Policy,
     hmi: ConditionedHMI,
     drivers: Sequence[Driver],
-    teacher: Teacher,
+    advantages: Advantages,
     revealing: float,
     seeds: NDArray[np.uint64],
     threads: int,
@@ -130,7 +134,7 @@ def drive(
         team: settings of the teams, but for the drivers.
         driver, hmi: policies of the two seats.
         drivers: the N drivers.
-        teacher: their exact rules.
+        advantages: of the candidates that ``hmi`` considers.
         revealing: assumed share of steps in which a^H differs from the last applied action.
         seeds: seeds of the trips, shape (N, J).
         threads: threads of the world.
@@ -147,8 +151,8 @@ def drive(
         teaming.reset(seeds[:, trip])
         driver.reset(seeds[:, trip])
         seat.begin(seeds[:, trip], is_known=trip > 0)
-        teacher.reset()
-        recorder = _Recorder(hmi, teacher, columns)
+        advantages.reset(len(seeds))
+        recorder = _Recorder(hmi, advantages, columns)
         play(teaming, driver, seat, [recorder], steps=team.horizon)
         parts.append(recorder.trips())
     return TaughtTrips.joined(parts)
