@@ -190,7 +190,7 @@ class Adaptation(_Judged):
     """Teams with each of the four types that it learns with."""
     rounds: Count = ConditionedSettings.rounds
     """Rounds of driving and learning in which it learns."""
-    rnn_hidden_dim: Units = 32
+    rnn_hidden_dim: Units = 64
     """Units of its recurrent layer."""
     traits: str = ""
     """Trait model whose encoder reads the trips: a run, or trained:NAME; by default the

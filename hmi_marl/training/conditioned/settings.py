@@ -69,15 +69,15 @@ class ConditionedSettings(Checked):
     """Trips of each driver in a round; what is known of the driver is kept from one to the next."""
     rounds: Count = 40
     """Rounds of driving and learning."""
-    updates: Count = 50
+    updates: Count = 150
     """Gradient steps in each round."""
-    batch: Count = 128
+    batch: Count = 64
     """Trips in each gradient step."""
     learning_rate: LearningRate = 2e-3
     """Learning rate at the start; it falls to a twentieth along half a cosine."""
     weight_decay: Weight = 1e-4
     """Weight decay of AdamW."""
-    network: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=32))
+    network: NetworkConfig = field(default_factory=lambda: NetworkConfig((64,), rnn_hidden_dim=64))
     """Network of the HMI."""
     revealing: Share = 0.35
     """Share of steps in which a^H differs from the last applied action, as the exact rules have it.
