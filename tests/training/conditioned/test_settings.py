@@ -56,7 +56,7 @@ def test_steps_are_those_of_all_trips():
         ({"rounds": 0}, "rounds lies in 1 to"),
         ({"revealing": 1.5}, r"revealing lies in \[0, 1\], but got 1\.5"),
         ({"network": NetworkConfig((8,))}, r"network\.rnn_hidden_dim is at least 1, but got 0"),
-        ({"strangers": 2, "types": 1}, "batch lies in 1 to 12, .* but got 128"),
+        ({"strangers": 2, "types": 1}, "batch lies in 1 to 12, .* but got 64"),
         ({"seed": -1}, "a seed lies in"),
     ],
     ids=str,
