@@ -67,7 +67,7 @@ class ConditionedSettings(Checked):
     """Inflations tried for each candidate."""
     trips: Count = 2
     """Trips of each driver in a round; what is known of the driver is kept from one to the next."""
-    rounds: Count = 40
+    rounds: Count = 24
     """Rounds of driving and learning."""
     updates: Count = 150
     """Gradient steps in each round."""
