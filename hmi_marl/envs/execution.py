@@ -259,7 +259,7 @@ class Execution(OwnArrays, ABC):
 
     def _lidar(self, inflated: bool) -> NDArray[np.float32]:
         """A lidar of every team, shape (N, cells, 2); compiled loops take no read-only arrays."""
-        return np.require(self.world.lidar(inflated), np.float32, ("C", "W"))
+        return np.require(self.world.lidar(inflated), np.float32, ("C", "A", "W"))
 
 
 def _none_of(agent: str, action: int, choices: int) -> ValueError:

@@ -194,7 +194,7 @@ class InLoops(Execution):
     def whole(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """See :meth:`Execution.whole`."""
         if not actions.flags.carray:
-            actions = np.require(actions, None, ("C", "W"))
+            actions = np.require(actions, None, ("C", "A", "W"))
         columns = np.empty((len(sizes), len(actions)), np.int64)
         if not check_actions(_NO_PROGRESS, actions, sizes, columns, self._found):
             raise WrongActionError(actions, *self._found)

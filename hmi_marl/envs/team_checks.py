@@ -1,4 +1,4 @@
-"""Checks of arrays that say which teams, and with which seeds, and of those to be filled."""
+"""Checks of arrays that say which teams, and with which seeds, and of those that loops take."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.envs.drivers import TRAIT_NAMES
+from hmi_marl.envs.series import Series
 from hmi_marl.envs.team_step import SUMS, Scores
 
 FLOAT32 = np.dtype(np.float32)
-_INT64, _BOOL = np.dtype(np.int64), np.dtype(np.bool_)
+_INT64, _UINT64, _FLOAT64, _BOOL = map(np.dtype, (np.int64, np.uint64, np.float64, np.bool_))
 
 
 def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:
@@ -21,12 +23,12 @@ def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]
             f"which= marks teams by bools of shape ({count},), but got {mask.dtype} of shape "
             f"{mask.shape}"
         )
-    return np.require(mask, np.bool_, ("C", "W"))
+    return np.require(mask, np.bool_, ("C", "A", "W"))
 
 
 def check_team_numbers(teams: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """Return numbers of teams as int64, or raise if one is none or stands there twice."""
-    which = np.require(teams, np.int64, ("C", "W"))
+    which = np.require(teams, np.int64, ("C", "A", "W"))
     if which.ndim != 1 or len(np.unique(which)) != len(which):
         raise ValueError(f"teams= are different numbers in one row, not {teams!r}")
     if len(which) and not 0 <= which.min() <= which.max() < count:
@@ -34,16 +36,19 @@ def check_team_numbers(teams: NDArray[np.int64], count: int) -> NDArray[np.int64
     return which
 
 
-def check_filled(
+def check_array(
     name: str, array: NDArray[Any], dtype: np.dtype[Any], shape: tuple[int, ...]
 ) -> NDArray[Any]:
-    """Return an array that a loop will fill, or raise ValueError if it would write elsewhere."""
+    """Return an array that compiled loops take as it is, or raise ValueError if they cannot.
+
+    They look at nothing but its address.
+    """
     is_array = isinstance(array, np.ndarray)
     if not is_array or array.dtype != dtype or array.shape != shape or not array.flags.carray:
         found = f"{array.dtype} of shape {array.shape}" if is_array else type(array).__name__
         raise ValueError(
-            f"{name} is to be filled, so it is a writable array of {dtype} and shape {shape}, row "
-            f"by row in memory, but got {found}"
+            f"{name} is a writable array of {dtype} and shape {shape}, row by row in memory, but "
+            f"got {found}"
         )
     return array
 
@@ -55,12 +60,23 @@ def check_scores(scores: Scores, count: int) -> None:
         ValueError: one is of another type or shape, or a reward's column is none.
     """
     columns = scores.columns
-    check_filled("scores.columns", columns, _INT64, (len(columns),))
-    check_filled("scores.rewards", scores.rewards, FLOAT32, (len(columns), count))
-    check_filled("scores.dones", scores.dones, _INT64, (count,))
-    check_filled("scores.time_outs", scores.time_outs, _BOOL, (count,))
+    check_array("scores.columns", columns, _INT64, (len(columns),))
+    check_array("scores.rewards", scores.rewards, FLOAT32, (len(columns), count))
+    check_array("scores.dones", scores.dones, _INT64, (count,))
+    check_array("scores.time_outs", scores.time_outs, _BOOL, (count,))
     if min(columns.tolist(), default=0) < 0 or max(columns.tolist(), default=0) >= SUMS:
         raise ValueError(f"scores.columns lie in [0, {SUMS - 1}], but got {columns}")
+
+
+def check_series(series: Series, count: int) -> None:
+    """Check the arrays of a :class:`Series`, to go with N teams.
+
+    Raises:
+        ValueError: it is of another number of teams, or one has been replaced by another type.
+    """
+    check_array("series.episodes", series.episodes, _INT64, (count,))
+    check_array("series.seeds", series.seeds, _UINT64, (count, Series.AHEAD))
+    check_array("series.traits", series.traits, _FLOAT64, (count, Series.AHEAD, len(TRAIT_NAMES)))
 
 
 def check_seeds(seeds: ArrayLike, fresh: NDArray[np.bool_]) -> NDArray[np.uint64]:

@@ -151,7 +151,7 @@ def settings_of(config: TeamConfig) -> Settings:
     """Constants of a team's settings."""
     return Settings(
         config.weights.numbers,
-        config.alerts.effects.strengths,
+        config.alerts.effects.strengths.copy(),  # compiled loops take what can be written to
         config.scene.lanes - 1,
         config.horizon,
         config.end_at_crash,

@@ -29,10 +29,11 @@ from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
 from hmi_marl.envs.team_arrays import NO_SCORES, Group, Rules, Teams
 from hmi_marl.envs.team_checks import (
     FLOAT32,
-    check_filled,
+    check_array,
     check_mask,
     check_scores,
     check_seeds,
+    check_series,
     check_team_numbers,
 )
 from hmi_marl.envs.team_step import (
@@ -132,7 +133,7 @@ class Teaming(ShownTeams):
             ValueError, TypeError: a population that draws impossible traits. Nothing has changed.
         """
         teams = check_team_numbers(teams, self.num_teams)
-        seeds = np.require(seeds, np.uint64, ("C", "W"))
+        seeds = np.require(seeds, np.uint64, ("C", "A", "W"))
         if seeds.shape != teams.shape:
             raise ValueError(f"seeds of {len(teams)} teams have shape {teams.shape}")
         if not len(teams):
@@ -179,9 +180,9 @@ class Teaming(ShownTeams):
             views, then, looking_away, scores: see :meth:`step`.
 
         Raises:
-            ValueError, TypeError: as :meth:`intend` and :meth:`step`. Whatever a function or the
-                world raises, or an action that is none, leaves the drivers as if they had not
-                acted.
+            ValueError, TypeError: as :meth:`intend` and :meth:`step`. What a function raises, an
+                action that is none, or a world that fails before its cars have moved, leaves the
+                drivers as if they had not acted.
         """
         more = views, then, looking_away, scores
         if sequential and callable(hmi):
@@ -221,7 +222,10 @@ class Teaming(ShownTeams):
         self._execution.enter(self._teams, self._checked(driver_actions, DRIVER), None, acts)
 
     def withdraw(self) -> None:
-        """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called."""
+        """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called.
+
+        Only ``previous_intended``, which counts in mid-turn alone, stays as it is.
+        """
         state, given = self._teams.state, self._teams.intent_given
         state[given, INTENDED] = state[given, PREVIOUS]
         given[:] = False
@@ -250,7 +254,8 @@ class Teaming(ShownTeams):
 
         Raises:
             ValueError: an action out of range, no :meth:`intend` before, ``then`` with
-                ``looking_away``, or arrays to be filled of another type or shape.
+                ``looking_away``, a series of another number of teams, or arrays to be filled of
+                another type or shape.
         """
         return self._step(None, alerts, views, then, looking_away, scores)
 
@@ -276,6 +281,7 @@ class Teaming(ShownTeams):
             along = {}  # written afterwards, with the drivers' own traits
         finals = [self._final(name) for name in then.views] if then else []
         if then is not None:
+            check_series(then.series, self.num_teams)
             then.series.look_ahead()  # before anything moves, since a population may fail
         rewards, ends, totals = self._execution.step(
             moved,
@@ -350,7 +356,7 @@ class Teaming(ShownTeams):
         if isinstance(views, Mapping):
             return {
                 name: self._columns_of(name).another(
-                    check_filled(name, rows, FLOAT32, (count, self._layouts[name].size))
+                    check_array(name, rows, FLOAT32, (count, self._layouts[name].size))
                 )
                 for name, rows in views.items()
             }
@@ -386,7 +392,7 @@ class Teaming(ShownTeams):
             )
         if given.dtype.kind not in "iu":
             raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
-        return np.require(given, np.int64, ("C", "W"))
+        return np.require(given, np.int64, ("C", "A", "W"))
 
 
 def _nothing(count: int, layout: obs.Layout) -> NDArray[np.float32]:

@@ -376,15 +376,35 @@ def test_arrays_to_be_filled_are_checked_before_anything_moves(world):
     scores += [right._replace(columns=right.columns[:-1])]
     arguments = [{"views": each} for each in views] + [{"scores": each} for each in scores]
     for wrong in arguments:
-        with pytest.raises(ValueError, match=r"to be filled|scores\.columns lie in"):
+        with pytest.raises(ValueError, match=r"is a writable array of|scores\.columns lie in"):
             teams.turn([1, 1], [0, 0], **wrong)
         np.testing.assert_array_equal(teams.state(), before)
     for each in views:
-        with pytest.raises(ValueError, match="driver is to be filled"):
+        with pytest.raises(ValueError, match="driver is a writable array of"):
             teams.views(each)
     filled = {"driver": np.zeros((2, size), np.float32)}
     teams.turn([1, 1], [0, 0], views=filled, scores=right)
     np.testing.assert_array_equal(filled["driver"], teams.observe("driver"))
+
+
+@pytest.mark.parametrize("world", ["batched", "highway"])
+def test_a_series_fits_the_teams_and_keeps_its_arrays(world):
+    config = TeamConfig()
+    teams = Teaming(config, 2, world)
+    teams.reset([1, 2])
+    before = teams.state()
+    few = Series(np.arange(1, dtype=np.uint64), config.population)
+    given = [(few, "series.episodes")]
+    for name in ("episodes", "seeds", "traits"):
+        right = getattr(Series(np.arange(2, dtype=np.uint64), config.population), name)
+        for wrong in wrong_arrays(right.shape, right.dtype):
+            series = Series(np.arange(2, dtype=np.uint64), config.population)
+            setattr(series, name, wrong)
+            given.append((series, f"series.{name}"))
+    for series, name in given:
+        with pytest.raises(ValueError, match=f"{name} is a writable array of"):
+            teams.turn([1, 1], [0, 0], then=Then(series))
+        np.testing.assert_array_equal(teams.state(), before)
 
 
 def test_a_second_teaming_on_a_world_sees_its_lidars():

@@ -4,7 +4,7 @@ In half of each round's trips alerts are drawn from the HMI as it is learned so 
 learns what to do in the situations that it gets into (DAgger); AvgHMI, with exceptions at random,
 alerts in the others. The HMI acts as a :class:`ConditionedHMI` does later: z comes from an
 estimator that reads the trip under way. It learns what has the highest value that is expected under
-the same belief, by the exact rules for the candidates; it is never told who drives.
+the same belief, by the exact rules for the candidates; it never knows who drives.
 
 Besides the files of every run (:mod:`hmi_marl.training.runs.run`) the folder holds the policy,
 ``vehicle_ai.json`` with its weights.
@@ -35,7 +35,7 @@ from hmi_marl.training.conditioned.settings import (
     strangers,
     with_any_inflation,
 )
-from hmi_marl.training.conditioned.trips import TaughtTrips, drive
+from hmi_marl.training.conditioned.trips import DrivenTrips, drive
 
 with needing("training"):
     import torch
@@ -103,7 +103,7 @@ class _Run(ModelRun):
                 began = time.monotonic()
                 groups = (others, self._candidates()), (known, TYPES)
                 trips = [self._drive(number, *group) for number, group in enumerate(groups)]
-                row = {"loss": self._update(TaughtTrips.joined(trips))}
+                row = {"loss": self._update(DrivenTrips.joined(trips))}
                 regrets = [self._regret(part) for part in trips]
                 row |= {"regret": regrets[0], "regret_types": regrets[1]}
                 steps = int(sum(part.driving.sum() for part in trips))
@@ -136,7 +136,7 @@ class _Run(ModelRun):
 
     def _drive(
         self, number: int, drivers: list[Driver], candidates: tuple[Driver, ...]
-    ) -> TaughtTrips:
+    ) -> DrivenTrips:
         """Drive this round's trips of one group of drivers."""
         settings, team = self._settings, self._settings.team
         evidence = LearnedEvidence(self._evidence, self._traits, candidates, team)
@@ -157,11 +157,11 @@ class _Run(ModelRun):
             settings.threads,
         )
 
-    def _regret(self, trips: TaughtTrips) -> float:
+    def _regret(self, trips: DrivenTrips) -> float:
         """Mean expected loss of a group's trips with the learned HMI, of every second driver."""
         return float(trips.regret.reshape(self._settings.trips, -1)[:, ::2].mean())
 
-    def _update(self, trips: TaughtTrips) -> float:
+    def _update(self, trips: DrivenTrips) -> float:
         """Take this round's gradient steps; return the mean loss."""
         settings, done = self._settings, self.state.iteration
         rng = np.random.default_rng(self.draw(Stream.LEARNING, 1 + done))

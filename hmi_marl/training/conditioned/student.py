@@ -7,10 +7,11 @@ which reads only mean and standard deviation of z under that belief, the loss is
 .. math:: E\left[ |A_t| \log(1 + e^{-\mathrm{sign}(A_t)\, ℓ_t}) \right]
 
 It weighs each step by what is at stake. An HMI that minimises it alerts with more than even odds
-exactly where the advantage that is expected, given all that it has read, is positive; and 1 / log 2
-times the loss is an upper bound of its expected loss per step against the HMI that knows the whole
-belief. The advantage for the driver at the wheel alone has the same expectation if the belief is
-right, but varies more: with it the HMI learned less from as many trips.
+exactly where the advantage that is expected, given all that it has read, is positive: it comes
+close to :class:`ExpectedValueHMI` without caution, which knows the whole belief. 1 / log 2 times
+the loss is an upper bound of what it loses against that HMI per step, by the advantages' own
+account. The advantage for the driver at the wheel alone has the same expectation if the belief is
+right, but varies more from trip to trip.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ ODD_TURNS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class TaughtTrips:
+class DrivenTrips:
     """M trips of T steps."""
 
     inputs: NDArray[np.float32]
@@ -41,13 +41,13 @@ class TaughtTrips:
 
     @property
     def regret(self) -> NDArray[np.float64]:
-        """Expected loss of each trip against the HMI that maximises it turn by turn, shape (M,)."""
+        """Sum of |advantage| over the turns in which the alert goes against its sign, (M,)."""
         wrong = self.driving & (self.alerts != (self.advantage > 0))
         lost: NDArray[np.float64] = np.where(wrong, np.abs(self.advantage), 0.0).sum(axis=1)
         return lost
 
     @classmethod
-    def joined(cls, parts: Sequence[TaughtTrips]) -> TaughtTrips:
+    def joined(cls, parts: Sequence[DrivenTrips]) -> DrivenTrips:
         """Put several together."""
         names = "inputs", "advantage", "alerts", "driving"
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
@@ -108,10 +108,10 @@ class _Recorder(Observer):
         self._turns[-1] = np.concatenate([read, context], axis=1, dtype=np.float32), expected
         self._alerts.append(teaming.alerted > 0)
 
-    def trips(self) -> TaughtTrips:
+    def trips(self) -> DrivenTrips:
         """Return the trips."""
         inputs, advantage = (np.stack(part, axis=1) for part in zip(*self._turns, strict=True))
-        return TaughtTrips(
+        return DrivenTrips(
             inputs, advantage, np.stack(self._alerts, axis=1), np.stack(self._driving, axis=1)
         )
 
@@ -125,7 +125,7 @@ def drive(
     revealing: float,
     seeds: NDArray[np.uint64],
     threads: int,
-) -> TaughtTrips:
+) -> DrivenTrips:
     """Let N drivers take J trips each, unknown at the start of the first one.
 
     AvgHMI, with random exceptions, is the HMI of every second driver.
@@ -155,4 +155,4 @@ def drive(
         recorder = _Recorder(hmi, advantages, columns)
         play(teaming, driver, seat, [recorder], steps=team.horizon)
         parts.append(recorder.trips())
-    return TaughtTrips.joined(parts)
+    return DrivenTrips.joined(parts)

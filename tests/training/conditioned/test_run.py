@@ -30,7 +30,7 @@ from hmi_marl.envs.scene import Scene
 from hmi_marl.training.conditioned.run import learn_conditioned
 from hmi_marl.training.conditioned.settings import ConditionedSettings
 from hmi_marl.training.conditioned.student import Student
-from hmi_marl.training.conditioned.trips import TaughtTrips, drive
+from hmi_marl.training.conditioned.trips import DrivenTrips, drive
 from hmi_marl.training.runs.checkpoint import Checkpoint
 
 TEAM = TeamConfig(ai_sees_attention=False)
@@ -268,7 +268,7 @@ def test_regret_by_hand():
     advantage = np.array([[2.0, -3.0, 0.5, 7.0], [1.0, 1.0, -1.0, -1.0]], np.float32)
     alerts = np.array([[1, 1, 0, 0], [0, 1, 1, 0]], np.bool_)
     driving = np.array([[1, 1, 1, 0], [1, 1, 1, 1]], np.bool_)
-    trips = TaughtTrips(np.zeros((2, 4, 1), np.float32), advantage, alerts, driving)
+    trips = DrivenTrips(np.zeros((2, 4, 1), np.float32), advantage, alerts, driving)
     assert trips.regret == pytest.approx([3.0 + 0.5, 1.0 + 1.0])
 
 

@@ -30,7 +30,7 @@ from hmi_marl.envs.worlds.batched.threads import (
     share,
 )
 
-_CARRAY: tuple[Literal["C", "W"], ...] = ("C", "W")
+_CARRAY: tuple[Literal["C", "A", "W"], ...] = ("C", "A", "W")
 """Requirements of the compiled loops: arrays in one piece that can be written to."""
 _LIDARS = {False: "true_lidar", True: "perceived_lidar"}
 """Names of the lidars, by whether others are inflated."""
