@@ -36,6 +36,22 @@ def check_team_numbers(teams: NDArray[np.int64], count: int) -> NDArray[np.int64
     return which
 
 
+def check_actions(agent: str, actions: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Return actions as int64 that loops take as they are, shape (count,).
+
+    Raises:
+        ValueError, TypeError: they have another shape or type.
+    """
+    given = np.asarray(actions)
+    if given.dtype == np.int64 and given.shape == (count,) and given.flags.carray:
+        return given
+    if given.shape != (count,):
+        raise ValueError(f"{agent} actions have shape ({count},), but got {given.shape}")
+    if given.dtype.kind not in "iu":
+        raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
+    return np.require(given, np.int64, ("C", "A", "W"))
+
+
 def check_array(
     name: str, array: NDArray[Any], dtype: np.dtype[Any], shape: tuple[int, ...]
 ) -> NDArray[Any]:

@@ -29,6 +29,7 @@ from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
 from hmi_marl.envs.team_arrays import NO_SCORES, Group, Rules, Teams
 from hmi_marl.envs.team_checks import (
     FLOAT32,
+    check_actions,
     check_array,
     check_mask,
     check_scores,
@@ -193,7 +194,7 @@ class Teaming(ShownTeams):
                 self.withdraw()  # does nothing if the step has been taken
                 raise
         alerts = self.ask(VEHICLE_AI, hmi)
-        intents = self._checked(self.ask(DRIVER, driver), DRIVER)
+        intents = check_actions(DRIVER, self.ask(DRIVER, driver), self.num_teams)
         had_acted = self._teams.intent_given.any()
         try:
             return self._step(intents, alerts, *more)
@@ -219,13 +220,11 @@ class Teaming(ShownTeams):
             ValueError: an action out of range, or a second intent in the same step.
         """
         acts = None if which is None else check_mask(which, self.num_teams)
-        self._execution.enter(self._teams, self._checked(driver_actions, DRIVER), None, acts)
+        intents = check_actions(DRIVER, driver_actions, self.num_teams)
+        self._execution.enter(self._teams, intents, None, acts)
 
     def withdraw(self) -> None:
-        """Take back every a^H_t of the present turns, as if :meth:`intend` had not been called.
-
-        Only ``previous_intended``, which counts in mid-turn alone, stays as it is.
-        """
+        """Take back every a^H_t of the present turns; ``previous_intended`` then repeats a^H_{t-1}."""
         state, given = self._teams.state, self._teams.intent_given
         state[given, INTENDED] = state[given, PREVIOUS]
         given[:] = False
@@ -276,7 +275,7 @@ class Teaming(ShownTeams):
         if looking_away is not None:
             if then is not None:
                 raise ValueError("with looking_away= episodes begin by reset(); leave out then=")
-            given = self._checked(looking_away, "looking_away")
+            given = check_actions("looking_away", looking_away, self.num_teams)
             moved = moved._replace(traits=seen_from_outside(moved.traits, given, moved.over))
             along = {}  # written afterwards, with the drivers' own traits
         finals = [self._final(name) for name in then.views] if then else []
@@ -286,7 +285,7 @@ class Teaming(ShownTeams):
         rewards, ends, totals = self._execution.step(
             moved,
             intents,
-            self._checked(alerts, VEHICLE_AI),
+            check_actions(VEHICLE_AI, alerts, self.num_teams),
             self._spare,
             tuple(along.values()),
             tuple(finals),
@@ -379,20 +378,6 @@ class Teaming(ShownTeams):
     def whole_actions(self, actions: NDArray[Any], sizes: tuple[int, ...]) -> NDArray[np.int64]:
         """Return actions of shape (N, C) as int64 of shape (C, N); see :meth:`Execution.whole`."""
         return self._execution.whole(actions, sizes)
-
-    def _checked(self, actions: ArrayLike, agent: str) -> NDArray[np.int64]:
-        """Return actions as int64, or raise if they have another shape or type."""
-        given = np.asarray(actions)
-        flags = given.flags
-        if given.dtype == np.int64 and given.shape == self._every.shape and flags.carray:
-            return given
-        if given.shape != (self.num_teams,):
-            raise ValueError(
-                f"{agent} actions have shape ({self.num_teams},), but got {given.shape}"
-            )
-        if given.dtype.kind not in "iu":
-            raise TypeError(f"{agent} actions are integers, but got {given.dtype}")
-        return np.require(given, np.int64, ("C", "A", "W"))
 
 
 def _nothing(count: int, layout: obs.Layout) -> NDArray[np.float32]:

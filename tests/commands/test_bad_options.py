@@ -108,6 +108,7 @@ TRAITS = {
     "settling": ["2", "nan"],
     "learning-rate": ["0", "nan"],
     "imitation-rate": ["nan", "-1"],
+    "information-reward": ["nan", "-1"],
     "seed": ["-1"],
     **within("weights", {name: ["-1", "nan"] for name in WEIGHTS}),
     **within("policy", NETWORK),

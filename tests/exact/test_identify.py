@@ -100,7 +100,10 @@ def test_the_evidence_is_that_of_all_hidden_sequences_together(
         for k, (p, with_distracted) in enumerate(found):
             if p > 1e-200:
                 assert bayes.distracted[0, k] == pytest.approx(with_distracted / p, abs=1e-9)
-    np.testing.assert_allclose(bayes.log_evidence[0], expected, rtol=1e-9, atol=1e-9)
+    # Products of so many small numbers are less than floats can hold; their logarithms are not.
+    held = expected > -690
+    np.testing.assert_allclose(bayes.log_evidence[0, held], expected[held], rtol=1e-9, atol=1e-9)
+    assert (bayes.log_evidence[0, ~held] < -680).all()
     assert ((bayes.distracted >= 0) & (bayes.distracted <= 1 + 1e-12)).all()
 
 
