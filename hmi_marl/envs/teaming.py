@@ -224,7 +224,7 @@ class Teaming(ShownTeams):
         self._execution.enter(self._teams, intents, None, acts)
 
     def withdraw(self) -> None:
-        """Take back every a^H_t of the present turns; ``previous_intended`` shows the one before."""
+        """Take back every a^H_t of the present turns; ``previous_intended`` stays."""
         state, given = self._teams.state, self._teams.intent_given
         state[given, INTENDED] = state[given, PREVIOUS]
         given[:] = False
