@@ -61,8 +61,7 @@ class LossWeights(Checked):
     imitate: Weight = 0.0
     """Weight of −log π(a | s, z) on demonstrations in the encoder, which is not in the paper. The
     policy always learns from it: a random policy would crash at once and leave the discriminator
-    nothing to compare. With 1 the encoder learns the part of z that the policy can use, which makes
-    the unsupervised setting much more accurate."""
+    nothing to compare. With 1 the encoder also learns the part of z that the policy can use."""
 
     def by_loss(self) -> dict[str, float]:
         """Weights by the names of the losses."""
