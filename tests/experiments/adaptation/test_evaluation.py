@@ -219,11 +219,11 @@ def small(monkeypatch):
 
 @pytest.mark.usefixtures("small")
 def test_everybody_meets_every_hmi(tmp_path):
-    told = []
+    counted = []
     trained = save_trained(tmp_path)
-    (found,) = evaluate(tasks(TINY, "random", [trained]), [trained], 1, told.append)
+    (found,) = evaluate(tasks(TINY, "random", [trained]), [trained], 1, counted.append)
     assert [result.group for result in found] == ["lisa", "bart", POPULATION, "change to bart"]
-    assert len(told) == len(tasks(TINY, "random", [trained])) == 11 + 11 + 10 + 10
+    assert len(counted) == len(tasks(TINY, "random", [trained])) == 11 + 11 + 10 + 10
     for result in found:
         json.dumps(json_value(result), allow_nan=False)
         assert set(ADAPTIVE) < set(result.returns)
@@ -247,11 +247,11 @@ def test_several_trainings_share_what_none_of_them_learned(tmp_path, monkeypatch
     monkeypatch.setattr(adapt, "groups", lambda size: every(size)[1:3])
     one = save_trained(tmp_path / "one")
     other = replace(one, conditioned=save_trained(tmp_path / "other", seed=7).conditioned)
-    told = []
+    counted = []
     both = [one, other]
-    together = evaluate(tasks(TINY, "random", both), both, 1, told.append)
+    together = evaluate(tasks(TINY, "random", both), both, 1, counted.append)
     # Only the HMI conditioned on z is another, with either evidence, in each of the two groups.
-    assert len(told) == 11 + 10 + 2 * 2
+    assert len(counted) == 11 + 10 + 2 * 2
     alone = [evaluate(tasks(TINY, "random", [each]), [each], 1)[0] for each in both]
     assert json_value(together) == json_value(alone)
     assert json_value(alone[0]) != json_value(alone[1])
