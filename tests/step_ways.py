@@ -9,7 +9,7 @@ from hmi_marl.envs.loops import InLoops, InOneLoop
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.envs.step_result import Then
 from hmi_marl.envs.team_arrays import Rules
-from hmi_marl.envs.team_step import SUMS, Scores
+from hmi_marl.envs.team_step import SUMS
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.batched import BatchedWorld
 
@@ -34,11 +34,12 @@ CONFIGS = {
 VIEWS = ("driver", "vehicle_ai", "state", "traits")
 
 
-def new_scores(count):
-    """Arrays for all rewards and the ends of a step, to be filled in."""
-    columns = np.arange(SUMS)
-    rewards = np.full((SUMS, count), -9, np.float32)
-    return Scores(columns, rewards, np.full(count, -9), np.zeros(count, np.bool_))
+def room_of(teams, names=VIEWS):
+    """Room for observations, all rewards and the ends of a step."""
+    room = teams.room(names, tuple(range(SUMS)))
+    for array in (*(group.rows for group in room.groups.values()), *room.scores[1:]):
+        array.fill(1 if array.dtype == bool else -9)
+    return room
 
 
 class Plain:
@@ -68,9 +69,9 @@ def play(teams, steps, seed, series=None):
         actions = rng.integers(0, 5, teams.num_teams)
         alerts = rng.integers(0, teams.alerts.choices, teams.num_teams)
         if step % 3 == 2:  # both seats at once
-            scores = new_scores(teams.num_teams)
-            result = teams.turn(actions, alerts, views=VIEWS, then=then, scores=scores)
-            shown += scores
+            room = room_of(teams)
+            result = teams.turn(actions, alerts, views=room, then=then)
+            shown += room.scores
         else:
             for which in (some, ~some):
                 teams.intend(actions, which)

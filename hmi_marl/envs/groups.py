@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -33,11 +33,6 @@ def check_seat(seat: str, partner: Policy | None) -> None:
         raise ValueError(f"seat={seat!r} needs a partner in the other seat")
     else:
         check_policy(partner)
-
-
-def views_of(groups: Sequence[str]) -> tuple[str, ...]:
-    """Names of the views that these groups consist of."""
-    return tuple(VIEW[group] for group in groups)
 
 
 def checked_groups(groups: Collection[str]) -> tuple[str, ...]:

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.envs.step_result import StepResult, Then
-from hmi_marl.envs.team_arrays import NO_SCORES
-from hmi_marl.envs.team_step import Scores
 from hmi_marl.envs.teaming import Teaming, Views
 
 
@@ -192,14 +190,13 @@ class PartnerTurns:
         views: Views = (),
         then: Then | None = None,
         looking_away: ArrayLike | None = None,
-        scores: Scores = NO_SCORES,
     ) -> StepResult:
         """Take one step of every team from this seat's actions, shape (N,).
 
         Where the partner fails, no team has moved, and the step can be taken again. For the other
         arguments see :meth:`Teaming.step`.
         """
-        more = views, then, looking_away, scores
+        more = views, then, looking_away
         if self._seat == DRIVER:
             sequential = moves_sequentially(self._partner)
             return self._teaming.turn(actions, self._asked, sequential, *more)

@@ -92,6 +92,33 @@ class Group(NamedTuple):
         return self.another(np.empty((count, self.rows.shape[1]), np.float32))
 
 
+class Room(NamedTuple):
+    """Arrays that a step fills in; made by :meth:`Teaming.room` for its own teams.
+
+    Compiled loops look at nothing but their addresses.
+    """
+
+    owner: object
+    """The teams that it was made for."""
+    groups: dict[str, Group]
+    """Observations by name."""
+    scores: Scores
+    """Rewards and ends."""
+
+    @classmethod
+    def new(
+        cls, owner: object, groups: dict[str, Group], columns: NDArray[np.int64], count: int
+    ) -> Room:
+        """Room for the groups, and for rewards from these columns and ends of so many teams."""
+        rewards = np.empty((len(columns), count), np.float32)
+        dones, time_outs = np.empty(count, np.int64), np.empty(count, np.bool_)
+        return cls(owner, groups, Scores(columns, rewards, dones, time_outs))
+
+    def without_views(self) -> Room:
+        """Room for the same rewards and ends alone."""
+        return self._replace(groups={})
+
+
 def lidars_shown(groups: tuple[Group, ...]) -> tuple[bool, bool]:
     """Whether any of the groups shows the true lidar, and the perceived one."""
     true = perceived = False

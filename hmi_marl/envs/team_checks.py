@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.drivers import TRAIT_NAMES
 from hmi_marl.envs.series import Series
-from hmi_marl.envs.team_step import SUMS, Scores
+from hmi_marl.envs.team_step import SUMS
 
-FLOAT32 = np.dtype(np.float32)
-_INT64, _UINT64, _FLOAT64, _BOOL = map(np.dtype, (np.int64, np.uint64, np.float64, np.bool_))
+_INT64, _UINT64, _FLOAT64 = map(np.dtype, (np.int64, np.uint64, np.float64))
 
 
 def check_mask(which: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:
@@ -69,19 +69,11 @@ def check_array(
     return array
 
 
-def check_scores(scores: Scores, count: int) -> None:
-    """Check the arrays of :class:`Scores` for N teams.
-
-    Raises:
-        ValueError: one is of another type or shape, or a reward's column is none.
-    """
-    columns = scores.columns
-    check_array("scores.columns", columns, _INT64, (len(columns),))
-    check_array("scores.rewards", scores.rewards, FLOAT32, (len(columns), count))
-    check_array("scores.dones", scores.dones, _INT64, (count,))
-    check_array("scores.time_outs", scores.time_outs, _BOOL, (count,))
-    if min(columns.tolist(), default=0) < 0 or max(columns.tolist(), default=0) >= SUMS:
-        raise ValueError(f"scores.columns lie in [0, {SUMS - 1}], but got {columns}")
+def check_columns(columns: Sequence[int]) -> NDArray[np.int64]:
+    """Return columns of a step's table, or raise ValueError if it has no such column."""
+    if min(columns, default=0) < 0 or max(columns, default=0) >= SUMS:
+        raise ValueError(f"columns of rewards lie in [0, {SUMS - 1}], but got {tuple(columns)}")
+    return np.array(columns, np.int64)
 
 
 def check_series(series: Series, count: int) -> None:

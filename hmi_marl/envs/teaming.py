@@ -10,7 +10,7 @@ Each team has its own turn: resetting some teams in mid-turn leaves the others i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,13 +26,11 @@ from hmi_marl.envs.observation_values import first_columns
 from hmi_marl.envs.seen_attention import seen_from_outside
 from hmi_marl.envs.shown_teams import ShownTeams
 from hmi_marl.envs.step_result import EndedTeams, StepResult, Then
-from hmi_marl.envs.team_arrays import NO_SCORES, Group, Rules, Teams
+from hmi_marl.envs.team_arrays import NO_SCORES, Group, Room, Rules, Teams
 from hmi_marl.envs.team_checks import (
-    FLOAT32,
     check_actions,
-    check_array,
+    check_columns,
     check_mask,
-    check_scores,
     check_seeds,
     check_series,
     check_team_numbers,
@@ -43,12 +41,11 @@ from hmi_marl.envs.team_step import (
     ENDED,
     INTENDED,
     PREVIOUS,
-    Scores,
 )
-from hmi_marl.envs.worlds import World, make_world
+from hmi_marl.envs.worlds import World, fitting_world
 
-Views = Sequence[str] | Mapping[str, NDArray[np.float32]]
-"""Names of observations, or arrays by name to write them into, shape (N, size of the layout)."""
+Views = Sequence[str] | Room
+"""Names of observations, or arrays for them and for rewards; see :meth:`Teaming.room`."""
 Actor = NDArray[np.int64] | list[int] | Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions of one seat, shape (N,), or a function that gives them for its observations, (N, D)."""
 
@@ -77,7 +74,7 @@ class Teaming(ShownTeams):
         self.alerts = config.alerts
         """Meaning of a^A."""
         self.num_teams = num_teams
-        self.world = _fitting(world, config, num_teams)
+        self.world = fitting_world(world, config.scene, num_teams)
         self.layouts = {
             DRIVER: obs.driver_layout(config),
             VEHICLE_AI: obs.vehicle_ai_layout(config),
@@ -87,6 +84,8 @@ class Teaming(ShownTeams):
         self._unseen = {agent: _nothing(num_teams, each) for agent, each in self.layouts.items()}
         """Observations for policies that read no part of them."""
         self._columns: dict[tuple[str, tuple[str, ...] | None], Group] = {}
+        self._scored: dict[tuple[int, ...], NDArray[np.int64]] = {}
+        """Columns of rewards, as arrays."""
         self._execution = execution_for(self.world, num_teams, Rules.of(config))
         self._population = config.population
         self._every = np.arange(num_teams)
@@ -105,7 +104,7 @@ class Teaming(ShownTeams):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Load a copy, with arrays of its own."""
-        self.__dict__.update(writeable(state) | {"_columns": {}, "_finals": {}})
+        self.__dict__.update(writeable(state) | {"_columns": {}, "_scored": {}, "_finals": {}})
 
     def reset(self, seeds: ArrayLike, which: NDArray[np.bool_] | None = None) -> None:
         """Begin new episodes in the teams marked in ``which`` (shape (N,), all by default).
@@ -169,7 +168,6 @@ class Teaming(ShownTeams):
         views: Views = (),
         then: Then | None = None,
         looking_away: ArrayLike | None = None,
-        scores: Scores = NO_SCORES,
     ) -> StepResult:
         """Take one step of every team, each seat in its turn.
 
@@ -178,14 +176,14 @@ class Teaming(ShownTeams):
             hmi: a^A_t, or a function from the vehicle AI's observations to them.
             sequential: whether the vehicle AI is asked after the driver and so sees a^H_t. If
                 not, it is asked first and sees a^H_{t-1}.
-            views, then, looking_away, scores: see :meth:`step`.
+            views, then, looking_away: see :meth:`step`.
 
         Raises:
             ValueError, TypeError: as :meth:`intend` and :meth:`step`. What a function raises, an
                 action that is none, or a world that fails before its cars have moved, leaves the
                 drivers as if they had not acted.
         """
-        more = views, then, looking_away, scores
+        more = views, then, looking_away
         if sequential and callable(hmi):
             self.intend(self.ask(DRIVER, driver))
             try:
@@ -235,7 +233,6 @@ class Teaming(ShownTeams):
         views: Views = (),
         then: Then | None = None,
         looking_away: ArrayLike | None = None,
-        scores: Scores = NO_SCORES,
     ) -> StepResult:
         """Take the step with the HMIs' a^A_t: attention, then the world, then rewards.
 
@@ -244,19 +241,18 @@ class Teaming(ShownTeams):
         Args:
             alerts: a^A_t, shape (N,), integers: 0 or 1 with the paper's alerts, 0 to k with k
                 strengths.
-            views: observations after the step to compute along with it; see :meth:`views`.
+            views: observations after the step to compute along with it, see :meth:`views`; or room
+                for them and for rewards and ends, to be filled in.
             then: what teams do whose episode ends; by default nothing.
             looking_away: d_t where it is seen from outside, shape (N,): 1 while the driver looks
                 away, 0 while at the road, -1 where the chain draws it, as it does by default. c_t,
                 i_t and v_t follow as always. Those of ended teams are not read.
-            scores: arrays for rewards and ends, to be filled in; see :class:`Scores`.
 
         Raises:
             ValueError: an action out of range, no :meth:`intend` before, ``then`` with
-                ``looking_away``, a series of another number of teams, or arrays to be filled of
-                another type or shape.
+                ``looking_away``, a series of another number of teams, or room made by other teams.
         """
-        return self._step(None, alerts, views, then, looking_away, scores)
+        return self._step(None, alerts, views, then, looking_away)
 
     def _step(
         self,
@@ -265,12 +261,10 @@ class Teaming(ShownTeams):
         views: Views,
         then: Then | None,
         looking_away: ArrayLike | None,
-        scores: Scores,
     ) -> StepResult:
         """Take the step with a^A_t, and with a^H_t unless the drivers have acted already."""
         groups = self._groups(views, self.num_teams)
-        if scores is not NO_SCORES:
-            check_scores(scores, self.num_teams)
+        scores = views.scores if isinstance(views, Room) else NO_SCORES
         moved, along = self._teams, groups
         if looking_away is not None:
             if then is not None:
@@ -338,7 +332,7 @@ class Teaming(ShownTeams):
 
         Args:
             names: agents, "state" for the whole team's state, or "traits" for the drivers' traits
-                as they are; up to four. Or arrays by these names, to be filled.
+                as they are; up to four. Or room for those of every team, to be filled in.
             teams: numbers of M teams, shape (M,); every team by default.
 
         Returns:
@@ -350,15 +344,29 @@ class Teaming(ShownTeams):
             self._execution.write(self._teams, which, tuple(groups.values()))
         return {name: group.rows for name, group in groups.items()}
 
+    def room(self, names: Sequence[str], columns: tuple[int, ...] = ()) -> Room:
+        """Return arrays for a step to fill in: observations, and what trainers read of the results.
+
+        Args:
+            names: of observations; see :meth:`views`.
+            columns: of :attr:`StepResult.table`, for the rewards to hand out.
+
+        Raises:
+            ValueError: the table has no such column.
+            KeyError: there is no such observation.
+        """
+        count = self.num_teams
+        if columns not in self._scored:
+            self._scored[columns] = check_columns(columns)
+        groups = {name: self._columns_of(name).empty(count) for name in names}
+        return Room.new(self, groups, self._scored[columns], count)
+
     def _groups(self, views: Views, count: int) -> dict[str, Group]:
         """Room for observations of so many teams, by name."""
-        if isinstance(views, Mapping):
-            return {
-                name: self._columns_of(name).another(
-                    check_array(name, rows, FLOAT32, (count, self._layouts[name].size))
-                )
-                for name, rows in views.items()
-            }
+        if isinstance(views, Room):
+            if views.owner is not self or count != self.num_teams:
+                raise ValueError("room for observations is filled by the teams that made it")
+            return views.groups
         return {name: self._columns_of(name).empty(count) for name in views}
 
     def _final(self, name: str) -> Group:
@@ -383,17 +391,3 @@ class Teaming(ShownTeams):
 def _nothing(count: int, layout: obs.Layout) -> NDArray[np.float32]:
     """Zeros of shape (count, size of the layout), read-only."""
     return np.broadcast_to(np.zeros((), np.float32), (count, layout.size))
-
-
-def _fitting(world: str | World, config: TeamConfig, num_teams: int) -> World:
-    if isinstance(world, str):
-        return make_world(world, config.scene, num_teams)
-    if not (hasattr(world, "scene") and hasattr(world, "num_worlds")):
-        raise TypeError(f"world= takes a world's name or a World, not {world!r}")
-    if world.num_worlds != num_teams:
-        raise ValueError(f"num_teams = {num_teams}, but the world has {world.num_worlds} scenes")
-    if world.scene != config.scene:
-        raise ValueError(
-            f"the world's scene is not the team's; make it with config.scene, {config.scene}"
-        )
-    return world

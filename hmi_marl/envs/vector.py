@@ -50,7 +50,6 @@ from hmi_marl.envs.groups import (
     Seat,
     check_seat,
     checked_groups,
-    views_of,
     whole_steps,
 )
 from hmi_marl.envs.observations import TRAITS_LAYOUT, Layout
@@ -59,6 +58,7 @@ from hmi_marl.envs.seats import PartnerTurns, Policy
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.step_result import EndedTeams, Then
 from hmi_marl.envs.streams import check_seed, team_seed
+from hmi_marl.envs.team_arrays import Room
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
 from hmi_marl.envs.teaming import TRAITS, Teaming
 from hmi_marl.envs.vector_outcome import CPU, EpisodeLog, Outcome, on_device
@@ -70,7 +70,6 @@ if TYPE_CHECKING:
 
 _READ_AS_THEY_ARE = {torch.float32, torch.float64, torch.int64}
 """Types of actions that need no conversion."""
-Views = Mapping[str, NDArray[np.float32]]
 _LOGGED = tuple(f"Episode/{name}" for name in ("return", *TERMS, "length", "alerts", "crash_rate"))
 
 
@@ -142,14 +141,13 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._turns: PartnerTurns | None = None
         if partner is not None:
             self._turns = PartnerTurns(teaming, seat, partner, sequential=sequential)
-        self._sizes = {group: layout.size for group, layout in self.layouts.items()}
         self.groups = groups  # checks them
         individual = teaming.config.reward == "individual"
         of_team = OF_BOTH if individual else OF_DRIVER
         column_of = {DRIVER: OF_DRIVER, VEHICLE_AI: OF_VEHICLE_AI, TEAM: of_team}
         self._rewarded = tuple(dict.fromkeys((*self.agents, seat)))
         """Agents and the seat, each with a reward."""
-        self._reward_columns = np.array([column_of[each] for each in self._rewarded])
+        self._reward_columns = tuple(column_of[each] for each in self._rewarded)
         """Column of the step's table of each reward."""
         columns = (column_of[seat], *range(len(TERMS)), LENGTH, ALERTS, CRASHES)
         self._logged = dict(zip(_LOGGED, columns, strict=True))
@@ -173,8 +171,8 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     @groups.setter
     def groups(self, groups: Collection[str]) -> None:
-        self._groups = {group: self._sizes[group] for group in checked_groups(groups)}
-        self._views = views_of(tuple(self._groups))
+        self._groups = {group: VIEW[group] for group in checked_groups(groups)}
+        """Name among the teams' views of each."""
 
     def read(self, group: str) -> torch.Tensor:
         """Return one group of the present observations, also one that is not in :attr:`groups`.
@@ -185,7 +183,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
             ValueError: there is no such group.
         """
         check_choice("group=", group, GROUPS)
-        return self._observed({group: self._sizes[group]})[group]
+        return self._observed({group: VIEW[group]})[group]
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -269,14 +267,14 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         """
         columns = self._checked(actions)
         self._untouched = False
-        outcome = Outcome(self.num_envs, self._groups, self._rewarded, self._reward_columns)
-        views = self._views_in(outcome.rows)
-        then, scores = Then(self._series, self._views), outcome.scores
+        room = self._room(self._groups, self._reward_columns)
+        outcome = Outcome(room, self._groups, self._rewarded)
+        then = Then(self._series, tuple(self._groups.values()))
         if self._turns is None:
-            result = self.teaming.turn(columns[0], columns[1], False, views, then, scores=scores)
+            result = self.teaming.turn(columns[0], columns[1], False, room, then)
         else:  # a partner who drives acts before anything is observed
-            wanted = () if self.seat == VEHICLE_AI else views
-            result = self._turns.step(columns[0], wanted, then, scores=scores)
+            wanted = room.without_views() if self.seat == VEHICLE_AI else room
+            result = self._turns.step(columns[0], wanted, then)
         extras: dict[str, Any] = {"time_outs": outcome.time_outs}
         if self.seat == TEAM:
             extras["rewards"] = {agent: outcome.rewards[agent] for agent in self.agents}
@@ -286,7 +284,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
                 self._turns.begin(self.teaming.seeds, result.ended.copy())
         if self.seat == VEHICLE_AI:
             self._prepare()
-            self.teaming.views(views)
+            self.teaming.views(room)
         returned = outcome.observations, outcome.rewards[self.seat], outcome.dones, extras
         return returned if self._on_cpu else on_device(returned, self.device)
 
@@ -326,20 +324,20 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         if self._turns is not None:
             self._turns.prepare()
 
-    def _observed(self, groups: Mapping[str, int]) -> TensorDict:
-        """The present observations, of groups with so many columns."""
+    def _observed(self, groups: Mapping[str, str]) -> TensorDict:
+        """The present observations, of groups with these names among the teams' views."""
         self._prepare()
-        outcome = Outcome(self.num_envs, groups, (), self._reward_columns[:0])
-        self.teaming.views(self._views_in(outcome.rows))
+        room = self._room(groups)
+        outcome = Outcome(room, groups, ())
+        self.teaming.views(room)
         return on_device(outcome.observations, self.device)
 
-    def _views_in(self, rows: Mapping[str, NDArray[np.float32]]) -> Views:
-        """Rows of groups by the names of the Teaming's views."""
-        return {VIEW[group]: rows[group] for group in rows}
+    def _room(self, groups: Mapping[str, str], columns: tuple[int, ...] = ()) -> Room:
+        return self.teaming.room(tuple(groups.values()), columns)
 
     def _extras_of(self, ended: EndedTeams) -> dict[str, Any]:
         """``extras`` about the episodes that ended."""
-        last = {group: torch.from_numpy(ended.views[VIEW[group]]) for group in self._groups}
+        last = {each: torch.from_numpy(ended.views[name]) for each, name in self._groups.items()}
         return {
             "final_teams": torch.from_numpy(ended.teams),
             "final_observation": TensorDict(last, batch_size=[len(ended.teams)], device=CPU),
@@ -361,9 +359,15 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
                 raise ValueError(f"actions are whole numbers, but got {actions.dtype}")
             actions = actions.to(torch.float64 if actions.is_floating_point() else torch.int64)
         try:
-            return self.teaming.whole_actions(actions.numpy(force=True), self.action_sizes)
+            return self.teaming.whole_actions(_as_array(actions), self.action_sizes)
         except WrongActionError as wrong:
             raise ValueError(
                 f"action {wrong.value} of {self.agents[wrong.column]} in team {wrong.team} is not "
                 f"a whole number from 0 to {self.action_sizes[wrong.column] - 1}"
             ) from None
+
+
+def _as_array(actions: torch.Tensor) -> NDArray[Any]:
+    """Actions on the CPU, without a copy where they are there already."""
+    elsewhere = actions.device.type != "cpu"
+    return actions.numpy(force=elsewhere or actions.requires_grad or actions.is_neg())

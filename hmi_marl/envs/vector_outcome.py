@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from hmi_marl.envs.team_step import Scores
+from hmi_marl.envs.team_arrays import Room
 
 CPU = torch.device("cpu")
 
@@ -43,32 +43,17 @@ class Outcome:
     making tensors after it takes four times as long.
 
     Args:
-        count: N.
-        groups: columns of each group of observations.
-        rewards: names of the rewards.
-        columns: of :attr:`StepResult.table`, one for each reward.
+        room: that the step fills in.
+        names: of observations in it, by group.
+        rewards: names of the rewards in it.
     """
 
-    def __init__(
-        self,
-        count: int,
-        groups: Mapping[str, int],
-        rewards: Sequence[str],
-        columns: NDArray[np.int64],
-    ) -> None:
-        self.rows = {name: np.empty((count, size), np.float32) for name, size in groups.items()}
-        """Observations by group, to be filled in, float32 of shape (N, size)."""
-        tensors = {name: torch.from_numpy(rows) for name, rows in self.rows.items()}
-        self.observations = TensorDict(tensors, batch_size=torch.Size((count,)), device=CPU)
+    def __init__(self, room: Room, names: Mapping[str, str], rewards: Sequence[str]) -> None:
+        _, own, dones, time_outs = room.scores
+        tensors = {group: torch.from_numpy(room.groups[name].rows) for group, name in names.items()}
+        size = torch.Size((len(dones),))
+        self.observations = TensorDict(tensors, batch_size=size, device=CPU)
         """Groups of shape (N, size)."""
-        self.scores = Scores(
-            columns,
-            np.empty((len(rewards), count), np.float32),
-            np.empty(count, np.int64),
-            np.empty(count, np.bool_),
-        )
-        """Rewards and ends, to be filled in."""
-        _, own, dones, time_outs = self.scores
         self.rewards = {name: torch.from_numpy(own[k]) for k, name in enumerate(rewards)}
         """Rewards by name, float32 of shape (N,)."""
         self.dones, self.time_outs = torch.from_numpy(dones), torch.from_numpy(time_outs)

@@ -263,11 +263,11 @@ def replay(
                 f"a window goes on after step {t - 1}, in which it ends when played again: config "
                 "is not that of the recording (see end_at_crash)"
             )
-        seen = np.empty((*inflations.shape, teams.layouts[DRIVER].size), np.float32)
-        for inflation, rows in zip(inflations, seen, strict=True):
+        seen = []
+        for inflation in inflations:
             teams.world.perceive(inflation, everywhere)
-            teams.views({DRIVER: rows})
-        yield seen
+            seen.append(teams.observe(DRIVER))
+        yield np.array(seen)
         teams.turn(driven[:, t], alerted[:, t])
 
 

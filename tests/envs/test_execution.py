@@ -1,11 +1,13 @@
 """The rules of a step give the same bits in NumPy, in loops, and in one loop with the world."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from standing_world import StandingWorld
-from step_ways import CONFIGS, WAYS, new_scores, play, teams_of
+from step_ways import CONFIGS, WAYS, play, room_of, teams_of
 
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import TraitDistributions
@@ -17,7 +19,7 @@ from hmi_marl.envs.observations import driver_layout, state_layout, vehicle_ai_l
 from hmi_marl.envs.scene import Scene
 from hmi_marl.envs.series import Series
 from hmi_marl.envs.step_result import Then
-from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, Scores
+from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, SUMS
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.envs.worlds.batched import BatchedWorld
 
@@ -131,21 +133,14 @@ def test_traits_are_shown_as_they_are_and_scores_are_columns_of_the_table(kind):
     teams = teams_of(kind, config, 3)
     series = Series(np.arange(3, dtype=np.uint64), config.population)
     teams.reset(series.present)
-    columns, rng = np.array([OF_BOTH, 1]), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     for step in range(4):
         traits = teams.trait_table.astype(np.float32)
         np.testing.assert_array_equal(teams.views(("traits",))["traits"], traits)
-        rewards, dones, late = (
-            np.empty((2, 3), np.float32),
-            np.empty(3, np.int64),
-            np.empty(3, bool),
-        )
-        result = teams.turn(
-            rng.integers(0, 5, 3),
-            np.array([1, 0, 1]),
-            then=Then(series, ("traits",)),
-            scores=Scores(columns, rewards, dones, late),
-        )
+        room = teams.room((), (OF_BOTH, 1))
+        _, rewards, dones, late = room.scores
+        actions, then = rng.integers(0, 5, 3), Then(series, ("traits",))
+        result = teams.turn(actions, np.array([1, 0, 1]), views=room, then=then)
         table = result.table
         both = (table[:, 8] + table[:, 9]).astype(np.float32)
         np.testing.assert_array_equal(rewards, [both, table[:, 1].astype(np.float32)])
@@ -360,31 +355,37 @@ def wrong_arrays(shape, dtype):
 
 
 @pytest.mark.parametrize("world", ["batched", "highway"])
-def test_arrays_to_be_filled_are_checked_before_anything_moves(world):
-    teams = Teaming(TeamConfig(), 2, world)
+def test_room_is_filled_by_the_teams_that_made_it(world):
+    config = TeamConfig()
+    teams, other = Teaming(config, 2, world), Teaming(config, 2, world)
     teams.reset([1, 2])
-    before, size = teams.state(), teams.layouts["driver"].size
-    views = [{"driver": wrong} for wrong in wrong_arrays((2, size), np.float32)]
-    right = new_scores(2)
-    scores = [
-        right._replace(**{name: wrong})
-        for name, array in right._asdict().items()
-        for wrong in wrong_arrays(array.shape, array.dtype)
-        if name != "columns"
-    ]
-    scores += [right._replace(columns=right.columns + delta) for delta in (-1, 1)]
-    scores += [right._replace(columns=right.columns[:-1])]
-    arguments = [{"views": each} for each in views] + [{"scores": each} for each in scores]
-    for wrong in arguments:
-        with pytest.raises(ValueError, match=r"is a writable array of|scores\.columns lie in"):
-            teams.turn([1, 1], [0, 0], **wrong)
+    before, copied = teams.state(), pickle.loads(pickle.dumps(teams))
+    for stranger in (other, copied, Teaming(config, 3, world)):
+        room = room_of(stranger)
+        for fill in (lambda room: teams.turn([1, 1], [0, 0], views=room), teams.views):
+            with pytest.raises(ValueError, match="filled by the teams that made it"):
+                fill(room)
         np.testing.assert_array_equal(teams.state(), before)
-    for each in views:
-        with pytest.raises(ValueError, match="driver is a writable array of"):
-            teams.views(each)
-    filled = {"driver": np.zeros((2, size), np.float32)}
-    teams.turn([1, 1], [0, 0], views=filled, scores=right)
-    np.testing.assert_array_equal(filled["driver"], teams.observe("driver"))
+        assert all((group.rows == -9).all() for group in room.groups.values())
+    room = room_of(teams)
+    with pytest.raises(ValueError, match="filled by the teams that made it"):
+        teams.views(room, np.array([1]))
+    result = teams.turn([1, 1], [0, 0], views=room)
+    np.testing.assert_array_equal(room.groups["driver"].rows, teams.observe("driver"))
+    np.testing.assert_array_equal(room.scores.rewards, result.table.T.astype(np.float32))
+    result = teams.turn([1, 1], [0, 0], views=room.without_views())
+    assert not result.views
+    np.testing.assert_array_equal(room.scores.rewards, result.table.T.astype(np.float32))
+
+
+@pytest.mark.parametrize("columns", [(-1,), (SUMS,), (0, 2**40)])
+def test_rewards_are_columns_of_the_table(columns):
+    teams = Teaming(TeamConfig(), 2, "batched")
+    for _ in range(2):
+        with pytest.raises(ValueError, match="columns of rewards lie in"):
+            teams.room(("driver",), columns)
+    with pytest.raises(KeyError):
+        teams.room(("drivers",))
 
 
 @pytest.mark.parametrize("world", ["batched", "highway"])

@@ -13,7 +13,16 @@ from hmi_marl.registry import unknown
 
 WORLDS = ("highway", "batched")
 
-__all__ = ["VEHICLE_ACTIONS", "WORLDS", "Ego", "Snapshot", "World", "check_world", "make_world"]
+__all__ = [
+    "VEHICLE_ACTIONS",
+    "WORLDS",
+    "Ego",
+    "Snapshot",
+    "World",
+    "check_world",
+    "fitting_world",
+    "make_world",
+]
 
 
 def check_world(world: str) -> str:
@@ -45,3 +54,16 @@ def make_world(world: str, scene: Scene, num_worlds: int, threads: int | None = 
     from hmi_marl.envs.worlds.batched import BatchedWorld  # numba is slow to import
 
     return BatchedWorld(scene, num_worlds, threads)
+
+
+def fitting_world(world: str | World, scene: Scene, num_teams: int) -> World:
+    """Return a world for N teams, made by its name or given, or raise if it does not fit them."""
+    if isinstance(world, str):
+        return make_world(world, scene, num_teams)
+    if not (hasattr(world, "scene") and hasattr(world, "num_worlds")):
+        raise TypeError(f"world= takes a world's name or a World, not {world!r}")
+    if world.num_worlds != num_teams:
+        raise ValueError(f"num_teams = {num_teams}, but the world has {world.num_worlds} scenes")
+    if world.scene != scene:
+        raise ValueError(f"the world's scene is not the team's; make it with config.scene, {scene}")
+    return world
