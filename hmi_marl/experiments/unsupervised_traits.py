@@ -32,7 +32,12 @@ from hmi_marl.reporting.statistics import Estimate, number
 from hmi_marl.reporting.verdicts import Part, Verdict
 from hmi_marl.training.jobs import need_training, side_by_side
 from hmi_marl.training.run_tasks import RunTask
-from hmi_marl.training.traits.settings import PAPER_HELD_OUT, LossWeights, TraitSettings
+from hmi_marl.training.traits.settings import (
+    PAPER_HELD_OUT,
+    PAPER_IMITATION,
+    LossWeights,
+    TraitSettings,
+)
 
 DEMONSTRATIONS = "demonstrations"
 POOLS = "pools"
@@ -121,7 +126,7 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
     """Environment steps of the policy by default."""
     rounds: Count = 2000
     """Rounds of the full budget, with two updates of the discriminator each."""
-    imitation_updates: Count = TraitSettings.imitation_updates
+    imitation_updates: Count = PAPER_IMITATION
     """Updates of imitation before the policy drives."""
     recorded_seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
     """Seed of the demonstrations, which all ways and training seeds read."""

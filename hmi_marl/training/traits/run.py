@@ -1,8 +1,8 @@
 """Learning of latent traits in a folder, round by round, resumable.
 
 First the average driver's policy is learned by imitation, and, if self-supervised, the encoder from
-which windows are of one driver. Next the policy learns to imitate given z, and the encoder of the
-other settings from labels, if there are any (:attr:`TraitSettings.imitation_updates`). Then in
+which windows are of one driver. In the other settings the policy then learns to imitate given z,
+and the encoder from labels, if there are any (:attr:`TraitSettings.imitation_updates`). Then in
 every round the policy drives, given z of demonstrated pools; the discriminator learns from that and
 from demonstrations, while the policy continues to imitate; and the policy learns from the learned
 reward, by PPO.
@@ -152,7 +152,7 @@ class _Run(ModelRun):
             self._prepare()
             count = settings.encoder_updates if settings.supervision == "self" else 0
             self._updates(_SELF, count, self._first.learn_self, progress)
-            self._updates(_IMITATING, settings.imitation_updates, self._imitate, progress)
+            self._updates(_IMITATING, settings.imitation, self._imitate, progress)
             progress.phase(name)
             while state.iteration < self._rounds:
                 began = time.monotonic()

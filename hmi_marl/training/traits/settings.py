@@ -35,6 +35,8 @@ LABELLED: tuple[Supervision, ...] = ("id", "preference")
 """Settings in which some windows have labels."""
 PAPER_HELD_OUT = 0.2
 """Share of windows that the paper's settings hold out by default."""
+PAPER_IMITATION = 600
+"""Updates of imitation before the policy drives in the paper's settings by default."""
 PAPER_LATENT, SELF_LATENT = 2, 8
 """Sizes of z by default: in the paper's settings, and in the self-supervised one."""
 
@@ -115,9 +117,11 @@ class TraitSettings(Checked):
     """Learning rate of these updates at the start; it falls to a twentieth along half a cosine."""
     weight_decay: Weight = 1e-2
     """Weight decay in these updates."""
-    imitation_updates: CountOrZero = 600
+    imitation_updates: CountOrZero | None = None
     """Updates before the policy drives, in which the policy learns by imitation and the encoder
-    from the losses that need no driving by the policy."""
+    from the losses that need no driving by the policy. By default 600; or 0 if self-supervised,
+    where the encoder learns nothing from them, and the reward learns what bad driving is from a
+    policy that cannot drive yet (it goes on to imitate in every round)."""
     steps: Steps = 1_000_000
     """Environment steps of the policy, rounded up to whole rounds."""
     num_teams: Count = 64
@@ -193,6 +197,13 @@ class TraitSettings(Checked):
         if self.held_out is not None:
             return self.held_out
         return 0.0 if self.supervision == "self" else PAPER_HELD_OUT
+
+    @property
+    def imitation(self) -> int:
+        """Updates of imitation before the policy drives."""
+        if self.imitation_updates is not None:
+            return self.imitation_updates
+        return 0 if self.supervision == "self" else PAPER_IMITATION
 
     @property
     def latent_size(self) -> int:

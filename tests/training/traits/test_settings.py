@@ -36,6 +36,13 @@ def test_z_is_the_papers_unless_self_supervised_or_chosen(supervision):
     assert replace(settings, latent=4).card(LAYOUT).latent == 4
 
 
+@pytest.mark.parametrize("supervision", ["self", "none", "id", "preference"])
+def test_the_policy_imitates_first_where_the_encoder_learns_from_it(supervision):
+    settings = TraitSettings(supervision=supervision)
+    assert settings.imitation == (0 if supervision == "self" else 600)
+    assert replace(settings, imitation_updates=7).imitation == 7
+
+
 def test_the_papers_settings_differ_in_supervision_alone():
     weights = LossWeights()
     assert weights.cohesion == 0.0  # which needs no labels, so that it would be in all of them
