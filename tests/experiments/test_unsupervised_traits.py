@@ -27,7 +27,7 @@ def named(right: int, labelled: bool = False) -> Named:
 
 def test_ways_are_the_papers_setting_with_few_changes():
     experiment = UnsupervisedTraits(seed=4)
-    base = TraitSettings(supervision="none", seed=4)
+    base = TraitSettings(supervision="none", imitation_updates=600, seed=4)
     assert experiment.training(BY_NAME["paper"]) == base
     assert experiment.training(BY_NAME["imitate-8"]) == replace(
         base, latent=8, weights=LossWeights(imitate=1.0)
