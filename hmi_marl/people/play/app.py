@@ -17,6 +17,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.people.play import measured, pages
 from hmi_marl.people.play.live import LiveTrips
 from hmi_marl.people.play.settings import PlaySettings
@@ -227,12 +228,16 @@ class Play:
         return self._to("/trip")
 
     def _new_trip(self, session: str, visit: Visit) -> None:
-        plan = visit.plan(self.settings)
+        plan = visit.plan(self.settings, self._calibrated(visit))
         record = TripRecord(
             plan.config, plan.seed, plan.seat, plan.kind, plan.partner, (), (), None, False,
             visitor=visitor_name(visit.visitor), begun=datetime.now(UTC).strftime(TIME),
         )  # fmt: skip
         self._keep(session, visit.begin(self._store.begin_trip(session, record)))
+
+    def _calibrated(self, visit: Visit) -> TeamConfig | None:
+        """Return the team of a calibration; a server that is started anew may have another."""
+        return next((record.config for record in self._records(visit.calibration[:1])), None)
 
     def _begin_trip(self, request: Request, form: Form) -> Response:
         with self._alone(request):

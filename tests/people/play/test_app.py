@@ -5,6 +5,7 @@ from people.guests import KEY, Wheel, another, begin, client, drive, service, tr
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from hmi_marl.envs.config import TeamSettings
 from hmi_marl.people.play.live import FULL
 from hmi_marl.people.play.puzzles import puzzle
 from hmi_marl.people.record import TripRecord, replay
@@ -120,6 +121,23 @@ def test_the_whole_way_from_the_calibration_to_the_result(store):
         assert record["partner"] == partners[-1]
         assert browser.get("/next").text == page.text
         assert browser.post("/trips").status_code == 400
+
+
+def test_a_server_started_anew_with_other_settings_goes_on_alike(store):
+    """Graded alerts or another window would mean traits and HMIs of two kinds of teams."""
+    with client(service(store).app()) as browser:
+        begin(browser, way="measured")
+        numbers = [drive(browser, browser.post("/trips"))]
+        cookies = dict(browser.cookies)
+    other = TeamSettings(duration=2.0, alert_strengths=(0.5, 1.0), alert_window=5)
+    with client(service(store, team=other).app()) as browser:
+        browser.cookies.update(cookies)
+        numbers += [drive(browser, browser.post("/trips"))]
+        assert "Your traits are measured" in browser.get("/next").text
+        numbers += [drive(browser, browser.post("/trips")) for _ in range(3)]
+        assert "Your result" in browser.get("/next").text
+    configs = [store.trip(number).record.config for number in numbers]
+    assert configs == configs[:1] * 5
 
 
 def test_decisions_sent_again_or_early_are_taken_once(store):
