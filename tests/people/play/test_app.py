@@ -6,6 +6,8 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from hmi_marl.envs.config import TeamSettings
+from hmi_marl.envs.driver_files import write_driver
+from hmi_marl.envs.drivers import Driver
 from hmi_marl.people.play.live import FULL
 from hmi_marl.people.play.puzzles import puzzle
 from hmi_marl.people.record import TripRecord, replay
@@ -121,6 +123,19 @@ def test_the_whole_way_from_the_calibration_to_the_result(store):
         assert record["partner"] == partners[-1]
         assert browser.get("/next").text == page.text
         assert browser.post("/trips").status_code == 400
+
+
+def test_drivers_of_files_and_of_numbers_have_their_names(store, tmp_path):
+    file = str(tmp_path / "17.json")
+    write_driver(file, Driver("visitor-17", 0.1, 0.2, 0.3, 4.0))
+    drivers = (file, "mine:0.1,0.2,0.3,4", "lisa")
+    with client(service(store, drivers=drivers).app()) as browser:
+        page = browser.get("/").text
+        assert re.findall(r"<option[^>]*>(Visitor-17|Mine|Lisa)<", page) == [
+            "Visitor-17", "Mine", "Lisa",
+        ]  # fmt: skip
+        begin(browser, seat="vehicle_ai", partner="rule", driver=file)
+        assert store.trip(1).record.config.only_driver.name == "visitor-17"
 
 
 def test_a_server_started_anew_with_other_settings_goes_on_alike(store):
@@ -269,6 +284,7 @@ def test_trips_and_sessions_of_others_are_out_of_reach(store):
         stranger.cookies.set("hmi-marl-play", value)
         refused(stranger, f"?trip={mine}", 4003, "there is no visit")
         assert stranger.get("/trip").url.path == "/"
+        assert one.get(f"/trips/{'9' * 5000}").status_code == 414  # more than Python reads
 
 
 def test_a_second_window_takes_the_trip_over(store):
