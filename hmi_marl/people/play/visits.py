@@ -151,7 +151,7 @@ class Visit:
             self.choose_free(settings, self.seat, self.partner, self.driver)  # is offered still
             config = settings.config(self.seat, self.driver)
             return Plan(config, self.seat, self.partner, "free", seed)
-        config = settings.config(DRIVER) if team is None else team
+        config = settings.config("driver") if team is None else team
         if stage == "calibration":
             return Plan(config, "driver", calibration_alerts(config), "calibration", seed)
         if stage == "trial":
