@@ -327,6 +327,30 @@ def test_all_pages_fit_all_widths_in_light_and_dark(chrome, tmp_path):
             reader.context.close()
 
 
+PHONES = ((390, 844), (375, 667), (360, 640), (320, 568), (844, 390), (667, 375))
+OUTSIDE = """() => ["#road", ".pad, .alert-button", "#task-button"]
+  .map((name) => [name, document.querySelector(name)])
+  .filter(([, each]) => each && (each.getBoundingClientRect().top < 0
+    || each.getBoundingClientRect().bottom > innerHeight)).map(([name]) => name)"""
+
+
+@pytest.mark.parametrize(("width", "height"), PHONES)
+@pytest.mark.parametrize("seat", ["driver", "vehicle_ai"])
+def test_a_phone_shows_road_and_buttons_at_once(chrome, tmp_path, width, height, seat):
+    phone = {"viewport": {"width": width, "height": height}, "has_touch": True, "is_mobile": True}
+    with place_in(tmp_path) as place, visitor(chrome, place.address, **phone) as page:
+        page.tap(f"form:has(#{seat}-partner) button")
+        page.wait_for_selector("#start:visible")
+        assert page.evaluate(OUTSIDE) == []
+        page.tap("#start")
+        if seat == "driver":
+            page.tap("#task-button")
+            page.wait_for_selector("#task:visible")
+            heights = "each => each.map((one) => one.getBoundingClientRect().height)"
+            assert min(page.locator("#task .grid button").evaluate_all(heights)) >= 24
+        assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+
+
 CONTRAST = """() => {
   const parse = (text) => (text.match(/[\\d.]+/g) || []).map(Number);
   const light = ([r, g, b]) => [r, g, b].map((c) => { c /= 255;
