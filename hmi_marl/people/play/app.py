@@ -23,7 +23,7 @@ from hmi_marl.people.play.live import LiveTrips
 from hmi_marl.people.play.settings import PlaySettings
 from hmi_marl.people.play.sockets import TripSocket
 from hmi_marl.people.play.visits import Visit, VisitError
-from hmi_marl.people.record import TIME, TripRecord
+from hmi_marl.people.record import TIME, ReplayError, TripRecord
 from hmi_marl.people.store import Store, visitor_name
 from hmi_marl.people.web.cookies import Cookies
 from hmi_marl.people.web.limits import NEW_VISITORS, Guard, RateLimit, client_address
@@ -129,6 +129,8 @@ class Play:
                 return self._site.problem(refusal.status, str(refusal))
             except VisitError as error:
                 return self._site.problem(400, str(error))
+            except ReplayError:
+                return self._site.problem(409, self._site.texts("problem.version"))
 
         return Route(path, endpoint, methods=[method])
 
@@ -283,7 +285,8 @@ class Play:
             return self._to("/trip")
         ended = None
         if visit.last is not None:
-            ended = measured.summary(self._store.trip(visit.last).record)
+            with contextlib.suppress(ReplayError):  # its visit goes on all the same
+                ended = measured.summary(self._store.trip(visit.last).record)
         return self._pages.next(visit, stage, ended, guest.code)
 
     def _judged(self, visit: Visit) -> dict[str, Any]:

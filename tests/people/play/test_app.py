@@ -125,6 +125,22 @@ def test_the_whole_way_from_the_calibration_to_the_result(store):
         assert browser.post("/trips").status_code == 400
 
 
+def test_a_trip_of_another_version_is_not_shown_and_its_visit_goes_on(store):
+    with client(service(store).app()) as browser:
+        begin(browser, way="measured")
+        first = drive(browser, browser.post("/trips"))
+        with store.writing() as base:
+            base.execute("UPDATE trips SET digest = ?", ("0" * 64,))
+        shown = browser.get("/next")
+        assert shown.status_code == 200
+        assert "Begin trip 2 of 2" in shown.text
+        assert browser.get(f"/trips/{first}").status_code == 409
+        assert "another version" in browser.get(f"/trips/{first}").text
+        assert browser.get(f"/trips/{first}/record").json()["digest"] == "0" * 64
+        assert drive(browser, browser.post("/trips")) == 2
+        assert "Your traits are measured" in browser.get("/next").text
+
+
 def test_drivers_of_files_and_of_numbers_have_their_names(store, tmp_path):
     file = str(tmp_path / "17.json")
     write_driver(file, Driver("visitor-17", 0.1, 0.2, 0.3, 4.0))
