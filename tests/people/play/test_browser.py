@@ -172,8 +172,8 @@ def test_a_whole_trip_by_touch_on_a_phone(chrome, tmp_path):
         page.tap("form:has(#driver-partner) button")
         page.wait_for_selector("#start:visible")
         page.tap("#start")
-        page.tap(".pad-slow_down")
-        wait_for_steps(page, place.store, 2)
+        page.tap(".pad-slow_down")  # counts in the next decision, if the road is still seen
+        wait_for_steps(page, place.store, len(place.store.trip(1).record) + 2)
         page.tap("#task-button")
         target = page.inner_text("#task h2").split()[-1]
         wait_for_steps(page, place.store, len(place.store.trip(1).record) + 2)
