@@ -1,5 +1,6 @@
 import re
 
+import numpy as np
 import pytest
 from people.guests import KEY, Wheel, another, begin, client, drive, service, trip_number
 from starlette.testclient import TestClient
@@ -7,7 +8,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from hmi_marl.envs.config import TeamSettings
 from hmi_marl.envs.driver_files import write_driver
-from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.drivers import DRIVERS, Driver, Traits
+from hmi_marl.people.measure.scripted import KEEP_SPEED, ScriptedPeople, drive_calibration
 from hmi_marl.people.play.live import FULL
 from hmi_marl.people.play.puzzles import puzzle
 from hmi_marl.people.record import TripRecord, replay
@@ -123,6 +125,30 @@ def test_the_whole_way_from_the_calibration_to_the_result(store):
         assert record["partner"] == partners[-1]
         assert browser.get("/next").text == page.text
         assert browser.post("/trips").status_code == 400
+
+
+def test_a_scripted_person_drives_the_same_trip_through_the_server_and_in_simulations(store):
+    """So that coverage, which is simulated over 200 calibrations, is that of the server's own."""
+    traits = Traits.of([DRIVERS["homer"]])
+    with client(service(store).app()) as browser:
+        begin(browser, way="measured")
+        number = trip_number(browser.post("/trips"))
+        begun = store.trip(number).record
+        person = ScriptedPeople(
+            traits, begun.config.alert_window, np.array([begun.seed], np.uint64)
+        )
+        with browser.websocket_connect(f"/trip/socket?trip={number}") as socket:
+            wheel = Wheel(socket)
+            while not wheel.state["over"]:
+                away = person.look(np.array([wheel.state["alert"]]))
+                wheel.decide(KEEP_SPEED, int(away[0]))
+    driven, simulated = (
+        store.trip(number).record,
+        drive_calibration(traits, begun.config, begun.seed),
+    )
+    assert driven.looking_away == simulated.looking_away
+    assert 0 < sum(driven.looking_away) < len(driven)
+    assert (driven.alerts, driven.digest) == (simulated.alerts, simulated.digest)
 
 
 def test_a_trip_of_another_version_is_not_shown_and_its_visit_goes_on(store):
