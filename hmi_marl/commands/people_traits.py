@@ -23,7 +23,7 @@ class PeopleTraits:
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """Trips that hmi-marl play has recorded, as JSON files or folders of them."""
+    """Trips that hmi-marl play has recorded: its database, or JSON files and folders of them."""
     name: str = "person"
     """Name of the driver, and of what is written."""
     visitor: str | None = None

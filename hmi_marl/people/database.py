@@ -21,6 +21,16 @@ _SYSTEM = ("SQLITE_BUSY", "SQLITE_CANTOPEN", "SQLITE_FULL", "SQLITE_IOERR", "SQL
 """Beginnings of SQLite's names for errors of the system rather than of the file's content."""
 
 
+def is_sqlite(path: Path) -> bool:
+    """Whether a file is a database of SQLite, by its first bytes.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with opened(path) as stream:
+        return bool(stream.read(16) == b"SQLite format 3\0")
+
+
 class Database:
     """An SQLite file with the given tables, which are made where there are none.
 

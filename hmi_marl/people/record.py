@@ -265,6 +265,10 @@ class _Recorded:
         return np.array([next(self._actions)])
 
 
+class ReplayError(ValueError):
+    """A trip that does not replay as it was, since another version recorded it."""
+
+
 def replay(
     record: TripRecord, world: str | World | None = None, observers: Sequence[Observer] = ()
 ) -> Teaming:
@@ -280,7 +284,7 @@ def replay(
         The team after the last step.
 
     Raises:
-        ValueError: the episode ends earlier, its crash differs, or, in the world of the trip, a
+        ReplayError: the episode ends earlier, its crash differs, or, in the world of the trip, a
             state; the message says which and by which version it was recorded.
     """
     world = record.world if world is None else world
@@ -299,8 +303,8 @@ def replay(
     return teaming
 
 
-def _differs(record: TripRecord, how: str) -> ValueError:
-    return ValueError(
+def _differs(record: TripRecord, how: str) -> ReplayError:
+    return ReplayError(
         f"the trip does not replay as it was: {how}; it was recorded by version {record.version} "
         f"with the environment {record.stamp}, and this is {hmi_marl.__version__} with "
         f"{environment_stamp()}"

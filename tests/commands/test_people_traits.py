@@ -11,7 +11,10 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.drivers import DRIVERS, Traits, get_driver
 from hmi_marl.envs.scene import Scene
 from hmi_marl.files import write_json
+from hmi_marl.people.export import export
 from hmi_marl.people.measure.scripted import simulate_calibrations
+from hmi_marl.people.measure.trip_files import read_trips
+from hmi_marl.people.store import Store
 
 CONFIG = TeamConfig(driver="average", scene=Scene(vehicles=(1, 1)), end_at_crash=False)
 
@@ -65,6 +68,23 @@ def test_one_of_several_visitors_is_chosen(recordings, tmp_path, capsys):
     assert [missing_in(report) for report in reports] == [[]]
     assert "not measured" in capsys.readouterr().out
     assert get_driver(str(tmp_path / "measured" / "person.json")).inflation == 6.0
+
+
+def test_a_database_and_the_folder_of_its_export_are_recordings_too(recordings, tmp_path, capsys):
+    trip, database = read_trips([recordings / "trips"])[0], tmp_path / "people.db"
+    with Store(database) as store:
+        visitor = store.new_visitor()
+        session = store.new_session(visitor.number, "play")
+        store.begin_trip(session, replace(trip, visitor=visitor.name))
+        export(store, tmp_path / "out", ["json"])
+    words = ["--driver-policy", "none", "--visitor", "visitor-1"]
+    estimates = []
+    for source in (database, tmp_path / "out"):
+        assert run(tmp_path, tmp_path, source.name, *words) == 0
+        numbers = json.loads((tmp_path / "measured" / "person" / "traits.json").read_text())
+        estimates.append(numbers["estimates"])
+    assert estimates[0] == estimates[1]
+    assert "person: 1 trips of 0.3 minutes" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,9 @@ so that what the policy never does is not infinitely unlikely. 1 - ε is the sha
 the policy explains. The model being wrong in detail, its likelihood alone would be too sure:
 the interval is the wider one of that of the likelihood ratio, and of the 95 % of estimates from
 trips drawn again with replacement (bootstrap).
+
+Of inflations that fit alike the estimate is the one nearest to the average driver's: from trips in
+which the policy explains nothing, or without a look at the road, nothing is known.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import Driver
+from hmi_marl.envs.drivers import DRIVERS, Driver
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.exact.identify import StochasticPolicy, check_stochastic, replay_intents
 from hmi_marl.people.record import TripRecord
@@ -38,6 +41,8 @@ FEWEST_TRIPS = 5
 """Trips that the interval takes at least: of fewer, drawing again says nothing."""
 _DRAWS = 2000
 _DROP = 1.92
+_TIED = 1e-6
+"""Difference of log likelihoods that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +87,13 @@ def measure_inflation(
     table, steps = _table(config, policy, candidates, trips)
     total = table.sum(axis=0)  # (M, number of LAPSES)
     profile = total.max(axis=1)
-    best = int(profile.argmax())
+    tied = profile >= profile.max() - _TIED
+    best = int(np.where(tied, abs(grid - DRIVERS["average"].inflation), np.inf).argmin())
+    lapse = LAPSES[total[best] >= total[best].max() - _TIED].max()
     low, high = _interval(table, profile, grid, seed)
     return MeasuredInflation(
         Estimate(float(grid[best]), low, high),
-        float(1.0 - LAPSES[total[best].argmax()]),
+        float(1.0 - lapse),
         steps,
         tuple(grid.tolist()),
         tuple((profile - profile.max()).tolist()),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from hmi_marl.people.database import is_sqlite
 from hmi_marl.people.record import TripRecord
+from hmi_marl.people.store import Store
 from hmi_marl.reading import read_json
 
 MOST_TRIPS = 10_000
@@ -13,35 +15,45 @@ MOST_TRIPS = 10_000
 
 
 def read_trips(paths: Sequence[Path]) -> list[TripRecord]:
-    """Read trips from files and folders.
+    """Read trips from files, folders and databases.
 
     Args:
-        paths: JSON files, each of one trip or a list of trips, or folders of such files.
+        paths: JSON files, each of one trip or a list of trips; folders of such files, or of an
+            export with them; or databases of hmi-marl play.
 
     Raises:
         ValueError: no trip, too many, or a file that holds something else; the message names it.
         OSError: a file that cannot be read.
     """
     found: list[TripRecord] = []
-    for path in (file for each in paths for file in _files(each)):
-        content = read_json(path)
-        for place, one in enumerate(content if isinstance(content, list) else [content]):
-            if len(found) == MOST_TRIPS:
-                raise ValueError(f"more than {MOST_TRIPS} trips; name fewer recordings")
-            try:
-                found.append(TripRecord.from_json(one))
-            except ValueError as error:
-                where = f"{path}, trip {place}" if isinstance(content, list) else str(path)
-                raise ValueError(f"{where}: {error}") from None
+    for record in (each for path in paths for each in _trips(path)):
+        if len(found) == MOST_TRIPS:
+            raise ValueError(f"more than {MOST_TRIPS} trips; name fewer recordings")
+        found.append(record)
     if not found:
         raise ValueError("there are no trips; name files that hmi-marl play has recorded")
     return found
 
 
+def _trips(path: Path) -> Iterator[TripRecord]:
+    if path.is_file() and is_sqlite(path):
+        with Store(path, make=False) as store:
+            yield from (trip.record for trip in store.trips())
+        return
+    for file in _files(path):
+        content = read_json(file)
+        for place, one in enumerate(content if isinstance(content, list) else [content]):
+            try:
+                yield TripRecord.from_json(one)
+            except ValueError as error:
+                where = f"{file}, trip {place}" if isinstance(content, list) else str(file)
+                raise ValueError(f"{where}: {error}") from None
+
+
 def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    files = sorted(path.glob("*.json"))
+    files = sorted(path.glob("*.json")) or sorted(path.glob("trips/*.json"))
     if not files:
         raise ValueError(f"there is no .json file in the folder {path}")
     return files

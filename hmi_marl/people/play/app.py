@@ -17,12 +17,13 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 
+from hmi_marl.envs.config import TeamConfig
 from hmi_marl.people.play import measured, pages
 from hmi_marl.people.play.live import LiveTrips
 from hmi_marl.people.play.settings import PlaySettings
 from hmi_marl.people.play.sockets import TripSocket
 from hmi_marl.people.play.visits import Visit, VisitError
-from hmi_marl.people.record import TIME, TripRecord
+from hmi_marl.people.record import TIME, ReplayError, TripRecord
 from hmi_marl.people.store import Store, visitor_name
 from hmi_marl.people.web.cookies import Cookies
 from hmi_marl.people.web.limits import NEW_VISITORS, Guard, RateLimit, client_address
@@ -128,6 +129,8 @@ class Play:
                 return self._site.problem(refusal.status, str(refusal))
             except VisitError as error:
                 return self._site.problem(400, str(error))
+            except ReplayError:
+                return self._site.problem(409, self._site.texts("problem.version"))
 
         return Route(path, endpoint, methods=[method])
 
@@ -227,12 +230,16 @@ class Play:
         return self._to("/trip")
 
     def _new_trip(self, session: str, visit: Visit) -> None:
-        plan = visit.plan(self.settings)
+        plan = visit.plan(self.settings, self._calibrated(visit))
         record = TripRecord(
             plan.config, plan.seed, plan.seat, plan.kind, plan.partner, (), (), None, False,
             visitor=visitor_name(visit.visitor), begun=datetime.now(UTC).strftime(TIME),
         )  # fmt: skip
         self._keep(session, visit.begin(self._store.begin_trip(session, record)))
+
+    def _calibrated(self, visit: Visit) -> TeamConfig | None:
+        """Return the team of a calibration; a server that is started anew may have another."""
+        return next((record.config for record in self._records(visit.calibration[:1])), None)
 
     def _begin_trip(self, request: Request, form: Form) -> Response:
         with self._alone(request):
@@ -278,7 +285,8 @@ class Play:
             return self._to("/trip")
         ended = None
         if visit.last is not None:
-            ended = measured.summary(self._store.trip(visit.last).record)
+            with contextlib.suppress(ReplayError):  # its visit goes on all the same
+                ended = measured.summary(self._store.trip(visit.last).record)
         return self._pages.next(visit, stage, ended, guest.code)
 
     def _judged(self, visit: Visit) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 from starlette.responses import HTMLResponse
 
 from hmi_marl.envs.config import DRIVER, VEHICLE_AI
+from hmi_marl.envs.drivers import get_driver
 from hmi_marl.people.play.result_parts import belief_table, order_table, traits_table
 from hmi_marl.people.play.settings import PlaySettings
 from hmi_marl.people.play.trip_parts import alert_pad, driver_pad, facts, stage
@@ -94,7 +95,7 @@ class PlayPages:
             self._choice(f"{seat}-partner", "partner", texts(f"seat.{seat}.partner"), partners)
         ]
         if drivers:
-            names = [name.partition(":")[0] for name in drivers]
+            names = [get_driver(name).name for name in drivers]
             fields.append(
                 self._choice(f"{seat}-driver", "driver", texts("seat.driver.name"), drivers, names)
             )

@@ -133,8 +133,13 @@ class Visit:
             raise VisitError("there is no calibration on this server")
         return replace(self, way="measured")
 
-    def plan(self, settings: PlaySettings) -> Plan:
+    def plan(self, settings: PlaySettings, team: TeamConfig | None = None) -> Plan:
         """Return the trip that is to begin.
+
+        Args:
+            settings: of the server.
+            team: of the calibration trips until now, with which calibration and trial go on; that
+                of the server if there are none.
 
         Raises:
             VisitError: none is.
@@ -143,9 +148,10 @@ class Visit:
         series = team_seed(settings.seed, self.visitor)
         seed = int(episode_seed(series, self.begun))
         if stage == "over":
+            self.choose_free(settings, self.seat, self.partner, self.driver)  # is offered still
             config = settings.config(self.seat, self.driver)
             return Plan(config, self.seat, self.partner, "free", seed)
-        config = settings.config("driver")
+        config = settings.config("driver") if team is None else team
         if stage == "calibration":
             return Plan(config, "driver", calibration_alerts(config), "calibration", seed)
         if stage == "trial":

@@ -37,6 +37,8 @@ BODY_TIME = 10.0
 """Longest time that the body of a request may take [s]."""
 NEW_VISITORS = 0.5, 60.0
 """New visitors from one address per second, and at once."""
+_ADDRESS = 2048
+"""Longest address of a request, its query included [bytes]."""
 
 
 class RateLimit:
@@ -168,6 +170,8 @@ class Guard:
             return PlainTextResponse(
                 "too many requests; wait a second", 429, headers={"Retry-After": "1"}
             )
+        if len(scope["path"]) + len(scope["query_string"]) > _ADDRESS:
+            return PlainTextResponse(f"an address has at most {_ADDRESS} bytes", 414)
         length = Headers(scope=scope).get("content-length", "0")
         if not length.isascii() or not length.isdigit():
             return PlainTextResponse("Content-Length is a number", 400)

@@ -110,7 +110,8 @@ class _Run(ModelRun):
         }
         super().__init__(settings, folder, about, **shown)
         self._settings = settings
-        if stored.about.get("team", {}).get("end_at_crash"):
+        people = stored.about.get("source") == "people"  # who cannot be recorded again
+        if not people and stored.about.get("team", {}).get("end_at_crash"):
             raise ValueError(
                 "these windows end at a crash, which would distinguish them from the policy's, "
                 "in which a crashed car stands; collect with --no-end-at-crash"

@@ -5,7 +5,7 @@ import pytest
 
 from hmi_marl.agents.catalogue import make_driver_policy
 from hmi_marl.envs.config import TeamConfig
-from hmi_marl.envs.drivers import Traits
+from hmi_marl.envs.drivers import DRIVERS, Traits
 from hmi_marl.envs.scene import Scene
 from hmi_marl.people.measure.hmis import calibration_alerts
 from hmi_marl.people.measure.inflation import FEWEST_TRIPS, measure_inflation
@@ -61,6 +61,23 @@ def test_few_trips_give_no_interval(trips):
     policy = make_driver_policy("trained:driver", CONFIG)
     found = measure_inflation(trips[:1], policy, ATTENTION, GRID)
     assert (found.inflation.low, found.inflation.high) == (1.0, 12.0)
+
+
+@pytest.mark.parametrize("looks_at_the_road", [False, True])
+def test_trips_that_say_nothing_give_the_average_inflation(looks_at_the_road):
+    """Without a look at the road, or where the policy explains none of the actions."""
+    policy, found = make_driver_policy("trained:driver", CONFIG), []
+    for seed in range(FEWEST_TRIPS):
+        trip = Trip(CONFIG, "driver", "never", seed, "calibration")
+        for _ in range(20):
+            trip.advance(0, int(not looks_at_the_road))  # always left
+        found.append(trip.record())
+    measured = measure_inflation(found, policy, ATTENTION, GRID)
+    assert measured.log_likelihood == (0.0,) * len(GRID)
+    assert measured.inflation.mean == DRIVERS["average"].inflation
+    assert (measured.inflation.low, measured.inflation.high) == (1.0, 12.0)
+    assert measured.explained == 0.0
+    assert measured.steps == 100 * looks_at_the_road
 
 
 def test_what_cannot_be_measured_is_refused(trips):

@@ -1,10 +1,15 @@
 import re
 
+import numpy as np
 import pytest
 from people.guests import KEY, Wheel, another, begin, client, drive, service, trip_number
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from hmi_marl.envs.config import TeamSettings
+from hmi_marl.envs.driver_files import write_driver
+from hmi_marl.envs.drivers import DRIVERS, Driver, Traits
+from hmi_marl.people.measure.scripted import KEEP_SPEED, ScriptedPeople, drive_calibration
 from hmi_marl.people.play.live import FULL
 from hmi_marl.people.play.puzzles import puzzle
 from hmi_marl.people.record import TripRecord, replay
@@ -120,6 +125,76 @@ def test_the_whole_way_from_the_calibration_to_the_result(store):
         assert record["partner"] == partners[-1]
         assert browser.get("/next").text == page.text
         assert browser.post("/trips").status_code == 400
+
+
+def test_a_scripted_person_drives_the_same_trip_through_the_server_and_in_simulations(store):
+    """So that coverage, which is simulated over 200 calibrations, is that of the server's own."""
+    traits = Traits.of([DRIVERS["homer"]])
+    with client(service(store).app()) as browser:
+        begin(browser, way="measured")
+        number = trip_number(browser.post("/trips"))
+        begun = store.trip(number).record
+        person = ScriptedPeople(
+            traits, begun.config.alert_window, np.array([begun.seed], np.uint64)
+        )
+        with browser.websocket_connect(f"/trip/socket?trip={number}") as socket:
+            wheel = Wheel(socket)
+            while not wheel.state["over"]:
+                away = person.look(np.array([wheel.state["alert"]]))
+                wheel.decide(KEEP_SPEED, int(away[0]))
+    driven, simulated = (
+        store.trip(number).record,
+        drive_calibration(traits, begun.config, begun.seed),
+    )
+    assert driven.looking_away == simulated.looking_away
+    assert 0 < sum(driven.looking_away) < len(driven)
+    assert (driven.alerts, driven.digest) == (simulated.alerts, simulated.digest)
+
+
+def test_a_trip_of_another_version_is_not_shown_and_its_visit_goes_on(store):
+    with client(service(store).app()) as browser:
+        begin(browser, way="measured")
+        first = drive(browser, browser.post("/trips"))
+        with store.writing() as base:
+            base.execute("UPDATE trips SET digest = ?", ("0" * 64,))
+        shown = browser.get("/next")
+        assert shown.status_code == 200
+        assert "Begin trip 2 of 2" in shown.text
+        assert browser.get(f"/trips/{first}").status_code == 409
+        assert "another version" in browser.get(f"/trips/{first}").text
+        assert browser.get(f"/trips/{first}/record").json()["digest"] == "0" * 64
+        assert drive(browser, browser.post("/trips")) == 2
+        assert "Your traits are measured" in browser.get("/next").text
+
+
+def test_drivers_of_files_and_of_numbers_have_their_names(store, tmp_path):
+    file = str(tmp_path / "17.json")
+    write_driver(file, Driver("visitor-17", 0.1, 0.2, 0.3, 4.0))
+    drivers = (file, "mine:0.1,0.2,0.3,4", "lisa")
+    with client(service(store, drivers=drivers).app()) as browser:
+        page = browser.get("/").text
+        assert re.findall(r"<option[^>]*>(Visitor-17|Mine|Lisa)<", page) == [
+            "Visitor-17", "Mine", "Lisa",
+        ]  # fmt: skip
+        begin(browser, seat="vehicle_ai", partner="rule", driver=file)
+        assert store.trip(1).record.config.only_driver.name == "visitor-17"
+
+
+def test_a_server_started_anew_with_other_settings_goes_on_alike(store):
+    """Graded alerts or another window would mean traits and HMIs of two kinds of teams."""
+    with client(service(store).app()) as browser:
+        begin(browser, way="measured")
+        numbers = [drive(browser, browser.post("/trips"))]
+        cookies = dict(browser.cookies)
+    other = TeamSettings(duration=2.0, alert_strengths=(0.5, 1.0), alert_window=5)
+    with client(service(store, team=other).app()) as browser:
+        browser.cookies.update(cookies)
+        numbers += [drive(browser, browser.post("/trips"))]
+        assert "Your traits are measured" in browser.get("/next").text
+        numbers += [drive(browser, browser.post("/trips")) for _ in range(3)]
+        assert "Your result" in browser.get("/next").text
+    configs = [store.trip(number).record.config for number in numbers]
+    assert configs == configs[:1] * 5
 
 
 def test_decisions_sent_again_or_early_are_taken_once(store):
@@ -251,6 +326,7 @@ def test_trips_and_sessions_of_others_are_out_of_reach(store):
         stranger.cookies.set("hmi-marl-play", value)
         refused(stranger, f"?trip={mine}", 4003, "there is no visit")
         assert stranger.get("/trip").url.path == "/"
+        assert one.get(f"/trips/{'9' * 5000}").status_code == 414  # more than Python reads
 
 
 def test_a_second_window_takes_the_trip_over(store):

@@ -172,8 +172,8 @@ def test_a_whole_trip_by_touch_on_a_phone(chrome, tmp_path):
         page.tap("form:has(#driver-partner) button")
         page.wait_for_selector("#start:visible")
         page.tap("#start")
-        page.tap(".pad-slow_down")
-        wait_for_steps(page, place.store, 2)
+        page.tap(".pad-slow_down")  # counts in the next decision, if the road is still seen
+        wait_for_steps(page, place.store, len(place.store.trip(1).record) + 2)
         page.tap("#task-button")
         target = page.inner_text("#task h2").split()[-1]
         wait_for_steps(page, place.store, len(place.store.trip(1).record) + 2)
@@ -325,6 +325,30 @@ def test_all_pages_fit_all_widths_in_light_and_dark(chrome, tmp_path):
             said = [each for each in reader.said if place.address not in each]
             assert [each for each in said if "404" not in each] == []
             reader.context.close()
+
+
+PHONES = ((390, 844), (375, 667), (360, 640), (320, 568), (844, 390), (667, 375))
+OUTSIDE = """() => ["#road", ".pad, .alert-button", "#task-button"]
+  .map((name) => [name, document.querySelector(name)])
+  .filter(([, each]) => each && (each.getBoundingClientRect().top < 0
+    || each.getBoundingClientRect().bottom > innerHeight)).map(([name]) => name)"""
+
+
+@pytest.mark.parametrize(("width", "height"), PHONES)
+@pytest.mark.parametrize("seat", ["driver", "vehicle_ai"])
+def test_a_phone_shows_road_and_buttons_at_once(chrome, tmp_path, width, height, seat):
+    phone = {"viewport": {"width": width, "height": height}, "has_touch": True, "is_mobile": True}
+    with place_in(tmp_path) as place, visitor(chrome, place.address, **phone) as page:
+        page.tap(f"form:has(#{seat}-partner) button")
+        page.wait_for_selector("#start:visible")
+        assert page.evaluate(OUTSIDE) == []
+        page.tap("#start")
+        if seat == "driver":
+            page.tap("#task-button")
+            page.wait_for_selector("#task:visible")
+            heights = "each => each.map((one) => one.getBoundingClientRect().height)"
+            assert min(page.locator("#task .grid button").evaluate_all(heights)) >= 24
+        assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
 
 
 CONTRAST = """() => {

@@ -1,10 +1,11 @@
 import json
+from dataclasses import replace
 
 import pytest
 from people.guests import settings
 
 from hmi_marl.people.measure.hmis import TRIAL
-from hmi_marl.people.play.visits import Visit
+from hmi_marl.people.play.visits import Visit, VisitError
 
 PERSON = {"hmis": {name: {"partner": f"optimal-{name}"} for name in TRIAL}}
 
@@ -46,6 +47,29 @@ def test_a_visit_goes_from_the_calibration_to_the_result():
     assert visit.own_trips == tuple(range(1, 9))
     assert visit.judged({"a": 1}).judged({"a": 2}).result == {"a": 1}
     assert visit.measured({"hmis": {}}, chosen) == visit
+
+
+def test_calibration_and_trial_go_on_with_one_team():
+    chosen, other = settings(calibration_trips=2), settings(calibration_trips=2, duration=2.0)
+    visit, (first,) = through(Visit(7).choose_measured(chosen), chosen, (1,))
+    again = visit.plan(other, first.config)
+    assert (again.config, again.partner) == (first.config, first.partner)
+    visit = replace(visit.begin(2).finish(), person=PERSON, order=TRIAL)
+    assert visit.plan(other, first.config).config == first.config
+    assert visit.plan(other).config == other.config("driver")
+
+
+def test_a_partner_that_is_no_longer_offered_is_refused():
+    chosen = settings()
+    visit = Visit(7).choose_free(chosen, "vehicle_ai", "rule", "bart")
+    assert visit.plan(chosen).partner == "rule"
+    for other in (
+        settings(drivers=("lisa",)),
+        settings(driver_policies=("random",)),
+        settings(seats=("driver",)),
+    ):
+        with pytest.raises(VisitError, match="there is no"):
+            visit.plan(other)
 
 
 def test_six_visitors_meet_the_hmis_in_six_orders():

@@ -127,6 +127,14 @@ def test_large_forms_are_refused_also_without_a_length():
     assert client.get("/echo", headers={"content-length": "-1"}).status_code == 400
 
 
+def test_long_addresses_are_refused():
+    """Python takes no number of more than 4300 digits."""
+    client = client_of()
+    assert client.get(f"/echo?{'1' * 2000}").status_code == 200
+    assert client.get(f"/echo?{'1' * 2048}").status_code == 414
+    assert client.get(f"/number/{'1' * 2048}").status_code == 414
+
+
 @pytest.mark.parametrize(
     ("headers", "status"),
     [

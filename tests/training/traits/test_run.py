@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from people.trips import a_trip
 from trait_models import SMALL
 from unchecked import unchecked
 
@@ -23,6 +24,7 @@ from hmi_marl.demonstrations.parquet import (
 )
 from hmi_marl.demonstrations.recording import CollectSettings, collect
 from hmi_marl.envs.drivers import PAPER_DRIVERS, TRAIT_NAMES
+from hmi_marl.people.export import demonstrations_of
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.checkpoint import Checkpoint
 from hmi_marl.training.traits import run
@@ -309,6 +311,16 @@ def test_windows_that_end_at_a_crash_are_refused(tmp_path):
     write_demonstrations(tmp_path / "data", collect(settings))
     with pytest.raises(ValueError, match="collect with --no-end-at-crash"):
         learn_traits(TINY, tmp_path / "data", tmp_path / "run", quiet=True)
+
+
+def test_trips_of_people_that_end_at_a_crash_are_learned_from(tmp_path):
+    records = [a_trip(seed=seed, visitor=f"visitor-{seed % 2}").record() for seed in range(12)]
+    assert any(record.crashed for record in records)
+    assert all(record.config.end_at_crash for record in records)
+    write_demonstrations(tmp_path / "data", demonstrations_of(records))
+    settings = replace(TINY, supervision="id", steps=120)
+    learn_traits(settings, tmp_path / "data", tmp_path / "run", quiet=True)
+    assert load_traits(tmp_path / "run").card.training["drivers"] == ["visitor-0", "visitor-1"]
 
 
 def test_something_has_to_be_left_to_learn_from(dataset, tmp_path):
