@@ -1,5 +1,6 @@
 """Settings and fixtures for every test."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -80,6 +81,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         others = [item for item in others if item not in taken]
     middle = len(others) // 2
     items[:] = [*halves[0], *others[:middle], *halves[1], *others[middle:]]
+
+
+gc.disable()  # while modules are imported, which leave next to nothing to collect
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage among what tests make, and not among the modules that they share.
+
+    With half a million objects of modules, each collection took a tenth of a second.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 def pytest_unconfigure() -> None:
