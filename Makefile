@@ -4,6 +4,9 @@ BIN := $(VENV)/bin
 # The variables constrain what pip installs for the build itself, older and newer pips; -c does not.
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
+# The tests start many processes, and each would compile all modules again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help run play test coverage test-slow test-long wheel trainers parity soak torture docs release-check lint format clean
 
 help:

@@ -42,7 +42,11 @@ with tqdm(total=record.total_steps, unit=" steps", desc="driving") as bar:
 
 # A fifth of the windows is labelled by driver; the rest is driving alone.
 settings = TraitSettings(
-    supervision="id", imitation_updates=choices.updates, steps=choices.steps, num_teams=16
+    supervision="id",
+    average_updates=5 * choices.updates,
+    imitation_updates=choices.updates,
+    steps=choices.steps,
+    num_teams=16,
 )
 learn_traits(settings, data, choices.out / "traits")
 

@@ -7,8 +7,8 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import make_dataclass
 from typing import Annotated, Any, NoReturn, Union
 
@@ -139,46 +139,68 @@ def _parse(
             config=(tyro.conf.CascadeSubcommandArgs, tyro.conf.OmitSubcommandPrefixes),
         )
 
-    errors = io.StringIO()
+    if not {"-h", "--help"}.isdisjoint(arguments):
+        return parsed(arguments)
+    printed, errors = _text(), _text()  # into which tyro draws the boxes that are read below
     try:
-        with redirect_stderr(errors):
+        with _wide(), redirect_stdout(printed), redirect_stderr(errors):
             return parsed(arguments)
     except SystemExit as stop:
-        if not stop.code:  # the help was printed
-            sys.stderr.write(errors.getvalue())
+        if not stop.code:  # such as a shell's completions
+            sys.stdout.write(_written(printed))
             raise
-    return _refuse(_reason(parsed, prog, arguments, parts))
+    return _refuse(_reason(_written(errors), parsed, prog, arguments, parts))
 
 
 def _reason(
-    parsed: Callable[[list[str]], object], prog: str, arguments: list[str], parts: Sequence[str]
+    error: str,
+    parsed: Callable[[list[str]], object],
+    prog: str,
+    arguments: list[str],
+    parts: Sequence[str],
 ) -> str:
-    """Return in one line what is wrong with arguments that tyro refuses."""
+    """Return in one line what is wrong with arguments that tyro refuses with an error."""
     part = [argument for argument in arguments if argument in parts][-1:]
-    lists = " ".join([prog, *part, "--help"])
-    rows = re.findall(r"│ +((?:--?[\w.-]+(?:, )?)+)", _output(parsed, [*part, "--help"]))
-    options = [option for row in rows for option in row.split(", ")]
-    for argument in arguments:
-        option = argument.partition("=")[0].replace("_", "-")
-        if option.startswith("--") and option not in (*options, "--"):
-            return unknown("option", option, options, lists)
-    return _explained(_first_part(_output(parsed, arguments)), lists)
+    lists, first = " ".join([prog, *part, "--help"]), _first_part(error)
+    if not first.startswith("Error parsing "):  # which it says where it knows every option
+        rows = re.findall(r"│ +((?:--?[\w.-]+(?:, )?)+)", _help(parsed, part))
+        options = [option for row in rows for option in row.split(", ")]
+        for argument in arguments:
+            option = argument.partition("=")[0].replace("_", "-")
+            if option.startswith("--") and option not in (*options, "--"):
+                return unknown("option", option, options, lists)
+    return _explained(first, lists)
 
 
-def _output(parsed: Callable[[list[str]], object], arguments: list[str]) -> str:
-    """Return what tyro prints, with no line broken."""
-    from hmi_marl.workers import environment
+def _help(parsed: Callable[[list[str]], object], part: list[str]) -> str:
+    """Return the help that tyro prints, with no line broken."""
+    text = _text()
+    with _wide(), redirect_stdout(text), redirect_stderr(text), suppress(SystemExit):
+        parsed([*part, "--help"])
+    return _written(text)
 
-    text = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # tyro looks for an encoding
-    with (
-        environment({"COLUMNS": _WIDE}),
-        redirect_stdout(text),
-        redirect_stderr(text),
-        suppress(SystemExit),
-    ):
-        parsed(arguments)
+
+def _text() -> io.TextIOWrapper:
+    return io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # tyro looks for an encoding
+
+
+def _written(text: io.TextIOWrapper) -> str:
     text.seek(0)
     return text.read()
+
+
+@contextmanager
+def _wide() -> Iterator[None]:
+    """Let tyro break no line."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = _WIDE
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
 
 
 def _first_part(box: str) -> str:

@@ -1,9 +1,10 @@
 """Settings and fixtures for every test."""
 
+import gc
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -71,15 +72,36 @@ BEFORE = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Let both halves begin with tests that run while the loops are compiled."""
     halves: tuple[list[pytest.Item], list[pytest.Item]] = ([], [])
-    others = items.copy()
-    for number, place in enumerate(BEFORE):
-        path = ROOT / "tests" / place
-        here = [item for item in others if path in (item.path, *item.path.parents)]
+    others: list[pytest.Item] = []
+    places = {str(ROOT / "tests" / place): number for number, place in enumerate(BEFORE)}
+    early: dict[int, list[pytest.Item]] = {number: [] for number in range(len(BEFORE))}
+    numbers: dict[Path, int | None] = {}
+    for item in items:
+        if item.path not in numbers:
+            above = (str(path) for path in (item.path, *item.path.parents))
+            numbers[item.path] = next((places[path] for path in above if path in places), None)
+        number = numbers[item.path]
+        (others if number is None else early[number]).append(item)
+    for number, here in early.items():
         halves[number % 2].extend(here)
-        taken = set(here)
-        others = [item for item in others if item not in taken]
     middle = len(others) // 2
     items[:] = [*halves[0], *others[:middle], *halves[1], *others[middle:]]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect garbage among what tests make, and not among the modules that they share.
+
+    With half a million objects of modules, each collection took a tenth of a second.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(20_000, 20, 20)
+        gc.enable()
 
 
 def pytest_unconfigure() -> None:

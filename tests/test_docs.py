@@ -26,8 +26,29 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.envs.observations import vehicle_ai_layout
 
 NOTEBOOKS = ROOT / "examples" / "notebooks"
-TEXTS = {page.relative_to(DOCS).as_posix(): made_parts.fill(page.read_text()) for page in PAGES}
-"""Every page as it is on the site, what is made from the code included."""
+RAW = {page.relative_to(DOCS).as_posix(): page.read_text() for page in PAGES}
+"""Every page as it is in the repository."""
+
+
+class Texts(dict):
+    """Every page as it is on the site, what is made from the code included.
+
+    A page is made when it is first read: all the help texts take seconds.
+    """
+
+    def __missing__(self, page):
+        self[page] = made_parts.fill(RAW[page])
+        return self[page]
+
+
+TEXTS = Texts()
+WITH_CODE = [page for page, text in RAW.items() if "```python" in text]
+WITH_COMMANDS = [page for page, text in RAW.items() if commands(text)]
+
+
+def test_what_is_made_brings_no_code_and_no_command_to_a_page_without():
+    assert [page for page in RAW if "```python" in TEXTS[page]] == WITH_CODE
+    assert [page for page in RAW if commands(TEXTS[page])] == WITH_COMMANDS
 
 
 def collected(folder, **settings):
@@ -50,7 +71,7 @@ BEFORE = {"demonstrations.md": prepare_demonstrations, "traits.md": prepare_trai
 """Prepare tiny versions of what a page reads."""
 
 
-@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "```python" in text])
+@pytest.mark.parametrize("page", WITH_CODE)
 def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     BEFORE.get(page, lambda folder: None)(tmp_path)
@@ -76,17 +97,17 @@ def test_the_page_of_settings_is_whole_where_only_the_extra_of_the_site_is_insta
     assert "training.protocols.settings.PPOSettings" in made_parts.settings()
 
 
-@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "```python" in text])
+@pytest.mark.parametrize("page", WITH_CODE)
 def test_the_code_of_a_page_imports_from_two_levels_at_most(page):
     for name in re.findall(r"^(?:from|import) (hmi_marl[\w.]*)", TEXTS[page], re.MULTILINE):
         assert name.count(".") <= 2, name
 
 
 def test_what_is_prepared_is_for_pages_that_are_there():
-    assert set(BEFORE) <= set(TEXTS)
+    assert set(BEFORE) <= set(RAW)
 
 
-@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if commands(text)])
+@pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_the_command_lines_of_a_page_are_understood(page):
     from hmi_marl.cli import parse
 
@@ -104,7 +125,7 @@ def test_the_navigation_names_every_page_once():
     nav = list(nav_pages(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]))
     made = [f"api/{name}.md" for name in ("index", *api_pages.PACKAGES)]
     made += [f"notebooks/{path.stem}.md" for path in NOTEBOOKS.glob("*.ipynb")]
-    assert sorted(nav) == sorted([*TEXTS, *made])
+    assert sorted(nav) == sorted([*RAW, *made])
 
 
 def test_pages_made_from_the_code_say_what_the_code_says():
@@ -245,7 +266,7 @@ def test_the_site_builds_without_a_warning_and_needs_nothing_from_the_net(tmp_pa
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
     built = {page.relative_to(site).as_posix() for page in site.rglob("*.html")}
-    assert {page.removesuffix(".md") + ".html" for page in TEXTS} <= built
+    assert {page.removesuffix(".md") + ".html" for page in RAW} <= built
     assert (site / "search.json").is_file()
     elsewhere = r"[\"']?(?:https?:)?//"
     styles = r'<link[^>]+rel="(?:stylesheet|preconnect)"[^>]+href='

@@ -41,16 +41,19 @@ def run_example(name, arguments, folder):
     return run
 
 
-def printed_by_each(arguments, folder, forked=False):
-    """What examples print with their arguments, all in one process; one that fails is named.
+def printed_by_each(programs, folder, forked=False):
+    """What scripts print, each with its arguments, all in one process; one that fails is named.
 
-    ``make wheel`` runs each in a process of its own.
+    ``make wheel`` runs each example in a process of its own.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
-        every = [(ROOT / "examples" / f"{name}.py", words) for name, words in arguments.items()]
-        return dict(zip(arguments, run_each(*every, forked=forked), strict=True))
+        return run_each(*programs, forked=forked)
+
+
+def example(name, arguments):
+    return ROOT / "examples" / f"{name}.py", arguments
 
 
 REGISTERING = ("new_experiment", "new_hmi", "new_protocol")
@@ -59,9 +62,24 @@ show is tested in make test by ``tests/**/test_extending.py``."""
 
 
 @pytest.fixture(scope="module")
-def outputs(tmp_path_factory):
-    sizes = {name: given for name, (given, _) in TINY.items() if name not in REGISTERING}
-    return printed_by_each(sizes, tmp_path_factory.mktemp("examples"))
+def printed(tmp_path_factory):
+    """What each example prints for ``--help``, and what those that register nothing print."""
+    folder = tmp_path_factory.mktemp("examples")
+    empty = tmp_path_factory.mktemp("check") / "empty.py"
+    empty.write_text(f"import os\nassert os.listdir({str(folder)!r}) == []\n")
+    run = [name for name in TINY if name not in REGISTERING]
+    helps = [example(name, ["--help"]) for name in TINY]
+    programs = [*helps, (empty, []), *(example(name, TINY[name][0]) for name in run)]
+    every = printed_by_each(programs, folder)
+    return (
+        dict(zip(TINY, every[: len(TINY)], strict=True)),
+        dict(zip(run, every[len(TINY) + 1 :], strict=True)),
+    )
+
+
+@pytest.fixture(scope="module")
+def outputs(printed):
+    return printed[1]
 
 
 @pytest.mark.parametrize("name", [name for name in TINY if name not in REGISTERING])
@@ -71,18 +89,16 @@ def test_an_example_runs(name, outputs):
 
 @pytest.mark.slow
 def test_each_example_that_registers_something_runs(tmp_path):
-    sizes = {name: TINY[name][0] for name in REGISTERING}
-    for name, printed in printed_by_each(sizes, tmp_path, forked=True).items():
+    programs = [example(name, TINY[name][0]) for name in REGISTERING]
+    for name, printed in zip(
+        REGISTERING, printed_by_each(programs, tmp_path, forked=True), strict=True
+    ):
         assert TINY[name][1] in printed
 
 
 @pytest.fixture(scope="module")
-def helps(tmp_path_factory):
-    """What each example prints for ``--help``; none of them leaves a file."""
-    folder = tmp_path_factory.mktemp("helps")
-    printed = printed_by_each({name: ["--help"] for name in TINY}, folder)
-    assert list(folder.iterdir()) == []
-    return printed
+def helps(printed):
+    return printed[0]
 
 
 @pytest.mark.parametrize("name", TINY)

@@ -107,7 +107,7 @@ import torch.utils.tensorboard
 from hmi_marl.commands.collect import Collect
 from hmi_marl.commands.table import TableCommand
 from hmi_marl.demonstrations.recording import CollectSettings
-from hmi_marl.experiments.metrics_table.table import TableSettings
+from hmi_marl.experiments.metrics_table.table import TableConfig, TableSettings, make_table
 
 FOLDER = Path(sys.argv[1])
 before = marks()

@@ -51,6 +51,12 @@ def know_each_other(folder, memory, rank):
     Path(folder, f"{rank}.json").write_text(json.dumps(told))
 
 
+def know_each_other_and_learn(folder, tasks, memory, rank):
+    """Both, in processes that are started once."""
+    know_each_other(folder, memory, rank)
+    learn(tasks, memory, rank)
+
+
 def fail(memory, rank):
     """Raise in the second process, while the first would go on for long."""
     if rank == 1:

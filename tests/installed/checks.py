@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
 import re
 import shlex
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
+from functools import cache
 from itertools import accumulate
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -47,7 +51,7 @@ def check_version(environment: Environment, folder: Path) -> None:
 
 def check_help(words: str) -> Check:
     def check(environment: Environment, folder: Path) -> None:
-        run = environment.hmi_marl([*words.split(), "--help"], folder)
+        run = environment.forked("hmi-marl", [*words.split(), "--help"], folder)
         assert succeeded(run).startswith("usage: hmi-marl")
         assert run.stderr == ""
         assert list(folder.iterdir()) == []
@@ -57,10 +61,10 @@ def check_help(words: str) -> Check:
 
 def check_row(row: Row) -> Check:
     def check(environment: Environment, folder: Path) -> None:
-        for command in row.prepared:
-            succeeded(prepare(command, folder))
+        if row.prepared:
+            shutil.copytree(prepared(tuple(row.prepared)), folder, dirs_exist_ok=True)
         for command in row.before:
-            succeeded(environment.hmi_marl(shlex.split(command), folder))
+            succeeded(environment.forked("hmi-marl", shlex.split(command), folder))
         assert RUN[row.kind](row, environment, folder).strip()
 
     return check
@@ -70,7 +74,7 @@ def check_refusal(row: Row, missing: frozenset[str]) -> Check:
     """A command whose extras are missing names them in one line, and does nothing."""
 
     def check(environment: Environment, folder: Path) -> None:
-        run = environment.hmi_marl(command_line(row), folder)
+        run = environment.forked("hmi-marl", command_line(row), folder)
         assert run.returncode == 2, run.stderr
         assert run.stdout == ""
         assert re.fullmatch(r"hmi-marl: [^\n]+\n", run.stderr), run.stderr
@@ -88,12 +92,12 @@ def command_line(row: Row) -> list[str]:
 
 
 def run_command(row: Row, environment: Environment, folder: Path) -> str:
-    return succeeded(environment.hmi_marl(command_line(row), folder))
+    return succeeded(environment.forked("hmi-marl", command_line(row), folder))
 
 
 def run_example(row: Row, environment: Environment, folder: Path) -> str:
     script = ROOT / "examples" / f"{row.name}.py"
-    return succeeded(environment.python([script, *shlex.split(row.arguments)], folder))
+    return succeeded(environment.forked(script, shlex.split(row.arguments), folder))
 
 
 def run_readme(row: Row, environment: Environment, folder: Path) -> str:
@@ -107,20 +111,25 @@ def run_page(row: Row, environment: Environment, folder: Path) -> str:
 def run_program(text: str, environment: Environment, folder: Path) -> str:
     program = folder / "program.py"
     program.write_text(text, "utf-8")
-    return succeeded(environment.python([program], folder))
+    return succeeded(environment.forked(program, [], folder))
 
 
 def run_site(row: Row, environment: Environment, folder: Path) -> str:
-    run = environment.python([ROOT / row.name, "--site-dir", folder / "site"], folder)
+    run = environment.forked(ROOT / row.name, ["--site-dir", folder / "site"], folder)
     succeeded(run)
     assert (folder / "site" / "index.html").is_file()
     return run.stderr
 
 
-def prepare(command: str, folder: Path) -> CompletedProcess[str]:
-    """Run a command as the tests' own Python has it."""
-    words = [sys.executable, "-m", "hmi_marl", *shlex.split(command)]
-    return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+@cache
+def prepared(commands: tuple[str, ...]) -> Path:
+    """A folder with what commands write, as the tests' own Python has them."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    for command in commands:
+        words = [sys.executable, "-m", "hmi_marl", *shlex.split(command)]
+        succeeded(subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False))
+    return folder
 
 
 def check_served(program: str) -> Check:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,18 +10,29 @@ import pytest
 
 pytest.register_assert_rewrite("installed.checks")
 
-from installed.environments import Environments, build_wheel  # noqa: E402
+from installed.kept import Environments, Shared  # noqa: E402
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shared]:
+    """What all processes of this run make once."""
+    own = tmp_path_factory.getbasetemp()
+    kept = Shared((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "installed")
+    yield kept
+    kept.close()
+
+
+@pytest.fixture(scope="session")
+def wheel(shared: Shared) -> Path:
     """The wheel of this checkout."""
-    return build_wheel(tmp_path_factory.mktemp("wheel"))
+    return shared.wheel()
 
 
 @pytest.fixture(scope="session")
-def environments(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Environments]:
+def environments(
+    shared: Shared, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Environments]:
     """Environments with the wheel in them."""
-    kept = Environments(wheel, tmp_path_factory.mktemp("environments"))
+    kept = Environments(shared, tmp_path_factory.mktemp("environments"))
     yield kept
     kept.close()

@@ -9,8 +9,10 @@ import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
+from installed.started import Started
 from installed.table import ROWS, Row
 from pages import ROOT
 
@@ -50,17 +52,18 @@ class Spec:
 
 
 def _specs() -> Iterator[Spec]:
-    sets = dict.fromkeys([frozenset(), *(frozenset({extra}) for extra in EXTRAS)])
-    sets |= dict.fromkeys(row.needs for row in ROWS)
-    for extras in sets:
-        yield Spec(extras)
-    for version in VERSIONS:
+    yield Spec(frozenset())
+    for version in VERSIONS:  # which no other grows out of: made while another process makes that
         if version != HERE:
             yield Spec(frozenset(), version)
+    sets = dict.fromkeys(frozenset({extra}) for extra in EXTRAS)
+    sets |= dict.fromkeys(row.needs for row in ROWS if row.needs)
+    for extras in sets:
+        yield Spec(extras)
 
 
 SPECS = tuple(_specs())
-"""Core, every extra alone, what some rows need together, and core for the other Pythons."""
+"""Core, core for the other Pythons, every extra alone, and what some rows need together."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,27 @@ class Environment:
     def hmi_marl(self, arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
         """Run its hmi-marl command in a folder."""
         return self._run([self.bin / "hmi-marl", *arguments], folder)
+
+    def forked(
+        self, script: str | Path, arguments: Sequence[str | Path], folder: Path
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a script in a folder, in a fork of its Python that has imported what takes long.
+
+        Args:
+            script: a path; in the environment's ``bin`` if it is relative, as ``hmi-marl``.
+            arguments: of the script.
+            folder: its working folder.
+        """
+        return self._started.run([self.bin / script, *arguments], folder)
+
+    def close(self) -> None:
+        """End the Python that forks."""
+        if "_started" in vars(self):
+            self._started.close()
+
+    @cached_property
+    def _started(self) -> Started:
+        return Started(self.bin / "python", self.folder, self._variables(), _LIMIT)
 
     def _run(self, command: Sequence[str | Path], folder: Path) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -146,77 +170,6 @@ def _install(spec: Spec, wheel: Path, environment: Environment) -> Environment:
     return environment
 
 
-class MissingPythonError(RuntimeError):
-    """An interpreter that this machine does not have."""
-
-
-class Environments:
-    """One environment at a time, made when it is first asked for and kept until another is.
-
-    Those of this Python grow out of one with core, or with core and the extra train.
-    """
-
-    def __init__(self, wheel: Path, folder: Path) -> None:
-        self._wheel, self._folder = wheel, folder
-        self._bases: dict[frozenset[str], Environment] = {}
-        self._spec: Spec | None = None
-        self._made: Environment | RuntimeError | None = None
-
-    def of(self, spec: Spec) -> Environment:
-        """The environment of a spec.
-
-        Raises:
-            MissingPythonError: there is no such Python.
-            RuntimeError: it cannot be installed. Both are raised again without another try.
-        """
-        if spec != self._spec:
-            self._remove()
-            self._spec = spec
-            try:
-                self._made = self._make(spec)
-            except RuntimeError as error:
-                self._made = error
-        if not isinstance(self._made, Environment):
-            raise self._made or RuntimeError(f"making {spec.name} was interrupted")
-        return self._made
-
-    def close(self) -> None:
-        """Remove what is there."""
-        self._remove()
-        self._bases.clear()
-        shutil.rmtree(self._folder)
-
-    def _remove(self) -> None:
-        if self._spec is not None:  # with torch it is a gigabyte and more
-            shutil.rmtree(self._folder / self._spec.name, ignore_errors=True)
-        self._spec = self._made = None
-
-    def _make(self, spec: Spec) -> Environment:
-        interpreter = find_python(spec.python)
-        if interpreter is None:
-            raise MissingPythonError(
-                f"there is no Python {spec.python}: put python{spec.python} on the PATH, or name "
-                f"it in {PYTHONS}"
-            )
-        folder = self._folder / spec.name
-        if spec.python != HERE:
-            return make(spec, interpreter, self._wheel, folder)
-        known = frozenset({"train"}) if "train" in spec.extras else frozenset()
-        return grow(spec, self._base(known, interpreter), self._wheel, folder)
-
-    def _base(self, extras: frozenset[str], interpreter: Path) -> Environment:
-        """An environment that nothing is ever run in but the compilation of the world."""
-        if extras not in self._bases:
-            spec, folder = Spec(extras), self._folder / f"base-{'-'.join(extras)}"
-            if extras:
-                base = grow(spec, self._base(frozenset(), interpreter), self._wheel, folder)
-            else:
-                base = make(spec, interpreter, self._wheel, folder)
-                _compile(base)
-            self._bases[extras] = base
-        return self._bases[extras]
-
-
 def build_wheel(folder: Path) -> Path:
     """Build the wheel of the checkout into a folder."""
     _call([sys.executable, *_PIP, "wheel", "--no-deps", "--wheel-dir", folder, ROOT])
@@ -260,11 +213,3 @@ def _call(command: Sequence[str | Path]) -> None:
     run = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
     if run.returncode:
         raise RuntimeError(f"{' '.join(map(str, command))} failed:\n{run.stdout}{run.stderr}")
-
-
-def _compile(environment: Environment) -> None:
-    """Compile the batched world, which all environments that grow out of this one find then."""
-    table = "table --world batched --hmis NoHMI --drivers homer --episodes 2 --duration 2"
-    run = environment.hmi_marl(table.split(), environment.folder)
-    if run.returncode:
-        raise RuntimeError(f"the batched world cannot be compiled:\n{run.stderr}")

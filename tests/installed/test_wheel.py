@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 from installed.checks import Check, checks
-from installed.environments import SPECS, Environments, MissingPythonError, Spec
+from installed.environments import SPECS, Spec
+from installed.kept import Environments, MissingPythonError
 
 CASES = [
     # One process makes an environment and runs all that is checked in it.

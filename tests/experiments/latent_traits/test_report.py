@@ -540,11 +540,13 @@ def test_figures_are_pngs() -> None:
         assert figure.drawn.startswith(b"\x89PNG\r\n\x1a\n")
 
 
-@pytest.mark.parametrize("name", FOREIGN)
-def test_any_name_of_a_driver_is_drawn_as_text(name: str) -> None:
+def test_any_name_of_a_driver_is_drawn_as_text() -> None:
     one = next(iter(EMBEDDINGS.values()))
-    named = replace(one, names=(name, *one.names[1:]))
-    assert embeddings_figure({"none": named}).drawn.startswith(b"\x89PNG")
+    at_once = len(one.names)
+    for first in range(0, len(FOREIGN), at_once):
+        names = (*FOREIGN[first : first + at_once], *one.names)[:at_once]
+        named = replace(one, names=names)
+        assert embeddings_figure({"none": named}).drawn.startswith(b"\x89PNG")
 
 
 def test_figures_show_what_they_are_of(monkeypatch: pytest.MonkeyPatch) -> None:

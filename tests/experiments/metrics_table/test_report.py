@@ -119,35 +119,52 @@ def embedded(page: Page, kind: str) -> list[bytes]:
     ]
 
 
-def test_a_report_writes_all_its_files(
-    tmp_path: Path, config: TableConfig, cells: list[Cell]
-) -> None:
-    page = report.write_report(tmp_path / "out", config, cells, COMMAND, clip())
-    assert page == tmp_path / "out" / "index.html"
-    assert {path.name for path in page.parent.iterdir()} == WITHOUT_CLIP | {"clip.gif"}
-    assert (page.parent / "table.txt").read_text("utf-8") == (
-        report.make_report(config, cells, COMMAND, clip()).text + "\n"
+CAPTION = "4.0 to 8.0 s: homer drives."
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory, config: TableConfig, cells: list[Cell]) -> Path:
+    """The folder of a report with a clip."""
+    folder = tmp_path_factory.mktemp("shown") / "out"
+    page = report.write_report(folder, config, cells, COMMAND, clip(CAPTION))
+    assert page == folder / "index.html"
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory, config: TableConfig, cells: list[Cell]) -> Path:
+    """The folder of a report without a clip, where an older one had one."""
+    folder = tmp_path_factory.mktemp("plain")
+    (folder / "clip.gif").write_bytes(CLIP)
+    report.write_report(folder, config, cells, COMMAND)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plain_page(plain: Path) -> str:
+    return (plain / "index.html").read_text("utf-8")
+
+
+def test_a_report_writes_all_its_files(shown: Path, config: TableConfig, cells: list[Cell]) -> None:
+    assert {path.name for path in shown.iterdir()} == WITHOUT_CLIP | {"clip.gif"}
+    assert (shown / "table.txt").read_text("utf-8") == (
+        report.make_report(config, cells, COMMAND, clip(CAPTION)).text + "\n"
     )
-    assert (page.parent / "table.csv").read_text("utf-8") == report.as_csv(cells)
-    assert png_size((page.parent / "table.png").read_bytes())[0] > 800
+    assert (shown / "table.csv").read_text("utf-8") == report.as_csv(cells)
+    assert png_size((shown / "table.png").read_bytes())[0] > 800
 
 
 def test_a_report_without_a_clip_shows_none_and_removes_an_older_one(
-    tmp_path: Path, config: TableConfig, cells: list[Cell]
+    plain: Path, plain_page: str
 ) -> None:
-    (tmp_path / "clip.gif").write_bytes(CLIP)
-    path = report.write_report(tmp_path, config, cells, COMMAND)
-    assert {path.name for path in tmp_path.iterdir()} == WITHOUT_CLIP
-    page = Page(path.read_text("utf-8"))
+    assert {path.name for path in plain.iterdir()} == WITHOUT_CLIP
+    page = Page(plain_page)
     assert page.tags.count("img") == 1
     assert "One episode" not in page.text
 
 
-def test_the_page_needs_nothing_besides_itself(
-    tmp_path: Path, config: TableConfig, cells: list[Cell]
-) -> None:
-    path = report.write_report(tmp_path, config, cells, COMMAND, clip())
-    html = path.read_text("utf-8")
+def test_the_page_needs_nothing_besides_itself(shown: Path) -> None:
+    html = (shown / "index.html").read_text("utf-8")
     page = Page(html)
     pictures = [link for link in page.links if link.startswith("data:image/")]
     assert len(pictures) == 5  # the clip, and the figure by width and for dark pages
@@ -160,13 +177,15 @@ def test_the_page_needs_nothing_besides_itself(
     assert "url(" not in html
     dark_narrow, narrow, dark, wide = embedded(page, "png")
     assert len({dark_narrow, narrow, dark, wide}) == 4
-    assert wide == (tmp_path / "table.png").read_bytes()
+    assert wide == (shown / "table.png").read_bytes()
     assert png_size(narrow)[0] < png_size(narrow)[1], "panels stand one below the other"
     assert embedded(page, "gif") == [CLIP]
 
 
-def test_the_page_begins_with_what_came_out(config: TableConfig, cells: list[Cell]) -> None:
-    html = report.make_report(config, cells, COMMAND, clip("4.0 to 8.0 s: homer drives.")).page
+def test_the_page_begins_with_what_came_out(
+    shown: Path, config: TableConfig, cells: list[Cell]
+) -> None:
+    html = (shown / "index.html").read_text("utf-8")
     page = Page(html)
     made = report.make_report(config, cells, COMMAND, clip())
     assert not missing(made.blocks, made.numbers)
@@ -175,28 +194,21 @@ def test_the_page_begins_with_what_came_out(config: TableConfig, cells: list[Cel
     for remark in remarks:
         assert remark.lead in page.text
         assert remark.text.replace("`", "") in page.text
-    assert page.text.index(remarks[-1].lead) < page.text.index("4.0 to 8.0 s: homer drives.")
+    assert page.text.index(remarks[-1].lead) < page.text.index(CAPTION)
     assert page.text.index("4.0 to 8.0 s") < page.text.index(report.METRICS[0][1])
     own = re.sub('<p class="source">.*?</p>', "", html)
     assert own.count("<code>") == 2, "the command to try next, and the one that made the page"
 
 
 def test_json_has_the_sentences_and_the_caption(
-    tmp_path: Path, config: TableConfig, cells: list[Cell]
+    shown: Path, config: TableConfig, cells: list[Cell]
 ) -> None:
-    shown = clip("4.0 to 8.0 s: homer drives.")
-    page = report.write_report(tmp_path, config, cells, COMMAND, shown)
-    content = json.loads((tmp_path / "table.json").read_text("utf-8"))
-    assert content["clip"] == "4.0 to 8.0 s: homer drives."
-    assert content["clip"] in Page(page.read_text("utf-8")).text
+    content = json.loads((shown / "table.json").read_text("utf-8"))
+    assert content["clip"] == CAPTION
+    assert content["clip"] in Page((shown / "index.html").read_text("utf-8")).text
     assert content["in_short"] == [
         {"title": remark.lead, "text": remark.text} for remark in in_short(config, cells)
     ]
-
-
-@pytest.fixture(scope="module")
-def plain_page(config: TableConfig, cells: list[Cell]) -> str:
-    return report.make_report(config, cells, COMMAND).page
 
 
 def test_a_page_is_made_for_telephones(plain_page: str) -> None:
@@ -228,15 +240,6 @@ def test_the_page_shows_the_entries_of_the_text(
         assert entry in text
 
 
-def test_what_could_be_markup_is_escaped(config: TableConfig, cells: list[Cell]) -> None:
-    command = "hmi-marl table --out '<script>alert(1)</script>' && \"x\""
-    html = report.make_report(config, cells, command).page
-    page = Page(html)
-    assert "<script" not in html
-    assert "script" not in page.tags
-    assert command in page.text
-
-
 def test_csv_parses_back_to_the_same_numbers(cells: list[Cell]) -> None:
     lines = list(csv.DictReader(StringIO(report.as_csv(cells))))
     assert [(line["hmi"], line["driver"]) for line in lines] == [
@@ -261,11 +264,8 @@ def test_csv_leaves_empty_what_is_not_known(cells: list[Cell]) -> None:
     assert float(no_hmi["exact_distraction_return"]) == pytest.approx(-80.0)
 
 
-def test_json_holds_the_cells_and_how_to_make_them(
-    tmp_path: Path, config: TableConfig, cells: list[Cell]
-) -> None:
-    report.write_report(tmp_path, config, cells, COMMAND)
-    content = json.loads((tmp_path / "table.json").read_text("utf-8"))
+def test_json_holds_the_cells_and_how_to_make_them(plain: Path, config: TableConfig) -> None:
+    content = json.loads((plain / "table.json").read_text("utf-8"))
     assert content["hmi_marl_version"] == hmi_marl.__version__
     assert len(content["cells"]) == 4
     assert content["cells"][1]["speed_return"]["mean"] == 31.5
@@ -314,21 +314,26 @@ def test_one_episode_alone_has_entries_without_an_interval(
     assert speed.splitlines()[-1].split() == ["belief", "42"]
 
 
-@pytest.mark.parametrize("name", FOREIGN)
-def test_a_policy_in_any_folder_has_its_table_and_its_figure(
-    tmp_path: Path, alone: tuple[TableConfig, list[Cell]], name: str
+def test_policies_in_any_folder_have_their_table_and_their_figure(
+    tmp_path: Path, alone: tuple[TableConfig, list[Cell]]
 ) -> None:
     config, cells = alone
     named = copy(config)
-    object.__setattr__(named, "hmis", (name,))  # where there is no such policy
-    page = report.write_report(tmp_path, named, [replace(cells[0], hmi=name)], COMMAND)
+    object.__setattr__(named, "hmis", FOREIGN)  # where there are no such policies
+    rows = [replace(cells[0], hmi=name) for name in FOREIGN]
+    command = "hmi-marl table --out '<script>alert(1)</script>' && \"x\""
+    written_page = report.write_report(tmp_path, named, rows, command)
     assert png_size((tmp_path / "table.png").read_bytes())[0] > 800
-    text = (tmp_path / "table.txt").read_text("utf-8")
-    assert printable(name).strip() in text
-    assert "\x1b" not in text + page.read_text("utf-8")
+    text, html = (tmp_path / "table.txt").read_text("utf-8"), written_page.read_text("utf-8")
+    page = Page(html)
+    for name in FOREIGN:
+        assert printable(name).strip() in text
+    assert "\x1b" not in text + html
+    assert "<script" not in html, "what could be markup is escaped"
+    assert "script" not in page.tags
+    assert command in page.text
     written = json.loads((tmp_path / "table.json").read_text())
-    assert written["settings"]["hmis"] == [name]
-    assert "<script>" not in page.read_text("utf-8")
+    assert written["settings"]["hmis"] == list(FOREIGN)
 
 
 def test_results_are_written_before_anything_is_drawn(

@@ -83,16 +83,30 @@ def alone(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
-def test_weights_optimizers_and_curves_do_not_depend_on_the_number_of_processes(
-    count, alone, tmp_path
-):
-    tasks = [(settings, tmp_path / name) for name, settings in PROTOCOLS.items()]
-    start_together(count, together.learn, tasks)
+def check_learned_by(count, alone, folder):
     for name in PROTOCOLS:
-        assert learned(tmp_path / name) == learned(alone / name), name
-    curve = read_curve(tmp_path / "joint")
+        assert learned(folder / name) == learned(alone / name), name
+    curve = read_curve(folder / "joint")
     assert all(0 < row["share_of_time_waiting"] < 1 for row in curve)
+    told = [json.loads((folder / f"{rank}.json").read_text()) for rank in range(count)]
+    assert len({each["pid"] for each in told}) == count
+    for rank, each in enumerate(told):
+        assert each["threads"] == "2"
+        for way in ("memory", "torch"):
+            assert each[way] == {
+                "place": [count, rank, rank],
+                "first": rank == 0,
+                "gathered": [[1.5 + other, 0.0 - other] for other in range(count)],
+                "waited": True,
+            }
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_processes_know_each_other_and_learn_the_same_whatever_their_number(count, alone, tmp_path):
+    """Weights, optimizers and curves, after they spoke by memory and by torch."""
+    tasks = [(settings, tmp_path / name) for name, settings in PROTOCOLS.items()]
+    start_together(count, together.know_each_other_and_learn, tmp_path, tasks, threads=2)
+    check_learned_by(count, alone, tmp_path)
 
 
 @pytest.mark.slow
@@ -132,21 +146,6 @@ def test_fewer_shards_are_other_weights(alone, tmp_path):
     assert learned(tmp_path)[0] != learned(alone / "joint")[0]
     with pytest.raises(ValueError, match="shards = 4, now 2"):
         train(settings, alone / "joint", quiet=True)
-
-
-def test_processes_know_each_other_by_memory_and_by_torch(tmp_path):
-    start_together(2, together.know_each_other, tmp_path, threads=3)
-    told = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
-    assert told[0]["pid"] != told[1]["pid"]
-    for rank, each in enumerate(told):
-        assert each["threads"] == "3"
-        for way in ("memory", "torch"):
-            assert each[way] == {
-                "place": [2, rank, rank],
-                "first": rank == 0,
-                "gathered": [[1.5, 0.0], [2.5, -1.0]],
-                "waited": True,
-            }
 
 
 @pytest.mark.slow
