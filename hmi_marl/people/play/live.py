@@ -22,8 +22,9 @@ from hmi_marl.people.record import Progress
 from hmi_marl.people.store import Store, StoredTrip
 from hmi_marl.people.trip import Road, Trip
 
-SLACK = 0.05
-"""Time by which a decision may come early, after one that was late [s]."""
+SLACK = 0.1
+"""Time by which a decision may come early, after one that was late [s]: as much as the page's own
+clock makes up for."""
 IDLE = 60.0
 """Time after which a trip without a visitor leaves the memory [s]; it goes on from the database."""
 TAKEN_OVER, FAILED, FULL = 4001, 1011, 1013
