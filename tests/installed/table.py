@@ -125,7 +125,8 @@ COMMANDS = (
     _command(
         "reproduce traits",
         TRAIN | DATA,
-        "--driver-run trained:driver --demonstrated 6400 --strangers 4 --population 4 --workers 1 "
+        "--driver-run trained:driver --demonstrated 6400 --strangers 4 --population 4 --seeds 1 "
+        "--workers 1 "
         f"{_prefixed('learn', _LEARN)} {_prefixed('evaluation', _ASSESS)}",
     ),
     _command(
