@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 from hypothesis import settings
@@ -125,6 +125,35 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     if counting:
         counting.start()
+
+
+@contextmanager
+def _no_drawing() -> Iterator[None]:
+    from matplotlib.figure import Figure
+
+    def savefig(figure: Figure, file: IO[bytes], **_: object) -> None:
+        file.write(b"\x89PNG")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", savefig)
+        yield
+
+
+@pytest.fixture
+def undrawn() -> Iterator[None]:
+    """Make figures, but draw none of them, which takes half a second for each way to show it.
+
+    For tests of something else, where those of the same report draw its figures.
+    """
+    with _no_drawing():
+        yield
+
+
+@pytest.fixture(scope="module")
+def module_undrawn() -> Iterator[None]:
+    """:func:`undrawn` for a fixture of a module."""
+    with _no_drawing():
+        yield
 
 
 def _calls_here(

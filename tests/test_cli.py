@@ -149,6 +149,7 @@ def test_the_page_says_how_to_make_it_again(table_printed: str, table_folder: Pa
     assert "hmi-marl table --drivers homer --hmis NoHMI own --episodes 1" in page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_says_how_main_was_called(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -158,6 +159,7 @@ def test_the_page_says_how_main_was_called(
     assert "hmi-marl table --drivers homer" in page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_table_without_a_clip(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["table", *TINY_TABLE, "--no-clip", "--out", str(tmp_path)]) == 0
     assert not (tmp_path / "clip.gif").exists()

@@ -9,6 +9,7 @@ from hmi_marl.reporting import highlight
 TINY = "table --drivers homer --hmis NoHMI when-distracted own --episodes 3 --duration 4"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_last_lines_say_what_came_out_where_it_is_and_what_to_try_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -27,6 +28,7 @@ def test_the_last_lines_say_what_came_out_where_it_is_and_what_to_try_next(
     assert "the HMI alerts" in caption
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_a_clip_none_is_spoken_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -93,7 +93,7 @@ def test_nothing_to_map_is_refused(wrong):
         DriverMap(**wrong)
 
 
-def test_the_command_solves_writes_prints_and_goes_on(tmp_path, capsys):
+def test_the_command_solves_writes_prints_and_goes_on(tmp_path, capsys, request):
     arguments = ["reproduce", "map", *TINY, "--workers", "2", "--out", str(tmp_path)]
     assert main(arguments) == 0
     first, before = capsys.readouterr().out, (tmp_path / "map.json").read_bytes()
@@ -116,6 +116,7 @@ def test_the_command_solves_writes_prints_and_goes_on(tmp_path, capsys):
     older["about"]["version"] = "0.0.0"
     other.write_text(json.dumps(older))
     written = {path: path.stat().st_mtime_ns for path in solved}
+    request.getfixturevalue("undrawn")  # a second time
     assert main(arguments) == 0
     again = json.loads((tmp_path / "map.json").read_bytes())
     assert again["cases"] == content["cases"]

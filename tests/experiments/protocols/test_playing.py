@@ -56,7 +56,9 @@ pytestmark = pytest.mark.usefixtures("module_trained_here")
 
 
 @pytest.fixture(scope="module")
-def written(module_trained_here: None, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def written(
+    module_trained_here: None, module_undrawn: None, tmp_path_factory: pytest.TempPathFactory
+) -> Any:
     out = tmp_path_factory.mktemp("compare") / "out"
     with reports_written() as reports:
         assert main([*TYPED.split(), "--out", str(out)]) == 0
