@@ -383,3 +383,12 @@ def test_help_lists_the_known_names(capsys: pytest.CaptureFixture[str]) -> None:
     known = (*known_names(VEHICLE_AI), *known_names(DRIVER))
     for name in (*DRIVERS, *known, "rule", "random", "oracle", "table", "watch"):
         assert re.search(rf"(?m)^\W*{re.escape(name)} ", printed), name
+
+
+def test_a_shells_completions_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["watch", "--tyro-print-completion", "bash"])
+    printed = capsys.readouterr()
+    assert (stop.value.code or 0, printed.err) == (0, "")
+    assert "hmi-marl watch" in printed.out
+    assert "--perceived" in printed.out
