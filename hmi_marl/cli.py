@@ -7,8 +7,8 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import make_dataclass
 from typing import Annotated, Any, NoReturn, Union
 
@@ -22,7 +22,7 @@ BAD_INPUT, BROKEN_PIPE = 2, 141
 """Exit statuses; the last is that of a shell after SIGPIPE. For signals: :mod:`interrupts`."""
 ERRORS = (ArithmeticError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError)
 """Errors that are printed in one line. Any other is a bug and shows its traceback."""
-_WIDE = "10000"
+_WIDE = {"COLUMNS": "10000"}
 """Columns of a terminal so wide that tyro breaks no line of an error."""
 
 
@@ -130,6 +130,8 @@ def _parse(
     """
     import tyro
 
+    from hmi_marl.workers import environment
+
     def parsed(arguments: list[str]) -> Any:
         return tyro.cli(
             kind,
@@ -143,7 +145,7 @@ def _parse(
         return parsed(arguments)
     printed, errors = _text(), _text()  # into which tyro draws the boxes that are read below
     try:
-        with _wide(), redirect_stdout(printed), redirect_stderr(errors):
+        with environment(_WIDE), redirect_stdout(printed), redirect_stderr(errors):
             return parsed(arguments)
     except SystemExit as stop:
         if not stop.code:  # such as a shell's completions
@@ -174,8 +176,10 @@ def _reason(
 
 def _help(parsed: Callable[[list[str]], object], part: list[str]) -> str:
     """Return the help that tyro prints, with no line broken."""
+    from hmi_marl.workers import environment
+
     text = _text()
-    with _wide(), redirect_stdout(text), redirect_stderr(text), suppress(SystemExit):
+    with environment(_WIDE), redirect_stdout(text), redirect_stderr(text), suppress(SystemExit):
         parsed([*part, "--help"])
     return _written(text)
 
@@ -187,20 +191,6 @@ def _text() -> io.TextIOWrapper:
 def _written(text: io.TextIOWrapper) -> str:
     text.seek(0)
     return text.read()
-
-
-@contextmanager
-def _wide() -> Iterator[None]:
-    """Let tyro break no line."""
-    before = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = _WIDE
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["COLUMNS"]
-        else:
-            os.environ["COLUMNS"] = before
 
 
 def _first_part(box: str) -> str:

@@ -2,10 +2,12 @@
 
 import gc
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -73,17 +75,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Let both halves begin with tests that run while the loops are compiled."""
     halves: tuple[list[pytest.Item], list[pytest.Item]] = ([], [])
     others: list[pytest.Item] = []
-    places = {str(ROOT / "tests" / place): number for number, place in enumerate(BEFORE)}
-    early: dict[int, list[pytest.Item]] = {number: [] for number in range(len(BEFORE))}
-    numbers: dict[Path, int | None] = {}
-    for item in items:
-        if item.path not in numbers:
-            above = (str(path) for path in (item.path, *item.path.parents))
-            numbers[item.path] = next((places[path] for path in above if path in places), None)
-        number = numbers[item.path]
-        (others if number is None else early[number]).append(item)
-    for number, here in early.items():
-        halves[number % 2].extend(here)
+    places = {ROOT / "tests" / place: number for number, place in enumerate(BEFORE)}
+
+    @cache  # many tests are in one file
+    def place_of(path: Path) -> int:
+        return next((places[each] for each in (path, *path.parents) if each in places), len(places))
+
+    for item in sorted(items, key=lambda item: place_of(item.path)):
+        number = place_of(item.path)
+        (halves[number % 2] if number < len(places) else others).append(item)
     middle = len(others) // 2
     items[:] = [*halves[0], *others[:middle], *halves[1], *others[middle:]]
 
@@ -157,10 +157,12 @@ def module_undrawn() -> Iterator[None]:
 
 
 def _calls_here(
-    function: Callable[..., None], tasks: Sequence[tuple[Any, ...]], *_: Any
-) -> Iterator[None]:
-    """Make the calls of worker processes in this process."""
-    return (function(*task) for task in tasks)
+    function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], *_: Any
+) -> Iterator[Any]:
+    """Make the calls of worker processes here, with all that is sent to them and comes back."""
+    for task in tasks:
+        sent, arguments = pickle.loads(pickle.dumps((function, task)))
+        yield pickle.loads(pickle.dumps(sent(*arguments)))
 
 
 @contextmanager

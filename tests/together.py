@@ -37,18 +37,18 @@ def know_each_other(folder, memory, rank):
 
     from hmi_marl.training.runs.processes import joined
 
-    told = {"pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"]}
+    known = {"pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"]}
     for name, on_gpus in (("memory", False), ("torch", True)):
         processes = joined(memory, rank, on_gpus)
         values = processes.gather(torch.tensor([1.5 + rank, -rank]))
         processes.wait()
-        told[name] = {
+        known[name] = {
             "place": [processes.count, processes.rank, processes.local_rank],
             "first": processes.is_first,
             "gathered": [part.tolist() for part in values],
             "waited": processes.seconds_waited > 0,
         }
-    Path(folder, f"{rank}.json").write_text(json.dumps(told))
+    Path(folder, f"{rank}.json").write_text(json.dumps(known))
 
 
 def know_each_other_and_learn(folder, tasks, memory, rank):

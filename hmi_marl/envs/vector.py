@@ -269,7 +269,7 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
         self._untouched = False
         room = self._room(self._groups, self._reward_columns)
         outcome = Outcome(room, self._groups, self._rewarded)
-        then = Then(self._series, tuple(self._groups.values()))
+        then = Then(self._series, tuple(room.groups))
         if self._turns is None:
             result = self.teaming.turn(columns[0], columns[1], False, room, then)
         else:  # a partner who drives acts before anything is observed

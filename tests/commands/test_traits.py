@@ -10,18 +10,7 @@ from hmi_marl.experiments.latent_traits.assessment import AssessSettings
 from hmi_marl.training.traits.settings import TraitSettings
 
 COLLECT = ["--steps", "100", "--duration", "1", "--vehicles", "1", "4", "--num-teams", "64"]
-TINY = [
-    "--steps",
-    "1",
-    "--average-updates",
-    "1",
-    "--imitation-updates",
-    "1",
-    "--pool",
-    "2",
-    "--num-teams",
-    "2",
-]
+TINY = ["--steps", "1", "--imitation-updates", "1", "--pool", "2", "--num-teams", "2"]
 TINY += ["--ppo.num-mini-batches", "1", "--encoder.features", "4", "--held-out", "0.4"]
 TINY += ["--average-updates", "1", "--encoder-updates", "1", "--device", "cpu"]
 JUDGE = ["--windows", "10", "--episodes", "2", "--ranked", "2"]

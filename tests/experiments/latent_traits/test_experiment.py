@@ -1,6 +1,4 @@
 import json
-import pickle
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +32,6 @@ from hmi_marl.experiments.latent_traits.experiment import (
 )
 from hmi_marl.files import sha256_of
 from hmi_marl.reporting.report import Report, Stopwatch
-from hmi_marl.training import jobs
 from hmi_marl.training.traits.settings import TraitSettings
 
 pytestmark = pytest.mark.usefixtures("few_folds")
@@ -202,18 +199,7 @@ def test_what_is_recorded_is_not_recorded_again(
 # Judging.
 
 
-def in_turn(
-    function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], *_: Any
-) -> Iterator[Any]:
-    """Make the calls of worker processes here, with all that is sent to them and comes back.
-
-    ``tests/test_workers.py`` tests the workers, which would import everything again.
-    """
-    for task in tasks:
-        sent, arguments = pickle.loads(pickle.dumps((function, task)))
-        yield pickle.loads(pickle.dumps(sent(*arguments)))
-
-
+@pytest.mark.usefixtures("trained_here")
 def test_runs_are_judged_by_setting_in_the_papers_order(
     tmp_path: Path, data: Path, population: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,7 +209,6 @@ def test_runs_are_judged_by_setting_in_the_papers_order(
         a_run(tmp_path / "c", data, "id", seed=2),
     ]
     evaluation = TraitEvaluation(tuple(runs), data, population, None, SMALL)
-    monkeypatch.setattr(jobs, "calls", in_turn)
     judged = evaluation.run(Place(data, data, workers=2))
     found = dict(judged.assessments)
     assert judged.pool == 2

@@ -83,14 +83,18 @@ def alone(tmp_path_factory):
     return folder
 
 
-def check_learned_by(count, alone, folder):
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_processes_know_each_other_and_learn_the_same_whatever_their_number(count, alone, tmp_path):
+    """Weights, optimizers and curves, after they spoke by memory and by torch."""
+    tasks = [(settings, tmp_path / name) for name, settings in PROTOCOLS.items()]
+    start_together(count, together.know_each_other_and_learn, tmp_path, tasks, threads=2)
     for name in PROTOCOLS:
-        assert learned(folder / name) == learned(alone / name), name
-    curve = read_curve(folder / "joint")
+        assert learned(tmp_path / name) == learned(alone / name), name
+    curve = read_curve(tmp_path / "joint")
     assert all(0 < row["share_of_time_waiting"] < 1 for row in curve)
-    told = [json.loads((folder / f"{rank}.json").read_text()) for rank in range(count)]
-    assert len({each["pid"] for each in told}) == count
-    for rank, each in enumerate(told):
+    known = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(count)]
+    assert len({each["pid"] for each in known}) == count
+    for rank, each in enumerate(known):
         assert each["threads"] == "2"
         for way in ("memory", "torch"):
             assert each[way] == {
@@ -99,14 +103,6 @@ def check_learned_by(count, alone, folder):
                 "gathered": [[1.5 + other, 0.0 - other] for other in range(count)],
                 "waited": True,
             }
-
-
-@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
-def test_processes_know_each_other_and_learn_the_same_whatever_their_number(count, alone, tmp_path):
-    """Weights, optimizers and curves, after they spoke by memory and by torch."""
-    tasks = [(settings, tmp_path / name) for name, settings in PROTOCOLS.items()]
-    start_together(count, together.know_each_other_and_learn, tmp_path, tasks, threads=2)
-    check_learned_by(count, alone, tmp_path)
 
 
 @pytest.mark.slow
