@@ -43,9 +43,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return interrupts.report()
         if not isinstance(error, ERRORS):
             raise
-        print(f"hmi-marl: {one_line(str(error)) or type(error).__name__}", file=sys.stderr)
+        print(f"hmi-marl: {one_line(_reported(error)) or type(error).__name__}", file=sys.stderr)
         return BAD_INPUT
     return 0
+
+
+def _reported(error: Exception) -> str:
+    """Return an error's message; one of the system begins with the file that it is about."""
+    if not isinstance(error, OSError) or not error.strerror:
+        return str(error)
+    file = error.filename
+    return (
+        f"{os.fsdecode(file)}: {error.strerror}"
+        if isinstance(file, (str, bytes))
+        else error.strerror
+    )
 
 
 def parse(arguments: Sequence[str]) -> Any:

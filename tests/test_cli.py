@@ -304,6 +304,33 @@ def test_what_fails_on_the_way_is_reported_in_one_line(
     assert printed.out == ""
 
 
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(28, "No space left"), "No space left"),
+        (FileNotFoundError(2, "No such file", "a b"), "a b: No such file"),
+        (OSError(5, "Input/output error", 3), "Input/output error"),  # 3: an open file's number
+        (OSError("no errno"), "no errno"),
+    ],
+)
+def test_an_error_of_the_system_begins_with_its_file(
+    error: Exception, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("hmi_marl.commands.oracle.write_json", fail)
+    assert main(["oracle", "--horizon", "3"]) == 2
+    assert capsys.readouterr().err == f"hmi-marl: {told}\n"
+
+
+@pytest.mark.parametrize("part", [["export"], ["delete"], ["traits"]])
+def test_a_missing_database_is_named(part: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["people", *part, "none.db", *(["A" * 16] if part == ["delete"] else [])]
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == "hmi-marl: none.db: No such file or directory\n"
+
+
 def test_an_interrupt_is_reported_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

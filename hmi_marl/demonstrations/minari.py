@@ -53,6 +53,14 @@ def minari_place(folder: Path) -> Path:
     return place
 
 
+def check_for_minari(observed: Observed, folder: Path) -> Path:
+    """Return the folder that :func:`export_minari` will write, or raise its errors."""
+    place = minari_place(folder)
+    if (observed.length[~observed.crashed] < 2).any():
+        raise ValueError("a window of a single step holds no transition for Minari")
+    return place
+
+
 def export_minari(observed: Observed, folder: Path) -> Path:
     """Write a Minari dataset and return its folder.
 
@@ -64,9 +72,7 @@ def export_minari(observed: Observed, folder: Path) -> Path:
         FileExistsError: see :func:`minari_place`.
         ValueError: an episode of a single step without a crash, which holds no transition.
     """
-    place = minari_place(folder)
-    if (observed.length[~observed.crashed] < 2).any():
-        raise ValueError("a window of a single step holds no transition for Minari")
+    place = check_for_minari(observed, folder)
     buffers = [_buffer(observed, k) for k in range(len(observed))]
     layout = [f"{part.name}: {part.size}" for part in observed.layout.parts]
     absolute = str(place.parent.resolve())  # Minari loses its way on relative ones

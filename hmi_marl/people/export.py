@@ -118,11 +118,20 @@ def export(
         ValueError: no such visitor, a damaged database, a trip that does not replay, or no trips
             that can be demonstrations where these are asked for.
         FileExistsError: a Minari dataset is there already.
+
+    Nothing has been written after such an error.
     """
     if visitor is not None and visitor not in store.visitors():
         raise ValueError(f"{store.path} has no visitor {visitor}")
-    make_folder(out)
     trips = list(store.trips(visitor))
+    learnable = {"parquet", "minari"} & set(formats)
+    datasets = _demonstrations(trips, out) if learnable else {}
+    if "minari" in formats:
+        from hmi_marl.demonstrations.minari import check_for_minari, export_minari
+
+        for folder, data in datasets.items():
+            check_for_minari(data.observed, folder)
+    make_folder(out)
     written: list[Path] = []
     if "csv" in formats:
         tables = {
@@ -140,12 +149,20 @@ def export(
         for trip in trips:
             write_json(folder / f"{trip.number}.json", trip.record.to_json())
         written.append(folder)
-    if "parquet" in formats or "minari" in formats:
-        written += _demonstrations(trips, out, formats)
+    for folder, data in datasets.items():
+        if "parquet" in formats:
+            from hmi_marl.demonstrations.parquet import OBSERVED, write_demonstrations
+
+            make_folder(folder)
+            write_demonstrations(folder, data)
+            written.append(folder / OBSERVED)
+        if "minari" in formats:
+            written.append(export_minari(data.observed, folder))
     return written
 
 
-def _demonstrations(trips: list[StoredTrip], out: Path, formats: Sequence[Format]) -> list[Path]:
+def _demonstrations(trips: list[StoredTrip], out: Path) -> dict[Path, Demonstrations]:
+    """The trips that people drove, by a folder for each kind of team."""
     groups: dict[str, list[TripRecord]] = {}
     for trip in trips:
         record = trip.record
@@ -156,21 +173,11 @@ def _demonstrations(trips: list[StoredTrip], out: Path, formats: Sequence[Format
             "there is no trip for demonstrations, in which a person drove and alerts had one "
             "strength; export csv or json"
         )
-    written: list[Path] = []
-    for number, records in enumerate(groups.values()):
-        folder = out / ("demonstrations" if len(groups) == 1 else f"demonstrations-{number}")
-        data = demonstrations_of(records)
-        if "parquet" in formats:
-            from hmi_marl.demonstrations.parquet import OBSERVED, write_demonstrations
-
-            make_folder(folder)
-            write_demonstrations(folder, data)
-            written.append(folder / OBSERVED)
-        if "minari" in formats:
-            from hmi_marl.demonstrations.minari import export_minari
-
-            written.append(export_minari(data.observed, folder))
-    return written
+    several = len(groups) > 1
+    return {
+        out / f"demonstrations{f'-{number}' if several else ''}": demonstrations_of(records)
+        for number, records in enumerate(groups.values())
+    }
 
 
 def _trip_row(trip: StoredTrip) -> tuple[Any, ...]:

@@ -148,6 +148,21 @@ def test_parquet_and_minari_hold_the_same_and_only_a_persons_driving(place, tmp_
     assert dataset.total_episodes == len(driven) == 6
 
 
+def test_nothing_is_written_if_a_dataset_cannot_be(place, tmp_path, records):
+    pytest.importorskip("minari")
+    there = tmp_path / "a" / "demonstrations" / "minari" / "hmi_marl-demonstrations-v0"
+    there.mkdir(parents=True)
+    with Store(place, make=False) as store:
+        with pytest.raises(FileExistsError, match="is there already; remove it"):
+            export(store, tmp_path / "a", ("csv", "json", "parquet", "minari"))
+        assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    with Store(tmp_path / "own.db") as store:  # of people, but none to learn from
+        store.new_visitor()
+        with pytest.raises(ValueError, match="there is no trip for demonstrations"):
+            export(store, tmp_path / "b", ("csv", "parquet"))
+        assert not (tmp_path / "b").exists()
+
+
 def test_export_of_one_person_and_after_deletion(place, tmp_path, records):
     with Store(place, make=False) as store:
         export(store, tmp_path, ("csv",), visitor=1)
