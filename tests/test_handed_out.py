@@ -56,7 +56,7 @@ def scribble(*values):
 
 def all_of_teams(teams):
     names = ("seeds", "over", "intent_given", "steps", "intended", "previous_intended", "applied")
-    names += ("alerted", "attention", "traits", "trait_table", "crashed", "ego")
+    names += ("alerted", "attention", "traits", "crashed", "ego")
     shown = [getattr(teams, name) for name in names]
     shown += [teams.time_headway(), teams.alerts.effects, teams.state()]
     shown += [teams.observe(agent) for agent in ("driver", "vehicle_ai")]

@@ -94,11 +94,6 @@ class ShownTeams:
         self._teams.traits[:] = check_traits(traits, len(self._teams.over)).as_array()
 
     @property
-    def trait_table(self) -> NDArray[np.float64]:
-        """The same traits as a table, shape (N, 4)."""
-        return self._teams.traits.copy()
-
-    @property
     def crashed(self) -> NDArray[np.bool_]:
         """Teams whose car is crashed."""
         return self._execution.readings.flags[:, CRASHED] == 1

@@ -135,7 +135,7 @@ def test_traits_are_shown_as_they_are_and_scores_are_columns_of_the_table(kind):
     teams.reset(series.present)
     rng = np.random.default_rng(0)
     for step in range(4):
-        traits = teams.trait_table.astype(np.float32)
+        traits = teams.traits.as_array().astype(np.float32)
         np.testing.assert_array_equal(teams.views(("traits",))["traits"], traits)
         room = teams.room((), (OF_BOTH, 1))
         _, rewards, dones, late = room.scores
@@ -149,7 +149,7 @@ def test_traits_are_shown_as_they_are_and_scores_are_columns_of_the_table(kind):
         assert result.ended.all() == (step % 2 == 1)
         if result.ended.all():
             np.testing.assert_array_equal(result.ended_teams.views["traits"], traits)
-            assert (teams.trait_table.astype(np.float32) != traits).any()
+            assert (teams.traits.as_array().astype(np.float32) != traits).any()
 
 
 @pytest.mark.parametrize("kind", [InNumPy, InLoops])
