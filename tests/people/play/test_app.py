@@ -10,7 +10,7 @@ from hmi_marl.envs.config import TeamSettings
 from hmi_marl.envs.driver_files import write_driver
 from hmi_marl.envs.drivers import DRIVERS, Driver, Traits
 from hmi_marl.people.measure.scripted import KEEP_SPEED, ScriptedPeople, drive_calibration
-from hmi_marl.people.play.live import FULL
+from hmi_marl.people.play.live import FULL, LiveTrip
 from hmi_marl.people.play.puzzles import puzzle
 from hmi_marl.people.record import TripRecord, replay
 from hmi_marl.people.store import Store
@@ -22,6 +22,19 @@ from hmi_marl.people.web.settings import Limits, ServerSettings
 def store(tmp_path):
     with Store(tmp_path / "people.db") as opened:
         yield opened
+
+
+@pytest.fixture
+def in_real_time():
+    """For tests of the clock."""
+
+
+@pytest.fixture(autouse=True)
+def hurried(request, monkeypatch):
+    """Other tests do not wait for the time of a decision."""
+    if "in_real_time" not in request.fixturenames:
+        always = property(lambda trip: 0.0, lambda trip, due: None)
+        monkeypatch.setattr(LiveTrip, "_due", always, raising=False)
 
 
 def refused(browser, query, code, reason):
@@ -197,6 +210,7 @@ def test_a_server_started_anew_with_other_settings_goes_on_alike(store):
     assert configs == configs[:1] * 5
 
 
+@pytest.mark.usefixtures("in_real_time")
 def test_decisions_sent_again_or_early_are_taken_once(store):
     with client(service(store).app()) as browser:
         number = trip_number(begin(browser))
@@ -223,6 +237,7 @@ def test_decisions_sent_again_or_early_are_taken_once(store):
         replay(record)
 
 
+@pytest.mark.usefixtures("in_real_time")
 def test_decisions_are_five_a_second_whatever_a_page_sends(store):
     import time
 
@@ -291,6 +306,7 @@ def test_rubbish_is_answered_and_harms_no_one(store):
         assert store.trip(number).record.finished
 
 
+@pytest.mark.usefixtures("in_real_time")
 def test_too_many_messages_are_dropped(store):
     with client(service(store, limits=Limits(messages=1.0)).app()) as browser:
         number = trip_number(begin(browser))
