@@ -79,12 +79,13 @@ def printed_in_a_fork(code):
     assert os.waitpid(child, 0)[1] == 0, code
     return printed
 
+drive(1)  # loads the compiled loops, and starts no thread
 print(json.dumps([printed_in_a_fork(code) for code in json.loads(sys.stdin.read())]))
 """
 
 
 def run_each(*codes, imports="", **env):
-    """What each code prints, in a fork of a process that has imported, but has done nothing yet."""
+    """What each code prints, in a fork of a process that has driven one team and has one thread."""
     ended = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MANY + imports + EACH_IN_A_FORK],
         env=environment(env),
