@@ -52,12 +52,8 @@ def _reported(error: Exception) -> str:
     """Return an error's message; one of the system begins with the file that it is about."""
     if not isinstance(error, OSError) or not error.strerror:
         return str(error)
-    file = error.filename
-    return (
-        f"{os.fsdecode(file)}: {error.strerror}"
-        if isinstance(file, (str, bytes))
-        else error.strerror
-    )
+    file, reason = error.filename, error.strerror
+    return f"{os.fsdecode(file)}: {reason}" if isinstance(file, (str, bytes)) else reason
 
 
 def parse(arguments: Sequence[str]) -> Any:
@@ -142,8 +138,6 @@ def _parse(
     """
     import tyro
 
-    from hmi_marl.workers import environment
-
     def parsed(arguments: list[str]) -> Any:
         return tyro.cli(
             kind,
@@ -155,6 +149,8 @@ def _parse(
 
     if not {"-h", "--help"}.isdisjoint(arguments):
         return parsed(arguments)
+    from hmi_marl.workers import environment  # which help does without
+
     printed, errors = _text(), _text()  # into which tyro draws the boxes that are read below
     try:
         with environment(_WIDE), redirect_stdout(printed), redirect_stderr(errors):

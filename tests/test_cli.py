@@ -43,6 +43,16 @@ def status_of(arguments: list[str]) -> int:
         return int(stop.code or 0)
 
 
+def fails_on_the_way(error: Exception, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Status of a command that cannot write what it has found."""
+
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("hmi_marl.commands.oracle.write_json", fail)
+    return main(["oracle", "--horizon", "3"])
+
+
 def words(text: str) -> str:
     """Without the frame and the line ends that tyro puts around errors."""
     return " ".join(re.sub(r"[│╭╮╰╯─]", " ", text).split())
@@ -294,18 +304,14 @@ def test_bad_input_is_reported_in_one_line(
 def test_what_fails_on_the_way_is_reported_in_one_line(
     error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: object) -> None:
-        raise error
-
-    monkeypatch.setattr("hmi_marl.commands.oracle.write_json", fail)
-    assert main(["oracle", "--horizon", "3"]) == 2
+    assert fails_on_the_way(error, monkeypatch) == 2
     printed = capsys.readouterr()
     assert re.fullmatch(r"hmi-marl: [^\n]+\n", printed.err)
     assert printed.out == ""
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (OSError(28, "No space left"), "No space left"),
         (FileNotFoundError(2, "No such file", "a b"), "a b: No such file"),
@@ -314,14 +320,13 @@ def test_what_fails_on_the_way_is_reported_in_one_line(
     ],
 )
 def test_an_error_of_the_system_begins_with_its_file(
-    error: Exception, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    error: Exception,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def fail(*_: object) -> None:
-        raise error
-
-    monkeypatch.setattr("hmi_marl.commands.oracle.write_json", fail)
-    assert main(["oracle", "--horizon", "3"]) == 2
-    assert capsys.readouterr().err == f"hmi-marl: {told}\n"
+    assert fails_on_the_way(error, monkeypatch) == 2
+    assert capsys.readouterr().err == f"hmi-marl: {message}\n"
 
 
 @pytest.mark.parametrize("part", [["export"], ["delete"], ["traits"]])

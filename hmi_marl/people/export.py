@@ -131,18 +131,20 @@ def export(
 
         for folder, data in datasets.items():
             check_for_minari(data.observed, folder)
+    tables: dict[str, str] = {}
+    if "csv" in formats:
+        steps = (row for trip in trips for row in _step_rows(trip))
+        tables = {
+            "trips.csv": _csv(_TRIP, map(_trip_row, trips)),
+            "steps.csv": _csv(_STEP, steps),
+            "answers.csv": _csv(ANSWER_COLUMNS, _answer_rows(store, visitor)),
+            "sessions.csv": _csv(_SESSION, _session_rows(store, visitor)),
+        }
     make_folder(out)
     written: list[Path] = []
-    if "csv" in formats:
-        tables = {
-            "trips.csv": (_TRIP, map(_trip_row, trips)),
-            "steps.csv": (_STEP, (row for trip in trips for row in _step_rows(trip))),
-            "answers.csv": (ANSWER_COLUMNS, _answer_rows(store, visitor)),
-            "sessions.csv": (_SESSION, _session_rows(store, visitor)),
-        }
-        for name, (columns, rows) in tables.items():
-            write_text(out / name, _csv(columns, rows))
-            written.append(out / name)
+    for name, text in tables.items():
+        write_text(out / name, text)
+        written.append(out / name)
     if "json" in formats:
         folder = out / "trips"
         make_folder(folder)

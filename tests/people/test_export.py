@@ -11,7 +11,7 @@ from hmi_marl.agents.rollout import Observer
 from hmi_marl.demonstrations.dataset import STATE_PARTS
 from hmi_marl.demonstrations.env import team_of
 from hmi_marl.people.export import demonstrations_of, export
-from hmi_marl.people.record import TripRecord, replay
+from hmi_marl.people.record import ReplayError, TripRecord, replay
 from hmi_marl.people.store import Store
 from hmi_marl.reading import read_json
 
@@ -148,7 +148,7 @@ def test_parquet_and_minari_hold_the_same_and_only_a_persons_driving(place, tmp_
     assert dataset.total_episodes == len(driven) == 6
 
 
-def test_nothing_is_written_if_a_dataset_cannot_be(place, tmp_path, records):
+def test_nothing_is_written_if_one_of_the_formats_cannot_be(place, tmp_path, records):
     pytest.importorskip("minari")
     there = tmp_path / "a" / "demonstrations" / "minari" / "hmi_marl-demonstrations-v0"
     there.mkdir(parents=True)
@@ -161,6 +161,13 @@ def test_nothing_is_written_if_a_dataset_cannot_be(place, tmp_path, records):
         with pytest.raises(ValueError, match="there is no trip for demonstrations"):
             export(store, tmp_path / "b", ("csv", "parquet"))
         assert not (tmp_path / "b").exists()
+        visitor = store.new_visitor()
+        store.begin_trip(store.new_session(visitor.number, "play"), records[0])
+        with store.writing() as base:
+            base.execute("UPDATE trips SET digest = ?", ("0" * 64,))  # as of another version
+        with pytest.raises(ReplayError, match="does not replay as it was"):
+            export(store, tmp_path / "c", ("csv", "json"))
+        assert not (tmp_path / "c").exists()
 
 
 def test_export_of_one_person_and_after_deletion(place, tmp_path, records):

@@ -79,13 +79,12 @@ def printed_in_a_fork(code):
     assert os.waitpid(child, 0)[1] == 0, code
     return printed
 
-drive(1)  # loads the compiled loops, and starts no thread
 print(json.dumps([printed_in_a_fork(code) for code in json.loads(sys.stdin.read())]))
 """
 
 
 def run_each(*codes, imports="", **env):
-    """What each code prints, in a fork of a process that has driven one team and has one thread."""
+    """What each code prints, in a fork of a process that has imported, but has done nothing yet."""
     ended = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MANY + imports + EACH_IN_A_FORK],
         env=environment(env),
@@ -171,6 +170,8 @@ def test_two_threads_step_two_worlds_under_any_threading_layer(layer):
     assert run(TWO_THREADS, NUMBA_THREADING_LAYER=layer) == "True"
 
 
+LOADED = "import threading\ndrive(1)\nassert threading.active_count() == 1\n"
+"""Loads the compiled loops once for all forks, into which threads would not come along."""
 THREADS_STARTED = (
     "import sys, threading\n"
     "drive(1); drive(512, threads=1); print(threading.active_count())\n"
@@ -222,7 +223,7 @@ NO_THREADS = (
 def test_threads_are_helpers_that_start_end_and_fail_without_harm():
     """Each in a process that has no threads yet."""
     together, started, interrupted, raised, without = run_each(
-        TWO_THREADS, THREADS_STARTED, INTERRUPTED, RAISED, NO_THREADS
+        TWO_THREADS, THREADS_STARTED, INTERRUPTED, RAISED, NO_THREADS, imports=LOADED
     )
     assert together == "True", "two threads step two worlds"
     alone, many, openmp = started.split()

@@ -1,6 +1,7 @@
 """A server that is killed at a random moment has lost nothing that it acknowledged."""
 
 import json
+import math
 import random
 import re
 import subprocess
@@ -45,7 +46,7 @@ def begun(server):
     )[1]
 
 
-def drive(server, cookie, number, rng, sent, seconds, enough=10**6):
+def drive(server, cookie, number, rng, sent, seconds, enough=math.inf):
     """Decide for so long, or until so many steps are acknowledged; then the server is killed.
 
     Returns the step that was found, and that acknowledged last.
