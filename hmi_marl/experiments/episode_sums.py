@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hmi_marl.envs.rewards import ATTENTION_TERMS, DRIVING_TERMS, TERMS
 from hmi_marl.experiments.episodes import Episodes
 
-NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
-"""Metrics whose intervals end at 0."""
+_NEVER_NEGATIVE = ("crash_rate", "alerts_per_minute", "length", "time_headway")
+_SHARES = ("crash_rate",)
 ALL_DRIVERS = "all"
 """In place of a driver's name: all drivers of the population together."""
 
@@ -83,6 +83,12 @@ class Sums:
             "length": ratio(self.steps, self.episodes),
             "time_headway": self.time_headway,
         }
+
+
+def ends_of(metric: str) -> tuple[float, float]:
+    """Return the ends at which the interval of a metric is cut off."""
+    lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf
+    return lowest, 1.0 if metric in _SHARES else math.inf
 
 
 def ratio(amount: float, count: float) -> float:

@@ -75,8 +75,8 @@ def number(value: float | None, form: str = "z.1f") -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
-def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
-    """Mean and Student's t interval, cut off at ``lowest``, of independent values, shape (E,).
+def mean(values: ArrayLike, lowest: float = -math.inf, highest: float = math.inf) -> Estimate:
+    """Mean and Student's t interval, cut off at these ends, of independent values, shape (E,).
 
     Values that are not finite are left out (an episode without a vehicle ahead has no shortest
     headway). One value has no interval; no value has no mean.
@@ -90,7 +90,7 @@ def mean(values: ArrayLike, lowest: float = -math.inf) -> Estimate:
         return Estimate(middle, math.nan, math.nan, count=1)
     error = float(finite.std(ddof=1)) / math.sqrt(len(finite))
     low, high = t_interval(middle, error, len(finite))
-    return Estimate(middle, max(low, lowest), high, error, len(finite))
+    return Estimate(middle, max(low, lowest), min(high, highest), error, len(finite))
 
 
 def ratio(

@@ -9,9 +9,16 @@ from hmi_marl.experiments.protocols.findings import (
     against_average_hmi,
     differences,
     way_to_optimum,
+    why,
 )
 from hmi_marl.experiments.protocols.pairs import pairs_of
-from hmi_marl.experiments.protocols.results import Comparison, TaskResults, given_up, revealing
+from hmi_marl.experiments.protocols.results import (
+    Comparison,
+    TaskResults,
+    given_up,
+    regret,
+    revealing,
+)
 from hmi_marl.reporting.blocks import Text
 from hmi_marl.reporting.statistics import Estimate
 
@@ -51,11 +58,17 @@ def _seen(comparison: Comparison, results: TaskResults) -> str:
     known = [change for change in changes if change.difference.differs is not None]
     apart = [change.protocol for change in known if change.difference.differs]
     most = f"at most {_amount(best.difference.estimate)} more than two-stage ({best.protocol})"
+    missing = results.against_exact(results.own(TWO_STAGE), regret)
+    left = f"Two-stage earns {_amount(missing)} less than the exact optimum over its own episodes."
     if not known:
-        return f"Task {name}: protocols earn {most}, by one run each."
+        return f"Task {name}: protocols earn {most}, by one run each. {left}"
     if apart:
-        return f"Task {name}: {', '.join(apart)} differ from two-stage in attention return; {most}."
-    return f"Task {name}: no protocol is found to differ in attention return; {most}."
+        reasons = "; ".join(why(results, change) for change in known if change.difference.differs)
+        return (
+            f"Task {name}: {', '.join(apart)} differ from two-stage in attention return; {most}. "
+            f"The reason, {reasons}. {left}"
+        )
+    return f"Task {name}: no protocol is found to differ in attention return; {most}. {left}"
 
 
 def _hidden(comparison: Comparison, results: TaskResults) -> str:
@@ -65,9 +78,11 @@ def _hidden(comparison: Comparison, results: TaskResults) -> str:
         for change in differences(comparison)
         if (change.task, change.protocol, change.metric) == (name, SIMULTANEOUS, "attention_return")
     )
-    verb = "helps" if gained.differs and gained.estimate.mean > 0.0 else "does not surely help"
+    verb = "does not surely help"
+    if gained.differs:
+        verb = "helps" if gained.estimate.mean > 0.0 else "harms"
     way = way_to_optimum(results, SIMULTANEOUS)
-    shares = [results.mean_of(own(arm), revealing, 0.0) for arm in (SIMULTANEOUS, TWO_STAGE)]
+    shares = [results.mean_of(own(arm), revealing) for arm in (SIMULTANEOUS, TWO_STAGE)]
     cost = given_up(results, SIMULTANEOUS)
     return (
         f"Task {name}: it {verb}: simultaneous learning earns {_amount(gained.estimate)} more "

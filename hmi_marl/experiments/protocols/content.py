@@ -9,6 +9,7 @@ from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.costs import costs_of
 from hmi_marl.experiments.protocols.cross_play import cross_play, dependence_of
+from hmi_marl.experiments.protocols.driving_costs import driving_costs
 from hmi_marl.experiments.protocols.equal_gradients import at_equal_gradients
 from hmi_marl.experiments.protocols.findings import differences, sweep
 from hmi_marl.experiments.protocols.gaming import gaming_of, worst_finding
@@ -27,6 +28,7 @@ from hmi_marl.experiments.protocols.results import (
     shortfall,
     signalling_arms,
 )
+from hmi_marl.experiments.protocols.same_reward import with_same_reward
 from hmi_marl.experiments.protocols.signal_clip import clips_of
 from hmi_marl.files import json_value
 
@@ -36,6 +38,7 @@ def content_of(comparison: Comparison) -> dict[str, Any]:
     return {
         "workers": comparison.workers,
         "differences": json_value(differences(comparison)),
+        "differences_with_the_same_reward": json_value(with_same_reward(comparison)),
         "differences_at_equal_gradient_steps": json_value(at_equal_gradients(comparison)),
         "driver_shares": json_value(comparison.shares),
         "driver_shares_tried": json_value(comparison.tried),
@@ -56,6 +59,7 @@ def _task(results: TaskResults) -> dict[str, Any]:
         "revealing_by_situation": {
             arm: results.revealing_by_situation(arm) for arm in signalling_arms(results)
         },
+        "driving_costs": json_value({cost.arm: cost for cost in driving_costs(results)}),
         "clips": clips_of(results),
         "costs": json_value({cost.arm: cost for cost in costs_of(results)}),
         "sweep": json_value(sweep(results)),

@@ -31,6 +31,7 @@ from hmi_marl.experiments.protocols.results import (
     Training,
     revealing,
 )
+from hmi_marl.experiments.protocols.same_reward import with_same_reward
 from hmi_marl.experiments.protocols.signal_clip import signal_clips
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting.blocks import Block, Figure, Heading
@@ -133,6 +134,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         changes = differences(results)
         if changes:
             blocks.append(tables.difference_table(changes))
+        if same := with_same_reward(results):
+            blocks.append(tables.same_reward_table(same))
         if rows := at_equal_gradients(results):
             blocks.append(tables.equal_gradients_table(rows))
         for task in results.tasks.values():
@@ -156,6 +159,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             ),
             tables.regret_table(results),
         ]
+        if TWO_STAGE in plan.protocols:
+            blocks.append(tables.driving_table(results))
         if plan.task.hidden:
             blocks += [tables.signal_table(results), tables.situation_table(results)]
             blocks += signal_clips(results)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hmi_marl.experiments.episode_sums import ends_of
 from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE
 from hmi_marl.experiments.protocols.cross_play import cell_of, drivers_of, hmis_of
 from hmi_marl.experiments.protocols.findings import sweep
@@ -41,7 +42,7 @@ def curves_figure(results: TaskResults) -> bytes:
         million = np.array([steps for steps, _ in runs[0]]) / 1e6
         for name, axes in panels.items():
             points = [
-                statistics.mean([run[k][1].metrics()[name] for run in runs])
+                statistics.mean([run[k][1].metrics()[name] for run in runs], *ends_of(name))
                 for k in range(len(million))
             ]
             colour = colour_of(protocol)

@@ -108,7 +108,7 @@ def sweep(results: TaskResults) -> list[SweepPoint]:
         SweepPoint(
             name,
             weight,
-            results.mean_of(results.own(name), divergence, lowest=0.0),
+            results.mean_of(results.own(name), divergence),
             results.over_runs(results.own(name), "attention_return"),
             results.over_runs(results.own(name), "team_return"),
             results.score(results.own(name)),
@@ -201,11 +201,11 @@ def _no_difference(results: TaskResults, changes: Sequence[Compared]) -> list[Ve
         f"{100 * criteria.EXACT_TOLERANCE:g} % of the optimum"
     )
     parts = (_within(c.protocol, c.difference.estimate, most) for c in found)
-    reasons = [_why(results, c) for c in found if not c.difference.estimate.agrees(0.0, 0.0)]
+    reasons = [why(results, c) for c in found if not c.difference.estimate.agrees(0.0, 0.0)]
     return [Verdict(claim, tuple(parts), "; ".join(reasons))]
 
 
-def _why(results: TaskResults, change: Compared) -> str:
+def why(results: TaskResults, change: Compared) -> str:
     """Split a difference in attention return into the lengths of episodes and the HMI's part.
 
     The exact optimum of a pair depends on how long its episodes are, that is on its driver's

@@ -101,8 +101,13 @@ class ComparisonSettings(Checked):
             (self.anchor_kls, "anchor_kls"),
             (self.driver_shares, "driver_shares"),
         ):
-            if len(set(values)) < len(values):
-                raise ValueError(f"{what} names a value twice: {values}")
+            if len({f"{value:g}" for value in values}) < len(values):  # as in names of folders
+                raise ValueError(f"{what} names a value twice, to six digits: {values}")
+        if 0.0 in self.anchor_kls:
+            raise ValueError(
+                "anchor_kls are weights above 0; 0 is simultaneous learning, with which the sweep "
+                "over λ begins in any case"
+            )
         if not self.driver_shares:
             raise ValueError("driver_shares is a tuple of at least one share")
         for plan in self.plans():

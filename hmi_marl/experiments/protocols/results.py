@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.experiments.episode_sums import ALL_DRIVERS, NEVER_NEGATIVE, Sums
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ends_of
 from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings
@@ -92,8 +92,7 @@ class TaskResults:
 
     def over_runs(self, pairs: Sequence[Pair], metric: str, shared: bool = False) -> Estimate:
         """Average a metric over runs, with Student's t interval; see :meth:`values`."""
-        lowest = 0.0 if metric in NEVER_NEGATIVE else -math.inf
-        return statistics.mean(self.values(pairs, metric, shared), lowest)
+        return statistics.mean(self.values(pairs, metric, shared), *ends_of(metric))
 
     def values(
         self, pairs: Sequence[Pair], metric: str, shared: bool = False
@@ -153,10 +152,10 @@ class TaskResults:
         self,
         pairs: Sequence[Pair],
         value: Callable[[Played, str], float],
-        lowest: float = -math.inf,
     ) -> Estimate:
         """Average a value over drivers, and over runs with Student's t interval."""
-        return statistics.mean(self.by_driver(pairs, value).mean(axis=1), lowest)
+        ends = _ENDS.get(value, (-math.inf, math.inf))
+        return statistics.mean(self.by_driver(pairs, value).mean(axis=1), *ends)
 
     def against_exact(
         self, pairs: Sequence[Pair], value: Callable[[Played, str], Estimate]
@@ -293,6 +292,15 @@ def bits(played: Played, driver: str) -> float:
 def divergence(played: Played, driver: str) -> float:
     """Divergence of the driver from the natural one [nats per step]."""
     return played.divergence.get(driver, math.nan)
+
+
+_ENDS: Mapping[Callable[[Played, str], float], tuple[float, float]] = {
+    hiding: (0.0, math.inf),
+    revealing: (0.0, 1.0),
+    bits: (0.0, 1.0),
+    divergence: (0.0, math.inf),
+}
+"""Ends at which the intervals of these values are cut off; the others have none."""
 
 
 def signalling_arms(results: TaskResults) -> list[str]:

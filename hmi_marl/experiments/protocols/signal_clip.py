@@ -7,27 +7,25 @@ from functools import partial
 from typing import Any
 
 from hmi_marl.envs.drivers import get_driver
-from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE
-from hmi_marl.experiments.protocols.results import TaskResults, signalling_arms
+from hmi_marl.experiments.protocols.results import TaskResults, revealing, signalling_arms
 from hmi_marl.reporting.blocks import Clip
 
 _SEED = 7
-_ABOUT = {
-    TWO_STAGE: "The HMI infers from what the car does whether the driver is distracted",
-    SIMULTANEOUS: "The driver chooses actions that differ from the last applied one, so that each "
-    "step shows whether it is carried out",
-}
 
 
 def signal_clips(results: TaskResults) -> list[Clip]:
     """Clips of the first runs of two-stage and of simultaneous learning, with the same driver.
 
-    The badge says whether a^H reveals d in that step, the bar shows the exact belief in d.
+    The badge says whether a^H reveals d in that step, the bar shows the exact belief in d. The
+    caption says how often it does so with this driver in all episodes of the run.
     """
     return [
         Clip(
             f"{results.plan.name}-{arm}",
-            f"{arm}, {shown['driver']} at the wheel, attention hidden. {_ABOUT[arm]}.",
+            f"{arm}, {shown['driver']} at the wheel, attention hidden. The HMI infers from what "
+            "the car does whether the driver is distracted. In "
+            f"{100 * shown['revealing']:.0f} % of this run's steps with {shown['driver']} the "
+            "driver's action differs from the last applied one, so that the car shows it.",
             partial(_drawn, results, arm),
             [results.place("clips", arm)],
         )
@@ -36,14 +34,19 @@ def signal_clips(results: TaskResults) -> list[Clip]:
 
 
 def clips_of(results: TaskResults) -> dict[str, dict[str, Any]]:
-    """Run, driver and seed of the clips, by arm; none without a folder or with attention seen."""
+    """Run, driver and seed of the clips, and the share of that driver's steps that reveal d.
+
+    By arm; none without a folder or with attention seen.
+    """
     task, driver = results.plan.task, results.plan.settings.driver_names[-1]
     if results.folder is None or not (task.hidden and task.sequential):
         return {}
-    return {
-        arm: {"run": results.plan.runs_of(arm)[0].name, "driver": driver, "seed": _SEED}
-        for arm in signalling_arms(results)
-    }
+    clips = {}
+    for arm in signalling_arms(results):
+        pair = results.own(arm)[0]
+        share = revealing(results.played[pair], driver)
+        clips[arm] = {"run": pair.driver, "driver": driver, "seed": _SEED, "revealing": share}
+    return clips
 
 
 def _drawn(results: TaskResults, arm: str) -> bytes:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from hmi_marl.envs.rewards import DRIVING_TERMS
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.protocols.arms import TWO_STAGE
+from hmi_marl.experiments.protocols.arms import TEAM_ALONE, TWO_STAGE
 from hmi_marl.experiments.protocols.costs import Cost, costs_of
 from hmi_marl.experiments.protocols.cross_play import (
     Dependence,
@@ -15,6 +16,7 @@ from hmi_marl.experiments.protocols.cross_play import (
     drivers_of,
     hmis_of,
 )
+from hmi_marl.experiments.protocols.driving_costs import DrivingCost, driving_costs
 from hmi_marl.experiments.protocols.equal_gradients import AtEqualGradients
 from hmi_marl.experiments.protocols.findings import Compared, SweepPoint, sweep
 from hmi_marl.experiments.protocols.gaming import Gaming, gaming_of
@@ -106,22 +108,38 @@ def tuning_table(comparison: Comparison) -> Table:
 
 def difference_table(changes: Sequence[Compared]) -> Table:
     """Show each protocol minus two-stage."""
-    columns: dict[str, Callable[[Compared], str]] = {
+    columns = _difference_columns(TWO_STAGE)
+    note = (
+        "Paired by seed, per episode, and corrected for the number of comparisons, those of "
+        "protocols with all seeds by themselves: intervals by Bonferroni (all of them hold "
+        "together with 95 %), p of the paired t test by Holm, which finds more: a row can differ "
+        "although its interval holds 0. A few seeds show large differences only."
+    )
+    return Table.of(f"Protocols minus {TWO_STAGE}", changes, columns, note, ["/differences"])
+
+
+def _difference_columns(reference: str) -> dict[str, Callable[[Compared], str]]:
+    return {
         "task": lambda row: row.task,
         "protocol": lambda row: row.protocol,
         "metric": lambda row: row.metric.replace("_", " "),
-        f"minus {TWO_STAGE}": lambda row: row.difference.estimate.shown("+z.1f"),
+        f"minus {reference}": lambda row: row.difference.estimate.shown("+z.1f"),
         "runs": lambda row: f"{row.difference.pairs}",
         "p": lambda row: number(row.difference.p, ".4f"),
         "differs": lambda row: {True: "yes", False: "no", None: "-"}[row.difference.differs],
     }
+
+
+def same_reward_table(changes: Sequence[Compared]) -> Table:
+    """Show protocols that learn together minus two-stage with the team's reward in both stages."""
     note = (
-        "Paired by seed, per episode, and corrected for the number of comparisons, those of "
-        "protocols with all seeds by themselves: intervals by Bonferroni (all of them hold "
-        "together with 95 %), p of the paired t test by Holm. A few seeds show large differences "
-        "only."
+        "The same reward for all, that of the team. Above, two-stage's driver learns from driving, "
+        "as by default. Paired by seed; intervals by Bonferroni and p by Holm, for all "
+        f"{len(changes)}."
     )
-    return Table.of(f"Protocols minus {TWO_STAGE}", changes, columns, note, ["/differences"])
+    title = f"With the team's reward in every stage, minus {TEAM_ALONE}"
+    columns = _difference_columns(TEAM_ALONE)
+    return Table.of(title, changes, columns, note, ["/differences_with_the_same_reward"])
 
 
 def equal_gradients_table(rows: Sequence[AtEqualGradients]) -> Table:
@@ -183,6 +201,27 @@ def regret_table(results: TaskResults) -> Table:
     return Table(f"{results.plan.name}: regret by cause", head, rows, note, [results.place("arms")])
 
 
+def driving_table(results: TaskResults) -> Table:
+    """Show what drivers give up in driving, by term, and how much more they crash."""
+    columns: dict[str, Callable[[DrivingCost], str]] = {
+        "arm": lambda row: row.arm,
+        "driving": lambda row: row.driving.shown("+z.1f"),
+    }
+    for term in DRIVING_TERMS:
+        columns[term.removesuffix("_reward").replace("_", " ")] = lambda row, term=term: (  # type: ignore[misc]
+            row.by_term[term].shown("+z.1f")
+        )
+    columns["more crashes [%]"] = lambda row: row.crash_rate.percent("+z.1f")
+    note = (
+        f"Return per episode that the driver gives up: that of the {TWO_STAGE} pair of the same "
+        "seed minus its own, mean over drivers; below 0 it earns more. driving: all terms. more "
+        f"crashes: its crash rate minus {TWO_STAGE}'s. Brackets: Student's t interval over runs "
+        "(95 % each)."
+    )
+    title, sources = f"{results.plan.name}: cost in driving", [results.place("driving_costs")]
+    return Table.of(title, driving_costs(results), columns, note, sources)
+
+
 def signal_table(results: TaskResults) -> Table:
     """Show how often drivers reveal d, and how much the HMI learns by it."""
     names = results.plan.settings.driver_names
@@ -193,9 +232,9 @@ def signal_table(results: TaskResults) -> Table:
         rows.append(
             [
                 arm.name,
-                results.mean_of(pairs, revealing, 0.0).percent(),
-                results.mean_of(pairs, bits, 0.0).shown(".3f"),
-                results.mean_of(pairs, divergence, 0.0).shown(".3f"),
+                results.mean_of(pairs, revealing).percent(),
+                results.mean_of(pairs, bits).shown(".3f"),
+                results.mean_of(pairs, divergence).shown(".3f"),
                 *(f"{100 * share:.0f}" for share in by_driver),
             ]
         )

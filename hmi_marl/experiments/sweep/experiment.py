@@ -11,7 +11,7 @@ from typing import Any
 from hmi_marl.checks import Count
 from hmi_marl.envs.drivers import PAPER_DRIVERS, DriverName
 from hmi_marl.envs.streams import Seed
-from hmi_marl.experiments.episode_sums import ALL_DRIVERS, NEVER_NEGATIVE
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, ends_of
 from hmi_marl.experiments.experiment import Experiment, Place
 from hmi_marl.experiments.sweep.figure import sweep_figure
 from hmi_marl.experiments.sweep.options import written
@@ -52,7 +52,7 @@ def over_seeds(results: Sequence[Result], metric: str, driver: str = ALL_DRIVERS
     """Average a metric over runs, with Student's t interval; NaN where no run has it."""
     values = [result.by_driver[driver].metrics[metric] for result in results]
     known = [value for value in values if value is not None]
-    return statistics.mean(known, *([0.0] if metric in NEVER_NEGATIVE else []))
+    return statistics.mean(known, *ends_of(metric))
 
 
 @dataclass(frozen=True)

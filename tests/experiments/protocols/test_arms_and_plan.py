@@ -220,6 +220,8 @@ def test_the_reward_is_the_same_for_all_that_learn_together():
         ({"driver_shares": (float("nan"),)}, r"driver_shares.* lies in \(0, 1\)"),
         ({"anchor_kls": (-1.0,)}, "anchor_kls"),
         ({"anchor_kls": (0.1, 0.1)}, "anchor_kls names a value twice"),
+        ({"anchor_kls": (0.1, 0.10000001)}, "anchor_kls names a value twice, to six digits"),
+        ({"anchor_kls": (0.0, 0.1)}, "anchor_kls are weights above 0"),
         ({"reward": "driving"}, "reward is one of default, team, individual"),
         ({"seed": -1}, "a seed lies in"),
         ({"drivers": ()}, "at least one name"),

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hmi_marl.experiments.episode_sums import Sums
 from hmi_marl.experiments.protocols.answer import answer
 from hmi_marl.experiments.protocols.content import content_of
 from hmi_marl.experiments.protocols.cross_play import cell_of, cross_play, dependence_of
+from hmi_marl.experiments.protocols.driving_costs import driving_costs
 from hmi_marl.experiments.protocols.findings import (
     differences,
     judge,
@@ -24,6 +26,7 @@ from hmi_marl.experiments.protocols.results import (
     UNKNOWN,
     attainable,
     attention,
+    bits,
     given_up,
     hiding,
     regret,
@@ -31,6 +34,8 @@ from hmi_marl.experiments.protocols.results import (
     score,
     shortfall,
 )
+from hmi_marl.experiments.protocols.same_reward import with_same_reward
+from hmi_marl.experiments.protocols.signal_clip import clips_of, signal_clips
 from hmi_marl.reporting.blocks import Verdicts, as_text
 from hmi_marl.reporting.statistics import Estimate
 from hmi_marl.reporting.verdicts import SEEDS, Outcome, Part
@@ -418,3 +423,85 @@ def test_signals_are_those_that_were_measured():
     results = hidden(share=lambda pair: 0.25).tasks["hidden"]
     assert results.mean_of(results.own("joint"), revealing).mean == 0.25
     assert results.mean_of(results.own("joint"), score).mean == pytest.approx(1181 / 1200)
+
+
+def test_intervals_of_shares_end_at_0_and_1_in_text_and_json():
+    def share(pair):
+        return (1.0, 1.0, 0.7)[number_of(pair.driver)]
+
+    def crashes(pair):
+        return (0, 0, 40)[number_of(pair.driver)]
+
+    made = hidden(share=share, crashes=crashes)
+    results = made.tasks["hidden"]
+    own = results.own("joint")
+    found = results.mean_of(own, revealing)
+    assert found.mean == pytest.approx(0.9)
+    assert found.high == 1.0
+    assert results.mean_of(own, bits).high == 1.0
+    assert results.over_runs(own, "crash_rate").low == 0.0
+    arm = content_of(made)["tasks"]["hidden"]["arms"]["joint"]
+    assert arm["mean_over_drivers"]["revealing"]["high"] == 1.0
+    crashing = [pair for pair in own for _ in range(2)]  # 0, 0, 0, 0, 1, 1
+    sure = {pair: replace(played, sums=played.sums) for pair, played in results.played.items()}
+    for pair in own[:2]:
+        sure[pair] = replace(sure[pair], sums=dict.fromkeys(sure[pair].sums, sums(crashes=100)))
+    many = replace(results, played=sure)
+    assert many.over_runs(crashing, "crash_rate").high == 1.0
+
+
+def test_costs_in_driving_worked_by_hand():
+    def driving(pair):
+        return 400.0 - (30.0 if arm_of(pair.driver) == "joint" else 0.0) + number_of(pair.driver)
+
+    def crashes(pair):
+        return 12 if arm_of(pair.driver) == "joint" else 10
+
+    costs = {
+        c.arm: c for c in driving_costs(hidden(driving=driving, crashes=crashes).tasks["hidden"])
+    }
+    joint = costs["joint"]
+    assert joint.driving.mean == joint.by_term["speed_reward"].mean == 30.0
+    assert joint.by_term["lane_change"].mean == 0.0
+    assert joint.crash_rate.mean == pytest.approx(0.02)
+    assert costs["two-stage"].driving == Estimate(0.0, 0.0, 0.0)
+    alone = replace(SMALL, protocols=("joint",), anchor_kls=())
+    assert driving_costs(comparison(alone).tasks["hidden"]) == []
+
+
+def test_with_the_same_reward_protocols_are_compared_with_two_stage_of_the_team():
+    def earns(pair):
+        own = OWN | {"two-stage-team": 550.0, "fine-tune": 650.0, "alternating": 640.0}
+        return own.get(arm_of(pair.driver), 0.0) + number_of(pair.driver)
+
+    wider = replace(SMALL, protocols=(*SMALL.protocols, "alternating", "fine-tune"))
+    found = {
+        (c.protocol, c.metric): c.difference for c in with_same_reward(comparison(wider, earns))
+    }
+    assert {protocol for protocol, _ in found} == {"joint", "simultaneous"}  # always at once
+    assert found["joint", "attention_return"].estimate.mean == pytest.approx(150.0)
+    assert found["simultaneous", "attention_return"].estimate.mean == pytest.approx(230.0)
+    assert found["joint", "attention_return"].pairs == SMALL.few_seeds
+    assert with_same_reward(comparison(replace(SMALL, reward="team"))) == []
+
+
+def test_captions_of_clips_say_what_was_measured():
+    results = hidden(share=lambda pair: 0.03).tasks["hidden"]
+    clips = signal_clips(replace(results, folder=Path("runs")))
+    assert len(clips) == 2
+    assert all("In 3 % of this run's steps with homer" in clip.caption for clip in clips)
+    assert clips_of(replace(results, folder=Path("runs")))["two-stage"]["revealing"] == 0.03
+
+
+def test_the_answer_says_that_learning_together_harms_where_it_does():
+    def worse(pair):
+        return 500.0 if arm_of(pair.hmi) == "simultaneous" else 600.0
+
+    assert "it harms: simultaneous learning earns -100.0" in answer(comparison(SMALL, worse)).text
+
+
+def test_the_answer_gives_the_reason_of_a_difference_with_attention_seen():
+    text = answer(comparison(SEEN, lambda p: 790.0 if "simul" in p.driver else 780.0)).text
+    assert "simultaneous differ from two-stage" in text
+    assert "simultaneous: of +10.0, +0.0 is the exact optimum over the lengths" in text
+    assert "Two-stage earns 20.0 [20.0, 20.0] less than the exact optimum" in text
