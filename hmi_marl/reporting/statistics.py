@@ -186,9 +186,36 @@ def mean_of_same(estimates: Sequence[Estimate]) -> Estimate:
     over = mean([each.mean for each in estimates])
     if over.count < 2:
         return over
+    luck, units = shared_luck(estimates)
+    return _with_luck(over, luck, max(over.count, units))
+
+
+def shared_luck(estimates: Sequence[Estimate]) -> tuple[float, int]:
+    """Return the mean standard error of estimates from the same units, and how many units.
+
+    Args:
+        estimates: one of each training seed, with 95 % intervals over the units.
+    """
     half = float(np.mean([(each.high - each.low) / 2 for each in estimates]))
-    units = max(over.count, min(each.count for each in estimates))
-    return _with_luck(over, half / _z_quantile((1.0 + CONFIDENCE) / 2.0), units)
+    return half / _z_quantile((1.0 + CONFIDENCE) / 2.0), min(each.count for each in estimates)
+
+
+def widened(over: Estimate, luck: float, units: int) -> Estimate:
+    """Add what all training seeds share to an interval over seeds that need not be symmetric.
+
+    Half intervals add up as their squares, as in :func:`interval_with_luck`, each side by itself.
+
+    Args:
+        over: over training seeds, for example by a bootstrap. Without interval it stays as it is.
+        luck, units: standard error that all seeds share, and the units that it is over.
+    """
+    if luck == 0.0 or not math.isfinite(over.low):
+        return over
+    half = _t_quantile((1.0 + CONFIDENCE) / 2.0, units - 1) * luck
+    low = over.mean - math.hypot(over.mean - over.low, half)
+    high = over.mean + math.hypot(over.high - over.mean, half)
+    error = math.hypot(over.error, luck)
+    return Estimate(over.mean, low, high, error, over.count, luck, units)
 
 
 def _with_luck(over: Estimate, luck: float, units: int) -> Estimate:

@@ -227,6 +227,7 @@ def why(results: TaskResults, change: Compared) -> str:
 def way_to_optimum(results: TaskResults, protocol: str) -> Estimate:
     """Share of the way from two-stage's HMI to the optimum that sees attention, over runs.
 
+    The luck of the episodes that all runs share is added, to first order, as in the scores.
     Unknown where two-stage is at the optimum, or no driver has a score.
     """
     own = [results.own(protocol), results.own(TWO_STAGE)]
@@ -236,7 +237,11 @@ def way_to_optimum(results: TaskResults, protocol: str) -> Estimate:
     ours, theirs = (results.scores(pairs[:count]).mean(axis=1) for pairs in own)
     if theirs.mean() >= 1.0:
         return UNKNOWN
-    return over_runs(np.stack([ours - theirs, 1.0 - theirs], axis=1), _ratio_of_means)
+    found = over_runs(np.stack([ours - theirs, 1.0 - theirs], axis=1), _ratio_of_means)
+    (our_luck, units), (their_luck, _) = (results.luck_of_scores(pairs[:count]) for pairs in own)
+    missing = 1.0 - theirs.mean()  # of which the way w = 1 - (1 - ours) / missing is left
+    luck = math.hypot(our_luck, (1.0 - found.mean) * their_luck) / float(missing)
+    return statistics.widened(found, luck, units)
 
 
 def _ratio_of_means(parts: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -255,7 +260,7 @@ def _signalling_pays(results: TaskResults) -> list[Verdict]:
     )
     gain, form = criteria.SIGNALLING_GAIN, "z.2f"
     part = Part.mean("share of the way", way, SEEDS, above=gain, seeds=way.count, form=form)
-    return [Verdict(claim, (part,), "standard error by bootstrap")]
+    return [Verdict(claim, (part,), "standard error by bootstrap over runs, and of their episodes")]
 
 
 def against_average_hmi(results: TaskResults) -> dict[str, Difference]:

@@ -144,9 +144,22 @@ class TaskResults:
     def score(self, pairs: Sequence[Pair]) -> Estimate:
         """Interquartile mean of the normalised scores, with its bootstrap interval over runs.
 
+        The luck of the episodes, which all runs share, is added; see :meth:`luck_of_scores`.
         Unknown if no driver has a score.
         """
-        return over_runs(self.scores(pairs)) if self.scored_drivers else UNKNOWN
+        if not self.scored_drivers:
+            return UNKNOWN
+        return statistics.widened(over_runs(self.scores(pairs)), *self.luck_of_scores(pairs))
+
+    def luck_of_scores(self, pairs: Sequence[Pair]) -> tuple[float, int]:
+        """Standard error of a pair's mean score over its episodes, and how many of a driver.
+
+        The references are exact and the episodes are the same for all runs, so their luck does not
+        average out over runs.
+        """
+        names = self.scored_drivers
+        each = [[self.played[pair].scores[name].score for name in names] for pair in pairs]
+        return statistics.shared_luck([statistics.average(scores) for scores in each])
 
     def mean_of(
         self,

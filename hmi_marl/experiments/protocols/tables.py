@@ -61,8 +61,9 @@ def summary_table(results: TaskResults) -> Table:
         "driver counts the same. score: attention return, 0 without alerts and 1 for the optimum "
         "that sees attention, both exact and over as many steps; interquartile mean over runs and "
         "drivers, with the bootstrap interval over runs, which covers less than 95 % with fewer "
-        "than five of them. Other brackets: Student's t interval over runs (95 %). Crashes: all "
-        "episodes together, Wilson's interval."
+        "than five of them, and the luck of the episodes, which are the same for all runs. Other "
+        "brackets: Student's t interval over runs (95 %). Crashes: all episodes together, Wilson's "
+        "interval."
     )
     unscored = set(results.plan.settings.driver_names) - set(results.scored_drivers)
     if unscored:

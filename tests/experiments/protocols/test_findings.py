@@ -366,6 +366,39 @@ def test_luck_of_the_episodes_that_all_runs_share_widens_intervals_against_exact
     assert part.basis() == "t over 3 training seeds and over what they share, 250 units"
 
 
+def test_luck_of_the_episodes_widens_scores_and_the_way_to_the_optimum():
+    made = hidden()
+    results = made.tasks["hidden"]
+    spread = 0.02  # standard error of each driver's score
+
+    def unlucky(score):
+        mean = score.score.mean
+        return replace(score, score=Estimate(mean, mean - 0.04, mean + 0.04, spread, 250))
+
+    shaken = replace(
+        results,
+        played={
+            pair: replace(each, scores={n: unlucky(s) for n, s in each.scores.items()})
+            for pair, each in results.played.items()
+        },
+    )
+    own = shaken.own("simultaneous")
+    luck = 0.04 / math.sqrt(2) / 1.95996  # two drivers' episodes are independent
+    assert shaken.luck_of_scores(own) == (pytest.approx(luck, rel=1e-5), 250)
+    before, found = results.score(own), shaken.score(own)
+    assert found.mean == before.mean
+    half = 1.96954 * luck
+    assert found.high - found.mean == pytest.approx(
+        math.hypot(before.high - before.mean, half), rel=1e-5
+    )
+    assert found.luck_count == 250
+    # the two-stage score is 1001 / 1200, so 199 / 1200 are missing
+    way = way_to_optimum(shaken, "simultaneous")
+    whole = math.hypot(luck, (1.0 - way.mean) * luck) / (199.0 / 1200.0)
+    assert way.luck == pytest.approx(whole, rel=1e-4)
+    assert way.low < way.mean - 1.9 * whole
+
+
 def swept(returns):
     """Outcomes of the sweep for attention returns by arm, spread by the seed."""
 
