@@ -112,7 +112,10 @@ def task(
     }
     training = {run.name: Training(8000, 120, 60.0 + run.number) for run in plan.runs}
     curves = {
-        run.name: [(4000, sums(100.0 + run.number)), (8000, sums(500.0 + run.number))]
+        run.name: [
+            (steps, sums(earned + run.number).metrics())
+            for steps, earned in ((4000, 100.0), (8000, 500.0))
+        ]
         for arm in plan.protocols
         for run in plan.runs_of(arm)
     }

@@ -85,6 +85,18 @@ class Sums:
         }
 
 
+def mean_metrics(by_driver: Iterable[Sums]) -> dict[str, float]:
+    """Average every metric over drivers, each of which counts the same however often it was drawn.
+
+    A driver that does not have a metric (no vehicle ahead, no headway) is left out of it; NaN where
+    none has it.
+    """
+    each = [sums.metrics() for sums in by_driver]
+    found = {name: np.array([metrics[name] for metrics in each]) for name in each[0]}
+    known = {name: values[np.isfinite(values)] for name, values in found.items()}
+    return {name: float(v.mean()) if len(v) else math.nan for name, v in known.items()}
+
+
 def ends_of(metric: str) -> tuple[float, float]:
     """Return the ends at which the interval of a metric is cut off."""
     lowest = 0.0 if metric in _NEVER_NEGATIVE else -math.inf

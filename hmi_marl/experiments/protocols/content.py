@@ -79,7 +79,7 @@ def _task(results: TaskResults) -> dict[str, Any]:
             for name, training in results.training.items()
         },
         "curves": {
-            name: [{"steps": steps} | json_value(sums.metrics()) for steps, sums in points]
+            name: [{"steps": steps} | json_value(metrics) for steps, metrics in points]
             for name, points in results.curves.items()
         },
         "pairs": [_pair(pair, played) for pair, played in results.played.items()],

@@ -42,7 +42,7 @@ def curves_figure(results: TaskResults) -> bytes:
         million = np.array([steps for steps, _ in runs[0]]) / 1e6
         for name, axes in panels.items():
             points = [
-                statistics.mean([run[k][1].metrics()[name] for run in runs], *ends_of(name))
+                statistics.mean([run[k][1][name] for run in runs], *ends_of(name))
                 for k in range(len(million))
             ]
             colour = colour_of(protocol)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hmi_marl.experiments import criteria
-from hmi_marl.experiments.episode_sums import ALL_DRIVERS
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, mean_metrics
 from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.results import TaskResults, crash_rate
@@ -43,7 +43,7 @@ class Gaming:
     two_stage_crash_rate: Estimate
     """Crash rate of the two-stage driver."""
     team_return: float
-    """Team return per episode."""
+    """Team return per episode; of all drivers together every one counts the same."""
     team_return_per_step: float
     worth_of_a_step: float
     """Mean reward of a step that the driver learns from, without the collision term."""
@@ -83,8 +83,8 @@ def gaming_of(results: TaskResults) -> list[Gaming]:
             if run.arm == protocol:
                 pairs = [Pair(plan.name, run.name, run.name, over) for over in (True, False)]
                 ends = crash_rate(results.played[pairs[0]].sums[driver])
-                own = results.played[pairs[1]].sums[driver]
-                stands, standing_return = crash_rate(own), own.per_episode()
+                stands = crash_rate(results.played[pairs[1]].sums[driver])
+                standing_return = _team_return(results, pairs[1:], driver)
         rate = crash_rate(sums)
         rows.append(
             Gaming(
@@ -92,7 +92,7 @@ def gaming_of(results: TaskResults) -> list[Gaming]:
                 driver=driver,
                 crash_rate=rate,
                 two_stage_crash_rate=reference,
-                team_return=sums.per_episode(),
+                team_return=_team_return(results, results.own(protocol), driver),
                 team_return_per_step=sums.per_step(),
                 worth_of_a_step=worth,
                 crash_rate_if_trained_standing=ends,
@@ -102,6 +102,11 @@ def gaming_of(results: TaskResults) -> list[Gaming]:
             )
         )
     return rows
+
+
+def _team_return(results: TaskResults, pairs: Sequence[Pair], driver: str) -> float:
+    names = results.plan.settings.driver_names if driver == ALL_DRIVERS else (driver,)
+    return mean_metrics(results.pooled(pairs, name) for name in names)["team_return"]
 
 
 def worst_finding(gaming: Sequence[Gaming], protocol: str) -> Finding:

@@ -20,7 +20,7 @@ from hmi_marl.agents.rollout import Observer
 from hmi_marl.envs.config import DRIVER, TeamConfig
 from hmi_marl.envs.streams import part_seed
 from hmi_marl.envs.teaming import Teaming
-from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ratio
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, mean_metrics, ratio
 from hmi_marl.experiments.episodes import (
     driven_by,
     evaluation_seeds,
@@ -166,11 +166,14 @@ def tuning_return(plan: TaskPlan, folder: Path, run: PlannedRun) -> float:
     return float(np.sum([values.mean() for values in episodes.returns.values()]))
 
 
-def play_point(plan: TaskPlan, folder: Path, point: Point) -> Sums:
-    """Play a run's policies as they were at a point of its learning curve."""
+def play_point(plan: TaskPlan, folder: Path, point: Point) -> dict[str, float]:
+    """Play a run's policies as they were at a point of its learning curve; mean over drivers."""
     team, count, sequential = plan.team(), shared_episodes(plan), plan.task.sequential
     episodes = play_named(team, point.driver, point.hmi, count, sequential=sequential)
-    return Sums.of(episodes, np.ones(count, np.bool_), team.scene.policy_frequency)
+    drawn = driven_by(team, episodes.seeds)
+    return mean_metrics(
+        Sums.of(episodes, which, team.scene.policy_frequency) for which in drawn.values()
+    )
 
 
 def play_curves(
@@ -179,14 +182,17 @@ def play_curves(
     folder: Path,
     workers: int,
     progress: Callable[[int], object] = id,
-) -> dict[str, list[tuple[int, Sums]]]:
-    """Play the snapshots of runs; environment steps and sums of each point, by the run's name."""
+) -> dict[str, list[tuple[int, dict[str, float]]]]:
+    """Play the snapshots of runs; environment steps and metrics of each point, by the run's name.
+
+    Every driver counts the same, as in the tables.
+    """
     points = {run.name: points_of(run.folder(folder), plan.settings.snapshots) for run in runs}
     tasks = [point for each in points.values() for point in each]
-    played: dict[Point, Sums] = {}
-    for point, sums in zip(
+    played: dict[Point, dict[str, float]] = {}
+    for point, metrics in zip(
         tasks, results(partial(play_point, plan, folder), tasks, workers), strict=True
     ):
-        played[point] = sums
+        played[point] = metrics
         progress(1)
     return {name: [(p.steps, played[p]) for p in each] for name, each in points.items()}

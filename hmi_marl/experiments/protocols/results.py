@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ends_of
+from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ends_of, mean_metrics
 from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings
@@ -67,8 +67,9 @@ class TaskResults:
     played: Mapping[Pair, Played]
     training: Mapping[str, Training]
     """By the run's name."""
-    curves: Mapping[str, Sequence[tuple[int, Sums]]] = field(default_factory=dict)
-    """Environment steps and sums of the snapshots of each run, by its name."""
+    curves: Mapping[str, Sequence[tuple[int, Mapping[str, float]]]] = field(default_factory=dict)
+    """Environment steps and metrics of the snapshots of each run, by its name; every driver counts
+    the same."""
     average_hmi: Mapping[str, Pair] = field(default_factory=dict)
     """Pairs of a two-stage run's driver, by its name, with the HMI for the average driver."""
     folder: Path | None = None
@@ -107,9 +108,7 @@ class TaskResults:
         for pair in pairs:
             played = self.played[pair]
             sums = played.shared if shared else played.sums
-            found = np.array([sums[name].metrics()[metric] for name in names])
-            known = found[np.isfinite(found)]  # no vehicle ahead, no headway
-            rows.append(float(known.mean()) if len(known) else math.nan)
+            rows.append(mean_metrics(sums[name] for name in names)[metric])
         return np.array(rows)
 
     def by_driver(

@@ -354,7 +354,8 @@ def budget_table(results: TaskResults) -> Table:
 def gaming_table(results: TaskResults) -> Table:
     """Show crash rates with and without an end at the crash, and whether crashing pays."""
     note = (
-        "Crashes: a crash ends the episode, in training and now. Trained standing: one run trained "
+        "Crashes: all episodes together; a crash ends the episode, in training and now. In team "
+        "returns of all drivers each counts the same. Trained standing: one run trained "
         "with end_at_crash=False, where a crashed car stands until the time is over (whether it "
         "crashes does not depend on what would follow, so the rate is that of both settings); "
         "return, stands: its team return in that setting. worth of a step: mean reward of a step "

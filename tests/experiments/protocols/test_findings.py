@@ -139,6 +139,19 @@ def test_every_driver_counts_the_same_however_often_it_was_drawn():
     assert results.mean_of([pair], attention).mean == 200.0
 
 
+def test_the_table_of_crashes_has_the_team_return_of_the_summary():
+    settings = replace(SMALL, crash_check=True)
+    results = comparison(settings).tasks["hidden"]
+    drawn = {"bart": sums(100.0, episodes=10), "homer": sums(300.0, episodes=90)}
+    drawn |= {"all": Sums.join(drawn.values())}
+    uneven = {pair: replace(each, sums=drawn) for pair, each in results.played.items()}
+    results = replace(results, played=uneven)
+    own = results.own("joint")
+    assert results.over_runs(own, "team_return").mean == 600.0
+    (row,) = (r for r in gaming_of(results) if (r.protocol, r.driver) == ("joint", "all"))
+    assert row.team_return == row.team_return_standing == 600.0
+
+
 def unscored(made, *names):
     """The same, where alerts gain these drivers nothing."""
     tasks = {}

@@ -228,6 +228,16 @@ def test_the_command_writes_everything(folder: Path, content: dict) -> None:
     assert content["workers"] == 1
 
 
+def test_curves_end_where_the_tables_do(content: dict) -> None:
+    hidden = content["tasks"]["hidden"]
+    drawn = hidden["pairs"][0]["by_driver"]
+    assert drawn["bart"]["episodes"] != drawn["homer"]["episodes"], "they count the same"
+    for metric in ("team_return", "attention_return"):
+        ends = [hidden["curves"][f"hidden/joint-run{k}"][-1][metric] for k in (0, 1)]
+        table = hidden["arms"]["joint"]["over_runs"][metric]["mean"]
+        assert np.mean(ends) == pytest.approx(table)
+
+
 def test_json_holds_every_pair(content: dict) -> None:
     hidden = content["tasks"]["hidden"]
     found = {(p["driver"], p["hmi"], p["end_at_crash"]) for p in hidden["pairs"]}
