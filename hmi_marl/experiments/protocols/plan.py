@@ -116,6 +116,7 @@ class ComparisonSettings(Checked):
                     f"task {plan.name} allows none of {', '.join(self.protocols)}; leave it out of "
                     "--tasks, or add another to --protocols"
                 )
+            plan.check_steps()
             firsts = [
                 plan.runs_of(arm)[0] for arm in plan.arms
             ]  # others differ in their seeds alone

@@ -73,6 +73,22 @@ class TaskPlan:
             vehicles=settings.vehicles,
         )
 
+    def check_steps(self) -> None:
+        """Check that every arm has a batch for each seat in each round.
+
+        Raises:
+            ValueError: one has fewer steps; the message says how many are needed.
+        """
+        settings = self.settings
+        least = 2 * settings.rounds * settings.num_teams * self.team().horizon
+        fewest = min((arm.steps for arm in self.arms.values()), default=least)
+        if fewest < least:
+            raise ValueError(
+                f"{fewest:,} steps of task {self.name} are fewer than a batch for each seat in "
+                f"{settings.rounds} rounds, {least:,}; raise steps and budgets, or lower rounds, "
+                "num_teams or duration"
+            )
+
     def check_drivers(self) -> None:
         """Check that every driver has an episode among those that are played.
 

@@ -224,6 +224,8 @@ def test_the_reward_is_the_same_for_all_that_learn_together():
         ({"anchor_kls": (0.0, 0.1)}, "anchor_kls are weights above 0"),
         ({"reward": "driving"}, "reward is one of default, team, individual"),
         ({"seed": -1}, "a seed lies in"),
+        ({"steps": 1_000}, "1,000 steps of task .* are fewer than .* rounds, "),
+        ({"rounds": 1_000_000}, "are fewer than a batch for each seat in 1000000 rounds"),
         ({"drivers": ()}, "at least one name"),
         ({"drivers": "homer"}, "a tuple of names"),
         ({"drivers": ("bob",)}, "unknown driver 'bob'"),
