@@ -65,7 +65,7 @@ _LEARN = (
 _ASSESS = "--windows 64 --episodes 2 --ranked 2"
 _TRAITS = f"traits train --supervision id {_LEARN}"
 _COMPARED = (
-    "--tasks hidden --protocols two-stage joint --steps 320 --budgets 160 --seeds 1 --rounds 1 "
+    "--tasks hidden --protocols two-stage joint --steps 640 --budgets 320 --seeds 1 --rounds 1 "
     "--driver-shares 0.5 --snapshots 1 --episodes 2 --cross-episodes 2 --drivers homer "
     f"--no-partners --no-crash-check --workers 1 {_RUN}"
 )

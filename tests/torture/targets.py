@@ -48,7 +48,7 @@ TARGETS = {
     ),
     "collect": "collect --steps 3000 --duration 1 --vehicles 1 2 --num-teams 16",
     "compare": (
-        "compare --tasks seen --protocols two-stage joint --steps 160 --budgets 80 --rounds 1 "
+        "compare --tasks seen --protocols two-stage joint --steps 320 --budgets 160 --rounds 1 "
         "--seeds 1 --driver-shares 0.5 --snapshots 1 --episodes 32 --cross-episodes 32 "
         "--num-teams 16 --duration 1 --vehicles 1 2 --workers 2 --no-crash-check"
     ),
