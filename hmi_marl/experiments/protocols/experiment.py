@@ -61,6 +61,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         shares: dict[str, Shares] = {}
         tried: dict[str, dict[str, float]] = {}
         found = {}
+        for plan in self.plans():
+            plan.check_partners(place.folder)
         for untuned in self.plans():
             tried[untuned.name], shares[untuned.name] = self._tune(untuned, place)
             plan = replace(untuned, shares=shares[untuned.name])

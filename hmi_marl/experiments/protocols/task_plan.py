@@ -32,6 +32,7 @@ from hmi_marl.training.jobs import Job
 from hmi_marl.training.protocols.registry import compared
 from hmi_marl.training.protocols.settings import Budget, TrainSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
+from hmi_marl.training.runs.folder import partners_of
 
 if TYPE_CHECKING:
     from hmi_marl.experiments.protocols.plan import ComparisonSettings
@@ -221,6 +222,26 @@ class TaskPlan:
         last = max(arm.wave for arm in arms.values())
         runs = sorted(self.runs, key=lambda run: run.number)
         return [[run for run in runs if arms[run.arm].wave == wave] for wave in range(last + 1)]
+
+    def check_partners(self, folder: Path) -> None:
+        """Check that no HMI there has learned with other partners, before anything is trained.
+
+        It would be refused when its turn comes, after all that its partners take to learn.
+
+        Raises:
+            ValueError: one has, since then other protocols were compared.
+        """
+        for run in self.runs:
+            place, arm = run.folder(folder), self.arms[run.arm]
+            before = partners_of(place) if arm.partners else None
+            names = (self._partner(name, run.number, folder) for name in arm.partners)
+            now = tuple(Path(name).name for name in names)
+            if before is not None and before != now:
+                raise ValueError(
+                    f"the HMI in {place} has learned with the drivers {', '.join(before)}, which "
+                    f"were now {', '.join(now)}; choose another --out, remove the folder, or give "
+                    "--no-partners"
+                )
 
     def jobs(self, folder: Path, runs: Sequence[PlannedRun]) -> list[Job]:
         """Training of these runs, in the folder of the comparison."""

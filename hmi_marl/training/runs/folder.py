@@ -124,6 +124,23 @@ def read_settings(path: Path) -> dict[str, Any]:
     return about
 
 
+def partners_of(run: Path) -> tuple[str, ...] | None:
+    """Return the names of the policies in the mixture of drivers that a run learns with.
+
+    None if nothing was learned in the folder, or without a mixture.
+
+    Raises:
+        ValueError: ``run.json`` is damaged.
+    """
+    if not (run / CHECKPOINT).is_file():  # nothing was learned that could be lost
+        return None
+    policy = read_settings(run / SETTINGS)["settings"].get("driver_policy")
+    mixed = policy.get(MIXTURE) if isinstance(policy, dict) else None
+    if not isinstance(mixed, list):
+        return None
+    return tuple(each["name"] if isinstance(each, dict) else str(each) for each in mixed)
+
+
 def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> None:
     """Check that the run in a folder has the settings that are asked for now.
 

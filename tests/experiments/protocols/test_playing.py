@@ -208,6 +208,14 @@ def test_a_second_call_trains_nothing_and_another_comparison_is_refused(folder: 
     assert [path.stat().st_mtime_ns for path in paths] == before
 
 
+def test_other_partners_are_refused_before_anything_is_trained(folder: Path) -> None:
+    PLAN.check_partners(folder)
+    fewer = replace(TINY, protocols=("two-stage", "simultaneous"))
+    with pytest.raises(ValueError, match=r"robust-run0 has learned with the drivers .*joint-run0"):
+        fewer.run(Place(folder, folder))
+    replace(fewer, partners=False).plans()[0].check_partners(folder)
+
+
 def test_points_of_a_curve_have_what_each_seat_had_learned(folder: Path) -> None:
     run = folder / "hidden" / "two-stage-run0"
     first, last = points_of(run, 2)
