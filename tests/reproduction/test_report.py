@@ -174,6 +174,16 @@ def test_the_first_exhibit_compares_returns_of_the_same_number_of_steps() -> Non
     assert "by the exact values of the best rules +15.0" in found.sentence
 
 
+def test_exact_values_of_whole_trips_say_that_played_ones_are_shorter(made: PagedReport) -> None:
+    (page,) = (page for page in made.pages if page.name == "exact")
+    (table,) = (
+        block
+        for block in page.blocks
+        if isinstance(block, Table) and block.head[-1] == "learned, played"
+    )
+    assert "over fewer steps" in table.note
+
+
 def test_a_gain_that_never_differs_has_no_interval_of_zero_width() -> None:
     table = report()["table"]
     between = table["differences"]["printed"]["between_rows"]["own - AvgHMI"]
