@@ -1,4 +1,4 @@
-"""Pages as a reader's browser shows them: what overflows, fails, asks the net or leads nowhere.
+"""Pages as a reader's browser shows them: what overflows, is faint, fails, or leads nowhere.
 
 Debian's Chromium, or the one that HMI_MARL_CHROMIUM names, opens files of a folder.
 """
@@ -30,6 +30,7 @@ _QUIET = (
 )
 
 _OVERFLOWS = (Path(__file__).parent / "overflows.js").read_text("utf-8")
+_FAINT = (Path(__file__).parent / "faint.js").read_text("utf-8")
 _LINKS = "() => [...document.querySelectorAll('a[href]')].map(a => a.href)"
 _CORNERS = """async () => {
   const found = [];
@@ -86,7 +87,8 @@ class Reader:
     """A browser with one open page."""
 
     def __init__(self, browser, dark: bool = False) -> None:
-        self.context = browser.new_context(color_scheme="dark" if dark else "light")
+        self.scheme = "dark" if dark else "light"
+        self.context = browser.new_context(color_scheme=self.scheme)
         self.page = self.context.new_page()
         self.page.set_default_timeout(120_000)
         self.said: list[str] = []
@@ -120,6 +122,17 @@ class Reader:
         self.page.evaluate("() => new Promise(done => setTimeout(done, 60))")
         return self.page.evaluate(_OVERFLOWS)
 
+    def faint(self) -> list[str]:
+        """Texts that are hard to read on what is behind them, by day and by night."""
+        self.page.add_style_tag(content="* { transition: none !important; }")
+        found = []
+        for scheme in ("light", "dark"):
+            self.page.emulate_media(color_scheme=scheme)
+            self.page.evaluate("() => new Promise(requestAnimationFrame)")
+            found += [f"in the {scheme}, {what}" for what in self.page.evaluate(_FAINT)]
+        self.page.emulate_media(color_scheme=self.scheme)
+        return found
+
 
 @contextmanager
 def browser() -> Iterator:
@@ -143,7 +156,7 @@ def walk(started, folder: Path, pages: list[Path], *, dark: bool = False) -> Wal
         reader.open(path)
         for width in WIDTHS:
             found.problems += [f"{name} at {width}: {what}" for what in reader.overflows(width)]
-        found.problems += [f"{name}: {what}" for what in reader.said]
+        found.problems += [f"{name}: {what}" for what in [*reader.faint(), *reader.said]]
         found.links[name] = set(reader.page.evaluate(_LINKS))
         found.ids[path] = set(reader.page.evaluate(_IDS))
     reader.context.close()

@@ -69,6 +69,8 @@ def table(world: World) -> dict[str, Any]:
                 }
                 exact = world.value(f"{row} {driver} exact", -100.0)
                 about = {"hmi": driver if row == OWN else row, "driver": driver}
+                same = world.value(f"{row} {driver} same steps", 0.95 * exact)
+                about |= {"exact_distraction_return_same_steps": same}
                 found.append(about | size | {"exact_distraction_return": exact})
         return found
 
@@ -193,10 +195,12 @@ def report(
     seed: int = 0,
     spread: float = 0.0,
     noise: float = 1.0,
+    pools: int = 20,
 ) -> dict[str, dict[str, Any]]:
     """Numbers of all experiments by name; ``spread`` 1 draws, 0 is the true values but for z.
 
-    Standard errors of means over episodes are ``noise`` times as large.
+    Standard errors of means over episodes are ``noise`` times as large. Of each driver z embeds so
+    many ``pools``.
 
     Raises:
         ValueError: a true value was given for something that is nowhere.
@@ -207,7 +211,7 @@ def report(
         "hidden": hidden(world),
         "driver": driver(world),
         "graded": graded(world),
-        "traits": traits(world, seeds),
+        "traits": traits(world, seeds, pools),
         "adapt": {},
     }
     if odd := {n for n in set(true) - world.used if "alone" not in n and "further" not in n}:

@@ -27,9 +27,16 @@ FAULTS = {
     "picture": ('<img src="none.png" width="9" height="9">', "is not shown"),
     "error": ("<script>console.error('loud')</script>", "loud"),
     "raised": ("<script>throw new Error('raised')</script>", "raised"),
+    "faint": ('<div style="background: #fff; color: #999">grey</div>', "is faint (2.85): grey"),
+    "night": (
+        "<style>div { background: #fff; color: #000 } @media (prefers-color-scheme: dark) {"
+        "div { background: #222; color: #333 } }</style><div>grey</div>",
+        "in the dark, is faint",
+    ),
     "net": ('<link rel="stylesheet" href="http://127.0.0.1:9/none.css">', "asks the net"),
 }
 FINE = {
+    "large": '<div style="background: #fff; color: #888; font-size: 24px">grey</div>',
     "high row": "<table><tr><td>short</td><td>" + "a line<br>" * 20 + "</td></tr></table>",
     "picture": '<table><tr><td><img width="90" height="300" src="' + PIXEL + '"></td></tr></table>',
     "scrolls": f'<div style="overflow-x: auto">{WIDE}</div>',

@@ -106,7 +106,7 @@ SHOWN_BY_SCENARIO = 0.95
 # Unknown drivers.
 
 GAP_DRIVERS = ("lisa", "bart")
-"""Drivers for whom knowing them is worth much."""
+"""Drivers of the paper for whom knowing them is worth most."""
 GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.90, "3 trips": 0.97})
 """Least share of the gap between AvgHMI and an HMI that knows the driver that is closed."""
 POPULATION_GAP_CLOSED: Mapping[str, float] = MappingProxyType({"1 trip": 0.90, "3 trips": 0.90})

@@ -218,6 +218,24 @@ def widened(over: Estimate, luck: float, units: int) -> Estimate:
     return Estimate(over.mean, low, high, error, over.count, luck, units)
 
 
+def difference_of_shares(ones: Sequence[Estimate], others: Sequence[Estimate]) -> Estimate:
+    """Average the differences of shares of the same trials over training seeds, paired by seed.
+
+    The luck of the trials is added as in :func:`mean_share`, that of both shares as if they were
+    independent: trials that are right in both have less. One seed has no interval.
+
+    Args:
+        ones, others: one of each seed, as :func:`share` makes them; the longer list is cut.
+    """
+    pairs = list(zip(ones, others, strict=False))
+    over = mean([one.mean - other.mean for one, other in pairs])
+    if over.count < 2:
+        return over
+    both = [mean_share(shares) for shares in zip(*pairs, strict=True)]
+    luck, trials = math.hypot(*(each.luck for each in both)), min(each.luck_count for each in both)
+    return _with_luck(over, luck, trials)
+
+
 def _with_luck(over: Estimate, luck: float, units: int) -> Estimate:
     """Add the standard error of what all seeds share to that of a mean over seeds."""
     error = math.hypot(over.error, luck)

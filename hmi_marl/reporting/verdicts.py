@@ -151,7 +151,9 @@ class Part:
         """Write the quantity, its interval and the thresholds, without the outcome."""
         value = "unknown" if self.value is None else format(self.value, self.form)
         text = f"{self.what} {value}"
-        if self.is_tested:
+        if self.is_tested and self.error == 0.0:
+            text += " every time"
+        elif self.is_tested:
             low, high = (format(end, self.form) for end in self.interval(confidence))
             text += f" [{low}, {high}]"
         wanted = [

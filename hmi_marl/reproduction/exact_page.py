@@ -71,7 +71,11 @@ def exact_blocks(
         head += ["Bayes filter, played", "learned, played"]
         title = "The Bayes filter, attention hidden: attention returns"
         source = pointer("stages", "hidden", "rows")
-        blocks.append(Table(title, head, returns, sources=[source]))
+        note = (
+            f"Exact: trips of {HORIZON} steps, in which steps reveal d independently. Trips that "
+            "are played end at a crash, so that their returns are over fewer steps."
+        )
+        blocks.append(Table(title, head, returns, note, sources=[source]))
     if "traits" in results:
         first, setting = next(iter(results["traits"]["supervisions"].items()))
         seeds = setting["seeds"]

@@ -117,8 +117,8 @@ def supervision_counts(results: Results) -> Verdict:
         what, least = f"{SETTINGS[name]}, KL over the unsupervised one's:", criteria.KL_INFLUENCE
         about: dict[str, Any] = {"above": least, "seeds": seeds, "form": ".2f"}
         parts.append(Part.ratio(what, ratio, SEEDS, **about))
-        pairs = zip(_accuracies(results, name), _accuracies(results, "none"), strict=False)
-        more = statistics.mean([one.mean - other.mean for one, other in pairs])
+        both = _accuracies(results, name), _accuracies(results, "none")
+        more = statistics.difference_of_shares(*both)
         what = f"{SETTINGS[name]}, accuracy less the unsupervised one's:"
         margin = criteria.NO_MORE_ACCURATE
         parts.append(_over_seeds(what, more, paired=True, above=0.0, margin=margin, form="+z.1%"))
@@ -213,22 +213,33 @@ def worth_of_models(revealing: float) -> Mapping[str, Mapping[str, float]]:
     }
 
 
-def earned_by_naming(means: Means, drivers: Sequence[str]) -> dict[str, float]:
+def earned_by_naming(means: Means, drivers: Sequence[str]) -> dict[str, Estimate]:
     """Share of the exact worth of knowing the driver that is earned by the driver that z names.
 
     The HMI is the exact rule for the driver to whose centre z (P, Z) is nearest, with attention
-    hidden; 0 is the rule for the average driver, 1 that for the driver at the wheel.
+    hidden; 0 is the rule for the average driver, 1 that for the driver at the wheel. The interval
+    is over the driver's pools and one more that is named by chance: where all are named right, a
+    further one still may not be.
     """
     returns = worth_of_models(AdaptSettings.revealing)
     named = nearest(means, drivers, _MODELS[:-1])
     found = {}
     for driver in criteria.GAP_DRIVERS:
         own, average = returns[driver][driver], returns[driver]["average"]
-        played = [
-            returns[driver][n] for n, who in zip(named, drivers, strict=True) if who == driver
-        ]
-        found[driver] = (float(np.mean(played)) - average) / (own - average)
+        worth = {name: (returns[driver][name] - average) / (own - average) for name in _MODELS[:-1]}
+        earned = [worth[n] for n, who in zip(named, drivers, strict=True) if who == driver]
+        found[driver] = _with_one_by_chance(earned, list(worth.values()))
     return found
+
+
+def _with_one_by_chance(values: Sequence[float], chance: Sequence[float]) -> Estimate:
+    """Mean of values, with the standard error that one more has which is any of ``chance``."""
+    count = len(values) + 1
+    weights = [1.0 / count] * len(values) + [1.0 / (count * len(chance))] * len(chance)
+    every = np.array([*values, *chance])
+    error = float(np.sqrt(np.cov(every, aweights=weights, ddof=0) / count))
+    middle = float(np.mean(values))
+    return Estimate(middle, *statistics.t_interval(middle, error, count), error, count)
 
 
 def representation_is_useful(results: Results) -> Verdict:
@@ -239,7 +250,7 @@ def representation_is_useful(results: Results) -> Verdict:
         name: [earned_by_naming(*_embedding(seed)) for seed in _seeds(results, name)]
         for name in SETTINGS
     }
-    mean: Callable[[str, str], Estimate] = lambda name, who: statistics.mean(  # noqa: E731
+    mean: Callable[[str, str], Estimate] = lambda name, who: statistics.mean_of_same(  # noqa: E731
         [seed[who] for seed in earned[name]]
     )
     parts = [

@@ -10,6 +10,7 @@ from hmi_marl.reporting.statistics import (
     Estimate,
     accuracy,
     average,
+    difference_of_shares,
     geometric_ratio,
     interval_with_luck,
     mean,
@@ -145,6 +146,18 @@ def test_shares_over_seeds_keep_the_luck_of_their_trials() -> None:
     spread = mean_share([share(50, 100), share(70, 100)])
     assert spread.error == pytest.approx(math.hypot(0.1, math.sqrt(0.24 / 101)), rel=0.02)
     assert math.isnan(mean_share([share(9, 10)]).low)
+
+
+def test_differences_of_shares_keep_the_luck_of_the_trials_of_both() -> None:
+    ones, others = [share(100, 100)] * 5, [share(90, 100)] * 5  # no spread over seeds
+    found = difference_of_shares(ones, others)
+    luck = math.hypot(mean_share(ones).error, mean_share(others).error)
+    assert (found.mean, found.count) == (pytest.approx(0.1), 5)
+    assert (found.error, found.luck, found.luck_count) == (pytest.approx(luck), found.error, 100)
+    assert found.low < 0.1 - 1.9 * luck
+    spread = difference_of_shares([share(50, 100), share(70, 100)], [share(50, 100)] * 2)
+    assert spread.error == pytest.approx(math.hypot(0.1, spread.luck))
+    assert math.isnan(difference_of_shares([share(9, 10)], others).low)
 
 
 def test_a_ratio_of_positive_values_by_its_logarithms() -> None:

@@ -83,6 +83,12 @@ def test_intervals_of_every_test_by_hand() -> None:
     assert np.log(logs.interval()) == pytest.approx((2 - 12.7062, 2 + 12.7062), abs=1e-4)
 
 
+def test_a_quantity_that_never_varies_shows_no_interval_of_zero_width() -> None:
+    never = Part.mean("gain", mean([0.0] * 5), SEEDS, above=0.0, form="+z.1f")
+    assert never.shown() == "gain +0.0 every time (> +0.0?)"
+    assert never.interval() == (0.0, 0.0)
+
+
 def test_a_verdict_is_supported_by_all_its_parts_and_lost_by_one() -> None:
     yes, no, unknown = part(9.0), part(-9.0), part(0.1)
     for parts, outcome in (

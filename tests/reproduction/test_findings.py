@@ -1,5 +1,6 @@
 """Verdicts on the paper's claims, by numbers that are made up."""
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -70,7 +71,7 @@ TURNS = (
     Turns(
         "The ability to distinguish",
         KL | {"preference accuracy": 0.9},
-        KL,  # preference labels add nothing by accuracy
+        KL | {"preference accuracy": 0.2},  # with preference labels fewer are named
         KL | {"preference accuracy": 0.9},
         about_open=ONE_SEED,
     ),
@@ -170,6 +171,8 @@ TURNS = (
         {"id apart": 1.0},
         {"id apart": 1.0, "id by preference alone": 1.0},
         {"id apart": 1.0},
+        about_yes={"pools": 75},
+        about_no={"pools": 150},
         about_open=ONE_SEED,
     ),
     Turns("Personal HMIs produce", REWARDED | HIDDEN, REWARDED, about_open=NOISY),
@@ -250,11 +253,44 @@ def test_the_worth_of_naming_drivers_is_that_of_exact_rules() -> None:
     drivers = [name for name in FOUR for _ in range(5)]
     clear = np.repeat(np.arange(4.0), 5)[:, None]
     earned = earned_by_naming(clear, drivers)
-    assert earned == pytest.approx({"lisa": 1.0, "bart": 1.0})
+    assert {name: each.mean for name, each in earned.items()} == {"lisa": 1.0, "bart": 1.0}
     returns = trait_findings.worth_of_models(0.35)
     rule = solve_belief("average", 7, 100, RewardWeights(), 0.35)
     assert returns["bart"]["average"] == rule_return(rule, "bart", RewardWeights())
     assert returns["bart"]["bart"] - returns["bart"]["average"] == pytest.approx(177.7, abs=0.1)
+
+
+def test_pools_that_are_all_named_right_leave_doubt_of_a_further_one() -> None:
+    drivers = [name for name in FOUR for _ in range(5)]
+    (few, many) = (
+        earned_by_naming(np.repeat(np.arange(4.0), n)[:, None], [d for d in FOUR for _ in range(n)])
+        for n in (5, 500)
+    )
+    assert few["bart"].error > 10 * many["bart"].error > 0.0
+    # By hand: the one more earns any of four shares; with itself it is a sixth of the weight.
+    returns = trait_findings.worth_of_models(0.35)["bart"]
+    shares = [
+        (returns[name] - returns["average"]) / (returns["bart"] - returns["average"])
+        for name in FOUR
+    ]
+    every, weights = np.array([*[1.0] * 5, *shares]), np.array([*[1 / 6] * 5, *[1 / 24] * 4])
+    spread = weights @ every**2 - (weights @ every) ** 2
+    assert few["bart"].error == pytest.approx(math.sqrt(spread / 6))
+    assert set(earned_by_naming(np.zeros((20, 1)), drivers)) == {"lisa", "bart"}
+
+
+def test_the_use_of_z_is_in_doubt_where_few_pools_were_named() -> None:
+    pytest.importorskip("sklearn")
+    results = report({"id apart": 1.0})
+    for seed in results["traits"]["supervisions"]["id"]["seeds"]:
+        each = seed["embedding"]
+        keep = [20 * k + j for k in range(4) for j in range(2)]  # two pools of each driver
+        each |= {"means": [each["means"][k] for k in keep], "drivers": [*np.repeat(FOUR, 2)]}
+    found = trait_findings.representation_is_useful(results)
+    assert [part.value for part in found.parts] == [pytest.approx(1.0)] * 2
+    assert {part.outcome() for part in found.parts} == {
+        OPEN
+    }  # was certain, by intervals of no width
 
 
 @pytest.mark.slow

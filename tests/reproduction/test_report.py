@@ -7,16 +7,19 @@ import pytest
 import simulated_pages
 from cited import missing, missing_in
 from simulated_pages import COMMAND
+from simulated_reports import report
 
 from hmi_marl.cli import parse
+from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.experiments.experiment import with_seed
 from hmi_marl.reporting.blocks import Figure, Table, Text, Verdicts
 from hmi_marl.reporting.cards import Cards, Tally
 from hmi_marl.reporting.pages import PagedReport
-from hmi_marl.reporting.statistics import Estimate
+from hmi_marl.reporting.statistics import Estimate, mean
 from hmi_marl.reporting.verdicts import EPISODES, Outcome, Part, Verdict
 from hmi_marl.reproduction.claims import CLAIMS, claims_json, judge
 from hmi_marl.reproduction.exact_page import exact_values
+from hmi_marl.reproduction.exhibits import personalisation
 from hmi_marl.reproduction.paper_items import paper_items
 from hmi_marl.reproduction.report import NUMBERS, full_report
 from hmi_marl.reproduction.suite import TIMINGS, Record, full_suite, shared_driver
@@ -161,6 +164,34 @@ def test_the_summary_counts_the_verdicts_and_has_three_exhibits(made: PagedRepor
         assert card.figure.drawn_dark != card.figure.drawn
         assert exhibit["title"] == card.title
     assert "in the paper +181.8" in cards.cards[0].sentence
+
+
+def test_the_first_exhibit_compares_returns_of_the_same_number_of_steps() -> None:
+    own = {f"own {driver} same steps": -80.0 for driver in PAPER_DRIVERS}
+    whole = {f"own {driver} exact": -700.0 for driver in PAPER_DRIVERS}
+    found = personalisation(report(own | whole)["table"])
+    assert found.numbers["exact"] == pytest.approx(-80.0 + 95.0)  # AvgHMI has 100 in whole trips
+    assert "by the exact values of the best rules +15.0" in found.sentence
+
+
+def test_exact_values_of_whole_trips_say_that_played_ones_are_shorter(made: PagedReport) -> None:
+    (page,) = (page for page in made.pages if page.name == "exact")
+    (table,) = (
+        block
+        for block in page.blocks
+        if isinstance(block, Table) and block.head[-1] == "learned, played"
+    )
+    assert "over fewer steps" in table.note
+
+
+def test_a_gain_that_never_differs_has_no_interval_of_zero_width() -> None:
+    table = report()["table"]
+    between = table["differences"]["printed"]["between_rows"]["own - AvgHMI"]
+    assert "[" in personalisation(table).shown
+    between["distraction_return"]["all"] = mean([0.0] * 9).as_json()
+    found = personalisation(table)
+    assert found.shown == "+0.0"
+    assert "mean of four drivers, in every trip;" in found.sentence
 
 
 def test_a_report_without_an_exhibits_experiment_lacks_its_card(records: list[Record]) -> None:

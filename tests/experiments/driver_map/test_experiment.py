@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from cited import missing
@@ -22,7 +23,10 @@ from hmi_marl.experiments.driver_map.cases import (
 from hmi_marl.experiments.driver_map.experiment import DriverMap
 from hmi_marl.experiments.registry import EXPERIMENTS
 from hmi_marl.reporting.blocks import Figure, as_text
-from hmi_marl.reporting.verdicts import Outcome
+from hmi_marl.reporting.verdicts import Outcome, judged_together
+from hmi_marl.typed_json import read_as
+
+SHIPPED = Path(__file__).parents[3] / "docs" / "map"
 
 TINY = [
     *("--windows", "2", "7", "--shares", "0.0", "0.35", "--etas", "0.01", "0.505"),
@@ -138,3 +142,20 @@ def test_the_map_needs_no_extra_and_no_trained_driver():
 def test_other_sizes_are_other_results():
     quick = DriverMap.quick()
     assert replace(quick, points=3).settings() != quick.settings()
+
+
+def test_the_shipped_map_is_judged_by_the_rule_of_all_reports():
+    shipped = json.loads((SHIPPED / "map.json").read_text("utf-8"))
+    settings = DriverMap()
+    assert shipped["settings"] == json.loads(json.dumps(settings.settings()))
+    for case in shipped["cases"]:
+        for each in case["losses"].values():
+            each["slices"] = []  # which are not shipped
+    kept = [read_as(CaseResult, case) for case in shipped["cases"]]
+    assert [result.case for result in kept] == settings.seen + settings.hidden
+    verdicts = judged_together(settings.judge(kept))
+    assert [one.as_json() for one in verdicts] == shipped["verdicts"]
+    text = (SHIPPED / "map.txt").read_text("utf-8")
+    for one in verdicts:
+        assert f"  {one.outcome:<13}  {one.claim}\n" in text
+        assert one.summary in text
