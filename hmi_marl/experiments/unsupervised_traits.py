@@ -247,7 +247,7 @@ class UnsupervisedTraits(SeededExperiment[WaysResults]):
                     float(settings.latent_size),
                     judged.types.linear_probe,
                     judged.types.nearest_centroid,
-                    judged.types.average_kl,
+                    judged.types.average_kl.mean,
                 )
             )
         return WaysResults(found, exact)

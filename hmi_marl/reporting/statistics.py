@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 CONFIDENCE = 0.95
 _ONE_DEVIATION = math.erf(math.sqrt(0.5))
 """Confidence of an interval of one standard deviation to either side."""
+_LARGEST = 700.0
+"""Largest exponent; larger ones overflow."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,13 @@ def number(value: float | None, form: str = "z.1f") -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
+def cut(
+    low: float, high: float, lowest: float = 0.0, highest: float = 1.0
+) -> tuple[float, float]:
+    """Cut an interval off at ends that its quantity cannot pass; by default those of a share."""
+    return max(low, lowest), min(high, highest)
+
+
 def mean(values: ArrayLike, lowest: float = -math.inf, highest: float = math.inf) -> Estimate:
     """Mean and Student's t interval, cut off at these ends, of independent values, shape (E,).
 
@@ -89,8 +98,8 @@ def mean(values: ArrayLike, lowest: float = -math.inf, highest: float = math.inf
     if len(finite) == 1:
         return Estimate(middle, math.nan, math.nan, count=1)
     error = float(finite.std(ddof=1)) / math.sqrt(len(finite))
-    low, high = t_interval(middle, error, len(finite))
-    return Estimate(middle, max(low, lowest), min(high, highest), error, len(finite))
+    ends = cut(*t_interval(middle, error, len(finite)), lowest, highest)
+    return Estimate(middle, *ends, error, len(finite))
 
 
 def ratio(
@@ -116,8 +125,8 @@ def ratio(
     middle = float(amount.sum() / count.sum())
     around = mean((amount - middle * count) / count.mean())  # of mean 0 but for rounding
     half = around.high - around.mean
-    low, high = max(middle - half, lowest), min(middle + half, highest)
-    return Estimate(middle, low, high, around.error, around.count)
+    ends = cut(middle - half, middle + half, lowest, highest)
+    return Estimate(middle, *ends, around.error, around.count)
 
 
 def average(estimates: Sequence[Estimate]) -> Estimate:
@@ -173,7 +182,8 @@ def mean_share(shares: Sequence[Estimate]) -> Estimate:
     trials = shares[0].count
     low, high = wilson_interval(over.mean, trials, _ONE_DEVIATION)
     found = _with_luck(over, (high - low) / 2, trials)
-    return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
+    low, high = cut(found.low, found.high)
+    return replace(found, low=low, high=high)
 
 
 def mean_of_same(estimates: Sequence[Estimate]) -> Estimate:
@@ -251,8 +261,43 @@ def geometric_ratio(ones: ArrayLike, others: ArrayLike) -> Estimate:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         log = mean(np.log(np.asarray(ones, np.float64)) - np.log(np.asarray(others, np.float64)))
-    middle, low, high = (math.exp(value) for value in (log.mean, log.low, log.high))
-    return Estimate(middle, low, high, log.error, log.count)
+    return _exponential(log)
+
+
+def quotient(one: Estimate, other: Estimate) -> Estimate:
+    """Ratio of two positive numbers that :func:`by_logarithm` made, as if they were independent."""
+    error = math.hypot(one.error, other.error)
+    return by_logarithm(one.mean / other.mean, error, min(one.count, other.count))
+
+
+def by_logarithm(middle: float, error: float, count: int) -> Estimate:
+    """Positive number with Student's t interval of its logarithm, whose standard error it has."""
+    low, high = t_interval(0.0, error, count)
+    return Estimate(middle, middle * exp(low), middle * exp(high), error, count)
+
+
+def geometric_mean_of_same(estimates: Sequence[Estimate]) -> Estimate:
+    """Geometric mean, over training seeds, of numbers that :func:`by_logarithm` made.
+
+    As in :func:`mean_of_same` the luck of the units, the mean standard error of the logarithm
+    within a seed, does not average out over seeds. ``error`` and ``luck`` are of logarithms. One
+    seed has no interval.
+    """
+    log = mean([math.log(each.mean) for each in estimates])
+    if log.count > 1:
+        luck = float(np.mean([each.error for each in estimates]))
+        log = _with_luck(log, luck, min(each.count for each in estimates))
+    return _exponential(log)
+
+
+def _exponential(log: Estimate) -> Estimate:
+    """Turn the estimate of a logarithm into that of the number; errors stay as they are."""
+    return replace(log, mean=exp(log.mean), low=exp(log.low), high=exp(log.high))
+
+
+def exp(value: float) -> float:
+    """Exponential, of a large number that of the largest which does not overflow."""
+    return math.exp(min(value, _LARGEST))
 
 
 def t_interval(

@@ -31,14 +31,26 @@ from typing import Any, Literal
 
 from hmi_marl.checks import shown
 from hmi_marl.files import json_value
-from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, interval_with_luck, wilson_interval
+from hmi_marl.reporting.statistics import (
+    CONFIDENCE,
+    Estimate,
+    cut,
+    exp,
+    interval_with_luck,
+    wilson_interval,
+)
 from hmi_marl.typed_json import read_as
 
-Test = Literal["exact", "t", "paired t", "paired t of logarithms", "Wilson"]
+Test = Literal[
+    "exact", "t", "t of shares", "t of values up to 1", "paired t", "paired t of logarithms", "Wilson"
+]
 EPISODES, SEEDS = "episodes", "training seeds"
 """Units that most parts are repeated over."""
-_LARGEST = 700.0
-"""Largest exponent of an end of an interval; larger ones overflow."""
+_ENDS: Mapping[str, tuple[float, float]] = {
+    "t of shares": (0.0, 1.0),
+    "t of values up to 1": (-math.inf, 1.0),
+}
+"""Ends at which the intervals of these tests are cut off; the others have none."""
 _FORM = re.compile(r"[+ -]?z?(\.\d{1,2})?[%efg]?")
 _SHOWN = 6
 """Most parts that a verdict tells in one line."""
@@ -104,8 +116,19 @@ class Part:
         return cls(what, _known(estimate.mean), test, unit, *over, **more)
 
     @classmethod
+    def mean_share(cls, what: str, estimate: Estimate, unit: str, **more: Any) -> Part:
+        """State something of a mean of shares, by Student's t; its interval ends at 0 and 1."""
+        return replace(cls.mean(what, estimate, unit, **more), test="t of shares")
+
+    @classmethod
+    def mean_up_to_1(cls, what: str, estimate: Estimate, unit: str, **more: Any) -> Part:
+        """State something of a mean of values of at most 1, where its interval ends too."""
+        return replace(cls.mean(what, estimate, unit, **more), test="t of values up to 1")
+
+    @classmethod
     def ratio(cls, what: str, estimate: Estimate, unit: str, **more: Any) -> Part:
-        """State something of :func:`~hmi_marl.reporting.statistics.geometric_ratio`."""
+        """State something of a geometric mean of ratios, such as
+        :func:`~hmi_marl.reporting.statistics.geometric_ratio`."""
         found = cls.mean(what, estimate, unit, paired=True, **more)
         return replace(found, test="paired t of logarithms")
 
@@ -133,8 +156,9 @@ class Part:
         over = error, self.count, self.luck, self.luck_count
         if self.test == "paired t of logarithms":
             low, high = interval_with_luck(math.log(value), *over, confidence)
-            return math.exp(low), math.exp(min(high, _LARGEST))
-        return interval_with_luck(value, *over, confidence)
+            return exp(low), exp(high)
+        ends = _ENDS.get(self.test, (-math.inf, math.inf))
+        return cut(*interval_with_luck(value, *over, confidence), *ends)
 
     def outcome(self, confidence: float = CONFIDENCE) -> Outcome:
         """Judge it by the rule of this module."""

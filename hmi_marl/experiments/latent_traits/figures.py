@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.envs.drivers import PAPER_DRIVERS
 from hmi_marl.experiments.latent_traits.assessment import Embedding
-from hmi_marl.experiments.latent_traits.probes import average_kl, checked_vectors
+from hmi_marl.experiments.latent_traits.divergence import average_kl
+from hmi_marl.experiments.latent_traits.vectors import checked_vectors
 from hmi_marl.reporting.blocks import Figure
 from hmi_marl.reporting.drawing import COLOURS, canvas, faint, ink, png
 from hmi_marl.reporting.statistics import Estimate
@@ -55,7 +56,7 @@ class EmbeddingPanel:
     names: Sequence[str]
     """Names of the drivers."""
     average_kl: float
-    """See :func:`hmi_marl.experiments.latent_traits.probes.average_kl` [nats]."""
+    """See :func:`hmi_marl.experiments.latent_traits.divergence.average_kl` [nats]."""
 
     def __post_init__(self) -> None:
         _, labels = checked_vectors(self.means, self.types, f"vectors of {self.title!r}")

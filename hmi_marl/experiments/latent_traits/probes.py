@@ -1,17 +1,8 @@
-"""Read driver types and traits from latent vectors, and measure how far types lie apart.
+"""Read driver types and traits from latent vectors.
 
 Everything here is a pure function over arrays. A vector is the posterior mean of z given a pool of
 windows, P vectors of Z numbers in an array of shape (P, Z); a type is an integer, one for each
 vector; traits are T numbers of each vector's driver, shape (P, T).
-
-**Average KL** (under the paper's figure of embeddings). Each type's vectors are summed up by a
-Gaussian N(μ, Σ) with full, unbiased covariance, and
-
-    KL(N0 || N1) = ½ [tr(Σ1⁻¹ Σ0) + (μ1 - μ0)ᵀ Σ1⁻¹ (μ1 - μ0) - Z + ln(det Σ1 / det Σ0)]
-
-is averaged over all ordered pairs of different types. It does not depend on the units or the axes
-of z, grows without bound as clusters tighten, and is too high for few vectors, since an inverted
-sample covariance is: compare it only between equal numbers of vectors.
 """
 
 from __future__ import annotations
@@ -25,16 +16,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hmi_marl.experiments.latent_traits.divergence import estimated_kl
+from hmi_marl.experiments.latent_traits.vectors import (
+    Array,
+    Labels,
+    checked_means,
+    checked_vectors,
+    same_size,
+)
 from hmi_marl.extras import needing
 from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, accuracy
 
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
-SMALLEST_SPREAD = 1e-6
-"""Least spread of a type's cluster in any direction, in standard deviations of all vectors. A
-thinner cluster (in float32 hardly different from a plane) is singular; it is thickened by this.
-"""
+
+
 _BOOTSTRAPS = 2000
 _FOLDS = 5
 _LANDMARKS = 100
@@ -60,80 +55,9 @@ class Separability:
     b are the mean distances to a vector's own type and to the nearest other one."""
     adjusted_rand: float
     """Agreement of k-means clusters, as many as types, with the types: 1 full, 0 by chance."""
-    average_kl: float
-    """See :func:`average_kl` [nats]."""
-
-
-def gaussian_kl(mean0: ArrayLike, cov0: ArrayLike, mean1: ArrayLike, cov1: ArrayLike) -> float:
-    """Return KL(N0 || N1) [nats] of means (Z,), covariances (Z, Z); the module has the equation.
-
-    Raises:
-        ValueError: shapes that differ, or a covariance that is not symmetric positive definite.
-    """
-    middle0, middle1 = np.asarray(mean0, np.float64), np.asarray(mean1, np.float64)
-    if middle0.ndim != 1 or middle0.shape != middle1.shape:
-        raise ValueError(f"means have one shape (Z,), not {middle0.shape} and {middle1.shape}")
-    root0, root1 = (_cholesky(cov, len(middle0)) for cov in (cov0, cov1))
-    spread = np.linalg.solve(root1, root0)
-    shift = np.linalg.solve(root1, middle1 - middle0)
-    log_det = 2.0 * float(np.log(np.diag(root1) / np.diag(root0)).sum())
-    kl = 0.5 * (float((spread**2).sum() + (shift**2).sum()) - len(middle0) + log_det)
-    return max(kl, 0.0)  # rounding may take it below
-
-
-def _cholesky(cov: ArrayLike, size: int) -> Array:
-    matrix = np.asarray(cov, np.float64)
-    if matrix.shape != (size, size):
-        raise ValueError(f"a covariance has shape {(size, size)}, not {matrix.shape}")
-    try:
-        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-            raise np.linalg.LinAlgError
-        return np.asarray(np.linalg.cholesky(matrix), np.float64)
-    except np.linalg.LinAlgError:
-        text = f"a covariance is symmetric positive definite, not {matrix.tolist()}"
-        raise ValueError(text) from None
-
-
-def kl_matrix(means: ArrayLike, types: ArrayLike) -> Array:
-    """Return KL(row || column) [nats] between the Gaussians of C types, rising, shape (C, C).
-
-    Axes of z on which all vectors agree hold no information and are left out. Where a cluster is
-    singular (:data:`SMALLEST_SPREAD`), SMALLEST_SPREAD² of each axis' variance over all vectors is
-    added to the diagonal of its covariance; the KL is then large, and depends on that number.
-
-    Raises:
-        ValueError: vectors (P, Z) that are not finite or do not fit the types (P,), fewer than two
-            types, or a type with fewer than Z + 2 vectors.
-    """
-    vectors, labels = checked_vectors(means, types)
-    kinds, counts = np.unique(labels, return_counts=True)
-    least = vectors.shape[1] + 2
-    if counts.min() < least:
-        raise ValueError(
-            f"a Gaussian in {vectors.shape[1]} dimensions takes {least} vectors of each type or "
-            f"more, but type {kinds[counts.argmin()]} has {counts.min()}"
-        )
-    # The KL does not depend on units, and in these the smallest spread has a meaning.
-    spread = vectors.std(axis=0)
-    used = np.ptp(vectors, axis=0) > 0.0
-    scaled = (vectors[:, used] - vectors[:, used].mean(axis=0)) / spread[used]
-    if scaled.shape[1] == 0:
-        return np.zeros((len(kinds), len(kinds)))
-    gaussians = [_gaussian(scaled[labels == kind]) for kind in kinds]
-    return np.array([[gaussian_kl(*own, *other) for other in gaussians] for own in gaussians])
-
-
-def _gaussian(vectors: Array) -> tuple[Array, Array]:
-    cov = np.cov(vectors, rowvar=False).reshape(vectors.shape[1], -1)
-    if np.linalg.eigvalsh(cov)[0] < SMALLEST_SPREAD**2:
-        cov = cov + SMALLEST_SPREAD**2 * np.eye(len(cov))
-    return vectors.mean(axis=0), cov
-
-
-def average_kl(means: ArrayLike, types: ArrayLike) -> float:
-    """Average :func:`kl_matrix` over all ordered pairs of different types [nats]."""
-    matrix = kl_matrix(means, types)
-    return float(matrix[~np.eye(len(matrix), dtype=bool)].mean())
+    average_kl: Estimate
+    """Average KL between types [nats]; ``error`` is that of its logarithm, over held-out vectors.
+    See :func:`~hmi_marl.experiments.latent_traits.divergence.estimated_kl`."""
 
 
 def separability(
@@ -158,7 +82,7 @@ def separability(
         seed: seed of k-means.
 
     Raises:
-        ValueError: as :func:`kl_matrix`; or different types or Z in training and held-out vectors;
+        ValueError: as :func:`estimated_kl`; or different types or Z in training and held-out vectors;
             or groups that do not fit the vectors.
         ModuleNotFoundError: scikit-learn is not installed.
     """
@@ -178,7 +102,7 @@ def separability(
             f"trained on the types {np.unique(known).tolist()}, but held out are {kinds.tolist()}"
         )
     trials = len(labels) if groups is None else len(np.unique(_checked_groups(groups, labels)))
-    kl = average_kl(vectors, labels)  # first, since it refuses too few vectors
+    kl = estimated_kl(vectors, labels)  # first, since it refuses too few vectors
     scaler = StandardScaler().fit(fitted)
     probe = LogisticRegression(max_iter=10_000).fit(scaler.transform(fitted), known)
     centroids = np.stack([fitted[known == kind].mean(axis=0) for kind in kinds])
@@ -338,52 +262,11 @@ def _drivers(traits: Array) -> Labels:
     return np.unique(traits, axis=0, return_inverse=True)[1].reshape(len(traits))
 
 
-def checked_vectors(
-    means: ArrayLike, types: ArrayLike, what: str = "vectors"
-) -> tuple[Array, Labels]:
-    """Return vectors, shape (P, Z), and their types, shape (P,), as arrays.
-
-    Raises:
-        ValueError: not these shapes, numbers that are not finite, types that are no integers, or
-            fewer than two types.
-    """
-    vectors, labels = checked_means(means, what), np.asarray(types)
-    if labels.shape != (len(vectors),):
-        raise ValueError(f"{len(vectors)} {what} have {len(vectors)} types, not {labels.shape}")
-    if not np.issubdtype(labels.dtype, np.integer):
-        raise ValueError(f"types of {what} are integers, not {labels.dtype}")
-    if len(np.unique(labels)) < 2:
-        raise ValueError(f"{what} of one type cannot be separated; give two types or more")
-    return vectors, labels.astype(np.int64)
-
-
-def checked_means(means: ArrayLike, what: str) -> Array:
-    """Return vectors as an array of shape (P, Z).
-
-    Raises:
-        ValueError: not this shape, none at all, or numbers that are not finite.
-    """
-    vectors = np.asarray(means, np.float64)
-    if vectors.ndim != 2 or vectors.size == 0:
-        raise ValueError(f"{what} have shape (P, Z), not {vectors.shape}")
-    if not np.isfinite(vectors).all():
-        raise ValueError(f"{what} are finite, but {(~np.isfinite(vectors)).sum()} numbers are not")
-    return vectors
-
-
 def _checked_groups(groups: ArrayLike, labels: Labels) -> NDArray[Any]:
     array = np.asarray(groups)
     if array.shape != labels.shape:
         raise ValueError(f"groups have shape {labels.shape} as types have, not {array.shape}")
     return array
-
-
-def same_size(fitted: Array, vectors: Array) -> None:
-    """Raise ``ValueError`` unless training and held-out vectors have one Z."""
-    if fitted.shape[1] != vectors.shape[1]:
-        raise ValueError(
-            f"training vectors have {fitted.shape[1]} dimensions, held-out ones {vectors.shape[1]}"
-        )
 
 
 def _checked_traits(
