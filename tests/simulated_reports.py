@@ -174,7 +174,8 @@ def traits(world: World, seeds: int, pools: int = 20) -> dict[str, Any]:
         def row(windows: int) -> dict[str, Any]:
             right = statistics.share(round(each * POOLS), POOLS).as_json()
             exact = world.share("exact from many", criteria.APART)
-            types = {"linear_probe": right, "chance": 0.25, "average_kl": kl}
+            average_kl = statistics.by_logarithm(kl, 0.1, POOLS).as_json()
+            types = {"linear_probe": right, "chance": 0.25, "average_kl": average_kl}
             return {"windows": windows, "types": types, "ceilings": {"identity": exact}}
 
         embedding = {"means": means.tolist(), "drivers": names}

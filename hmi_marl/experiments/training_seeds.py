@@ -148,11 +148,13 @@ def learned_part(
         estimate: over units, or, of several seeds, averaged by :func:`over_seeds`.
         seeds: number of training seeds; 0 if it depends on nothing learned.
         unit: what is repeated within a seed.
-        alone: makes the part of one seed, such as :meth:`Part.share`.
+        alone: makes the part of one seed, such as :meth:`Part.share`; the interval of a mean of
+            shares over seeds ends at 0 and 1.
         more: as :meth:`Part.mean` takes it.
     """
     if seeds > 1 and estimate.count == seeds:
-        return Part.mean(what, estimate, SEEDS, seeds=seeds, **more)
+        over_seeds = Part.mean_share if alone == Part.share else Part.mean
+        return over_seeds(what, estimate, SEEDS, seeds=seeds, **more)
     return alone(what, estimate, unit, seeds=seeds, **more)
 
 

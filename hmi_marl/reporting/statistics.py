@@ -77,9 +77,7 @@ def number(value: float | None, form: str = "z.1f") -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
-def cut(
-    low: float, high: float, lowest: float = 0.0, highest: float = 1.0
-) -> tuple[float, float]:
+def cut(low: float, high: float, lowest: float = 0.0, highest: float = 1.0) -> tuple[float, float]:
     """Cut an interval off at ends that its quantity cannot pass; by default those of a share."""
     return max(low, lowest), min(high, highest)
 

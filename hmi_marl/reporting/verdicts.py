@@ -42,7 +42,13 @@ from hmi_marl.reporting.statistics import (
 from hmi_marl.typed_json import read_as
 
 Test = Literal[
-    "exact", "t", "t of shares", "t of values up to 1", "paired t", "paired t of logarithms", "Wilson"
+    "exact",
+    "t",
+    "t of shares",
+    "t of values up to 1",
+    "paired t",
+    "paired t of logarithms",
+    "Wilson",
 ]
 EPISODES, SEEDS = "episodes", "training seeds"
 """Units that most parts are repeated over."""
@@ -127,8 +133,7 @@ class Part:
 
     @classmethod
     def ratio(cls, what: str, estimate: Estimate, unit: str, **more: Any) -> Part:
-        """State something of a geometric mean of ratios, such as
-        :func:`~hmi_marl.reporting.statistics.geometric_ratio`."""
+        """State something of :func:`~hmi_marl.reporting.statistics.geometric_ratio` or the like."""
         found = cls.mean(what, estimate, unit, paired=True, **more)
         return replace(found, test="paired t of logarithms")
 

@@ -18,6 +18,12 @@ from hmi_marl.envs.config import TeamConfig
 from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
+from hmi_marl.experiments.latent_traits.divergence import (
+    estimated_kl,
+    kl_matrix,
+    kl_ratio_of,
+    log_error,
+)
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.statistics import UNKNOWN, Estimate
 from hmi_marl.reporting.verdicts import SEEDS, Part, Verdict
@@ -46,8 +52,11 @@ def _accuracies(results: Results, setting: str) -> list[Estimate]:
     return [Estimate.from_json(row["types"]["linear_probe"]) for row in rows]
 
 
-def _over_seeds(what: str, estimate: Estimate, **more: Any) -> Part:
-    return Part.mean(what, estimate, SEEDS, seeds=estimate.count, **({"form": "z.1%"} | more))
+def _over_seeds(
+    what: str, estimate: Estimate, make: Callable[..., Part] = Part.mean_share, **more: Any
+) -> Part:
+    about = {"seeds": estimate.count, "form": "z.1%"} | more
+    return make(what, estimate, SEEDS, **about)
 
 
 def _accurate(results: Results, setting: str, least: float) -> Part:
@@ -105,24 +114,41 @@ def kinds_apart(setting: str, one: Sequence[str], other: Sequence[str], title: s
     return check
 
 
+def _average_kl(results: Results, setting: str) -> list[Estimate]:
+    """Average KL with pools of the models' size, by seed.
+
+    Reports of earlier versions have the numbers alone; their errors follow from the embeddings.
+    """
+    found = []
+    for seed, row in zip(_seeds(results, setting), _pool(results, setting), strict=True):
+        kl = row["types"]["average_kl"]
+        known = isinstance(kl, Mapping)
+        found.append(Estimate.from_json(kl) if known else estimated_kl(*_labelled(seed)[:2]))
+    return found
+
+
+def _labelled(seed: Mapping[str, Any]) -> tuple[Means, NDArray[np.int64], list[str]]:
+    """Means of z (P, Z), the index of each pool's driver (P,), and the drivers' names."""
+    means, drivers = _embedding(seed)
+    names = list(dict.fromkeys(drivers))
+    return means, np.array([names.index(name) for name in drivers]), names
+
+
 def supervision_counts(results: Results) -> Verdict:
     """Check that labels at least double the KL, and that drivers are named better with them."""
-    parts, kl = [], {}
-    for name in SETTINGS:
-        rows = _pool(results, name)
-        kl[name] = [max(row["types"]["average_kl"], criteria.SMALLEST_KL) for row in rows]
+    parts, kl = [], {name: _average_kl(results, name) for name in SETTINGS}
     for name in ("id", "preference"):
-        seeds = min(len(kl[name]), len(kl["none"]))
-        ratio = statistics.geometric_ratio(kl[name][:seeds], kl["none"][:seeds])
+        ratio = kl_ratio_of(kl[name], kl["none"])
         what, least = f"{SETTINGS[name]}, KL over the unsupervised one's:", criteria.KL_INFLUENCE
-        about: dict[str, Any] = {"above": least, "seeds": seeds, "form": ".2f"}
-        parts.append(Part.ratio(what, ratio, SEEDS, **about))
+        parts.append(_over_seeds(what, ratio, Part.ratio, above=least, form=".2f"))
         both = _accuracies(results, name), _accuracies(results, "none")
         more = statistics.difference_of_shares(*both)
         what = f"{SETTINGS[name]}, accuracy less the unsupervised one's:"
         margin = criteria.NO_MORE_ACCURATE
-        parts.append(_over_seeds(what, more, paired=True, above=0.0, margin=margin, form="+z.1%"))
-    numbers = ", ".join(f"{np.mean(values):.4g}" for values in kl.values())
+        about = {"paired": True, "above": 0.0, "margin": margin, "form": "+z.1%"}
+        parts.append(_over_seeds(what, more, Part.mean, **about))
+    means = (np.mean([each.mean for each in several]) for several in kl.values())
+    numbers = ", ".join(f"{value:.4g}" for value in means)
     return _found(
         *parts,
         reason=f"average KL {numbers} nats (the paper: 435, 4940, 2872); supervised settings also "
@@ -144,23 +170,30 @@ def structure_uncovered(results: Results) -> Verdict:
 
 def distraction_separates(results: Results) -> Verdict:
     """Compare KL of Bart and Homer with that of Lisa and Marge, learned from preferences."""
-    from hmi_marl.experiments.latent_traits.probes import kl_matrix  # needs the data extra
-
-    both = []
+    ratios = []
     for seed in _seeds(results, "preference"):
-        means, drivers = _embedding(seed)
-        names = list(dict.fromkeys(drivers))
+        means, types, names = _labelled(seed)
+        among = [names.index(name) for name in ("bart", "homer", "lisa", "marge")]
         try:
-            kl = kl_matrix(means, np.array([names.index(name) for name in drivers]))
+            ratios.append(_ratio_of_pairs(means, types, *among))
         except ValueError as error:
             return _found(reason=f"too few pools: {error}")
-        a, b, c, d = (names.index(name) for name in ("bart", "homer", "lisa", "marge"))
-        both.append([kl[a, b] + kl[b, a], kl[c, d] + kl[d, c]])
-    high, low = np.maximum(np.array(both).T, criteria.SMALLEST_KL)
-    ratio = statistics.geometric_ratio(high, low)
+    ratio = statistics.geometric_mean_of_same(ratios)
     what = "KL of Bart and Homer over that of Lisa and Marge:"
-    about: dict[str, Any] = {"above": 1.0, "seeds": ratio.count, "form": ".2f"}
-    return _found(Part.ratio(what, ratio, SEEDS, **about))
+    return _found(_over_seeds(what, ratio, Part.ratio, above=1.0, form=".2f"))
+
+
+def _ratio_of_pairs(
+    means: Means, types: NDArray[np.int64], a: int, b: int, c: int, d: int
+) -> Estimate:
+    """KL of two types, both ways, over that of two others, with the error of its logarithm."""
+
+    def ratio(kl: NDArray[np.float64]) -> NDArray[np.float64]:
+        high, low = kl[:, a, b] + kl[:, b, a], kl[:, c, d] + kl[:, d, c]
+        return np.maximum(high, criteria.SMALLEST_KL) / np.maximum(low, criteria.SMALLEST_KL)
+
+    found = float(ratio(kl_matrix(means, types)[None])[0])
+    return statistics.by_logarithm(found, log_error(means, types, ratio), len(means))
 
 
 # What the exact classifier can tell.
@@ -254,7 +287,9 @@ def representation_is_useful(results: Results) -> Verdict:
         [seed[who] for seed in earned[name]]
     )
     parts = [
-        _over_seeds(f"{SETTINGS['id']}, {who}:", mean("id", who), above=criteria.USEFUL)
+        _over_seeds(
+            f"{SETTINGS['id']}, {who}:", mean("id", who), Part.mean_up_to_1, above=criteria.USEFUL
+        )
         for who in criteria.GAP_DRIVERS
     ]
     others = "; ".join(

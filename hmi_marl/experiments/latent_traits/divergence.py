@@ -19,7 +19,8 @@ the i-th gives the logarithm :math:`θ_i` with mean :math:`θ`,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,8 +149,9 @@ def _covariance(vectors: Array) -> Array:
 
 def _root(cov: Array) -> Array:
     """Cholesky roots of covariances (..., Z, Z), thickened where they are singular."""
-    thin = (np.linalg.eigvalsh(cov) < SMALLEST_SPREAD**2).any(axis=-1)[..., None, None]
-    thickened = cov + thin * SMALLEST_SPREAD**2 * np.eye(cov.shape[-1])
+    thin = np.any(np.linalg.eigvalsh(cov) < SMALLEST_SPREAD**2, axis=-1, keepdims=True)
+    thicker = np.where(thin, SMALLEST_SPREAD**2, 0.0)[..., None]
+    thickened = cov + thicker * np.eye(cov.shape[-1])
     return np.asarray(np.linalg.cholesky(thickened), np.float64)
 
 
@@ -192,3 +194,24 @@ def estimated_kl(means: ArrayLike, types: ArrayLike) -> Estimate:
     """
     error = log_error(means, types, _average)
     return statistics.by_logarithm(average_kl(means, types), error, len(np.asarray(types)))
+
+
+def kl_ratio_of(ones: Sequence[Estimate], others: Sequence[Estimate]) -> Estimate:
+    """Geometric mean of ratios of KL over training seeds, paired by seed; the longer list is cut.
+
+    The luck of the vectors, which are of the same windows in all trainings, is that of both KL as
+    if they were independent, and does not average out over seeds
+    (:func:`~hmi_marl.reporting.statistics.geometric_mean_of_same`).
+
+    Args:
+        ones, others: one of each seed, as :func:`estimated_kl` makes them. KL below
+            :data:`~hmi_marl.experiments.criteria.SMALLEST_KL` count as that.
+    """
+    pairs = zip(ones, others, strict=False)
+    return statistics.geometric_mean_of_same(
+        [statistics.quotient(_positive(one), _positive(other)) for one, other in pairs]
+    )
+
+
+def _positive(kl: Estimate) -> Estimate:
+    return replace(kl, mean=max(kl.mean, criteria.SMALLEST_KL))

@@ -27,9 +27,6 @@ from hmi_marl.experiments.latent_traits.vectors import (
 from hmi_marl.extras import needing
 from hmi_marl.reporting.statistics import CONFIDENCE, Estimate, accuracy
 
-
-
-
 _BOOTSTRAPS = 2000
 _FOLDS = 5
 _LANDMARKS = 100
@@ -82,8 +79,9 @@ def separability(
         seed: seed of k-means.
 
     Raises:
-        ValueError: as :func:`estimated_kl`; or different types or Z in training and held-out vectors;
-            or groups that do not fit the vectors.
+        ValueError: as :func:`~hmi_marl.experiments.latent_traits.divergence.kl_matrix`; or
+            different types or Z in training and held-out vectors; or groups that do not fit the
+            vectors.
         ModuleNotFoundError: scikit-learn is not installed.
     """
     with needing("judging latent vectors"):

@@ -40,7 +40,7 @@ class TraitReport(Experiment[TraitResults]):
         def accuracy(claim: str, name: str, least: float, of: str = "types") -> None:
             share = results.by_seed(name, size, of)
             what = f"{TITLES[name]}, accuracy"
-            part = Part.mean(what, share, SEEDS, above=least, seeds=seeds[name], form="z.1%")
+            part = Part.mean_share(what, share, SEEDS, above=least, seeds=seeds[name], form="z.1%")
             verdicts.append(Verdict(claim, (part,)))
 
         if "id" in found and first.ceilings is not None:
@@ -154,7 +154,7 @@ def judge_self(results: TraitResults) -> list[Verdict]:
         what = "window" if row.windows == 1 else f"pool of {row.windows}"
         claim = f"self-supervised: {100 * bar:.0f} % of types named from one {what}"
         share = statistics.mean_share(shares)
-        part = Part.mean("named", share, SEEDS, above=bar, seeds=seeds, form="z.1%")
+        part = Part.mean_share("named", share, SEEDS, above=bar, seeds=seeds, form="z.1%")
         verdicts.append(Verdict(claim, (part,)))
     prediction = results.averaged("self", "prediction")
     if prediction is not None:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hmi_marl.experiments import criteria
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
+from hmi_marl.experiments.latent_traits.divergence import kl_ratio_of
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow
 from hmi_marl.experiments.training_seeds import over_seeds
 from hmi_marl.files import json_value
@@ -59,19 +59,15 @@ class TraitResults:
         return [getattr(one.at_pool(size), of).linear_probe for one in self.assessments[setting]]
 
     def kl_ratio(self, setting: str, other: str, size: int) -> Estimate:
-        """Ratio of the average KL of two settings, paired by seed, geometric mean."""
-        kl = [
-            [max(one.at_pool(size).types.average_kl, criteria.SMALLEST_KL) for one in several]
-            for several in (self.assessments[setting], self.assessments[other])
-        ]
-        seeds = min(map(len, kl))
-        return statistics.geometric_ratio(kl[0][:seeds], kl[1][:seeds])
+        """Ratio of the average KL of two settings; see :func:`kl_ratio_of`."""
+        return kl_ratio_of(self._kl(setting, size), self._kl(other, size))
 
     def average_kl(self, setting: str, size: int) -> Estimate:
         """Average the KL between driver types over seeds."""
-        return statistics.mean(
-            [o.at_pool(size).types.average_kl for o in self.assessments[setting]]
-        )
+        return statistics.mean_of_same(self._kl(setting, size))
+
+    def _kl(self, setting: str, size: int) -> list[Estimate]:
+        return [one.at_pool(size).types.average_kl for one in self.assessments[setting]]
 
     def trait_r2(self, setting: str, trait: str, probe: str) -> Estimate | None:
         """Average R² of a probe over seeds; 1 seed: interval over strangers; None if not judged."""

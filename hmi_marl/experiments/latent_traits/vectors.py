@@ -48,5 +48,3 @@ def same_size(fitted: Array, vectors: Array) -> None:
         raise ValueError(
             f"training vectors have {fitted.shape[1]} dimensions, held-out ones {vectors.shape[1]}"
         )
-
-

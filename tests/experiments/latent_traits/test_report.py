@@ -17,12 +17,13 @@ from hmi_marl.experiments.latent_traits import figures
 from hmi_marl.experiments.latent_traits import tables as trait_tables
 from hmi_marl.experiments.latent_traits.assessment import Assessment, Embedding, Identified
 from hmi_marl.experiments.latent_traits.ceiling import Ceilings
+from hmi_marl.experiments.latent_traits.divergence import average_kl
 from hmi_marl.experiments.latent_traits.evaluation import TraitEvaluation
 from hmi_marl.experiments.latent_traits.figures import embeddings_figure
 from hmi_marl.experiments.latent_traits.imitation import ActionLikelihood, Driving, DrivingRow
 from hmi_marl.experiments.latent_traits.posterior import PosteriorRow, TraitScore
 from hmi_marl.experiments.latent_traits.prediction import ActionPrediction
-from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2, average_kl
+from hmi_marl.experiments.latent_traits.probes import Separability, TraitR2
 from hmi_marl.experiments.latent_traits.report import left_out
 from hmi_marl.experiments.latent_traits.results import TraitResults
 from hmi_marl.experiments.latent_traits.reward import Ranks, RewardRanking
@@ -59,7 +60,8 @@ def identified(
     windows: int, hits: int, kl: float, likes: int | None = 90, best: tuple[int, int] | None = None
 ) -> Identified:
     def kept_apart(right: int, chance: float) -> Separability:
-        return Separability(share(right, 100), share(right - 1, 100), chance, 0.5, 0.25, kl)
+        apart = statistics.by_logarithm(kl, 0.1, 100)
+        return Separability(share(right, 100), share(right - 1, 100), chance, 0.5, 0.25, apart)
 
     return Identified(
         windows,
@@ -138,6 +140,11 @@ def judged(found: TraitResults) -> dict[str, str]:
     return {claim: outcome for claim, outcome in verdicts.items() if "reward" not in claim}
 
 
+def kl_of(row: Identified, factor: float) -> Estimate:
+    kl = row.types.average_kl
+    return statistics.by_logarithm(kl.mean * factor, kl.error, kl.count)
+
+
 def seeds(found: Mapping[str, Sequence[Assessment]], count: int = 5) -> TraitResults:
     """The same with as many training seeds, alike but for little."""
     spread = {
@@ -145,7 +152,7 @@ def seeds(found: Mapping[str, Sequence[Assessment]], count: int = 5) -> TraitRes
             replace(
                 each,
                 identified=[
-                    replace(row, types=replace(row.types, average_kl=row.types.average_kl * factor))
+                    replace(row, types=replace(row.types, average_kl=kl_of(row, factor)))
                     for row in each.identified
                 ],
             )
@@ -191,7 +198,7 @@ def test_kl_is_averaged_over_seeds() -> None:
     found = results(none=[one(kl=10.0)], id=[one(kl=10.0), one(kl=20.0)])
     assert found.average_kl("none", POOL).mean == 10.0
     assert math.isnan(found.average_kl("none", POOL).low)
-    assert found.average_kl("id", POOL) == statistics.mean([10.0, 20.0])
+    assert found.average_kl("id", POOL).mean == 15.0
     assert found.average_kl("none", 1).mean == 1.0
 
 
