@@ -127,6 +127,14 @@ def test_a_part_names_its_unit() -> None:
     assert learned_part("gain", one, 1, "drivers").unit == "drivers"
 
 
+def test_a_mean_of_shares_over_seeds_has_an_interval_that_ends_at_0() -> None:
+    crashes = over_seeds([statistics.share(hits, 1000) for hits in (1, 9, 30)])
+    part = learned_part("crashes", crashes, 3, alone=Part.share, below=0.1)
+    assert (part.test, part.unit) == ("t of shares", SEEDS)
+    assert part.interval(0.999)[0] == 0.0
+    assert learned_part("gap closed", crashes, 3).interval(0.999)[0] < 0.0
+
+
 @dataclass(frozen=True)
 class Drawn(SeededExperiment[Row]):
     """An experiment whose result is its seed."""

@@ -10,13 +10,17 @@ from hmi_marl.reporting.statistics import (
     Estimate,
     accuracy,
     average,
+    by_logarithm,
+    cut,
     difference_of_shares,
+    geometric_mean_of_same,
     geometric_ratio,
     interval_with_luck,
     mean,
     mean_of_same,
     mean_share,
     number,
+    quotient,
     ratio,
     share,
     wilson_interval,
@@ -165,6 +169,36 @@ def test_a_ratio_of_positive_values_by_its_logarithms() -> None:
     assert (found.mean, found.count) == (pytest.approx(4.0), 2)
     assert found.error == pytest.approx(math.log(2.0))
     assert found.low == pytest.approx(math.exp(math.log(4) - 12.7062 * math.log(2)), rel=1e-4)
+
+
+def test_numbers_by_their_logarithms_worked_by_hand() -> None:
+    # Student's t of 9 degrees of freedom: 2.26216
+    one, other = by_logarithm(6.0, 0.3, 10), by_logarithm(2.0, 0.4, 20)
+    assert (one.mean, one.error, one.count) == (6.0, 0.3, 10)
+    assert one.low == pytest.approx(6.0 * math.exp(-2.26216 * 0.3), rel=1e-5)
+    assert one.high == pytest.approx(6.0 * math.exp(2.26216 * 0.3), rel=1e-5)
+    both = quotient(one, other)
+    assert (both.mean, both.error, both.count) == pytest.approx((3.0, 0.5, 10))
+    # logarithms 0 and 2: mean 1, standard error 1, t = 12.7062; and 0.5 of ten units
+    seeds = [by_logarithm(1.0, 0.4, 10), by_logarithm(math.exp(2.0), 0.6, 12)]
+    over = geometric_mean_of_same(seeds)
+    assert (over.mean, over.count) == (pytest.approx(math.e), 2)
+    assert (over.error, over.luck) == pytest.approx((math.hypot(1.0, 0.5), 0.5))
+    assert over.luck_count == 10
+    half = math.hypot(12.7062, 2.26216 * 0.5)
+    assert [math.log(over.low), math.log(over.high)] == pytest.approx(
+        [1 - half, 1 + half], abs=1e-4
+    )
+    assert math.isnan(geometric_mean_of_same(seeds[:1]).low)
+    assert by_logarithm(1.0, 1e6, 2).low == 0.0
+    assert math.isfinite(by_logarithm(1.0, 1e6, 2).high)
+
+
+def test_ends_that_an_interval_cannot_pass() -> None:
+    assert cut(-0.1, 1.1) == (0.0, 1.0)
+    assert cut(0.2, 0.7) == (0.2, 0.7)
+    assert cut(-3.0, 3.0, lowest=-math.inf) == (-3.0, 1.0)
+    assert all(math.isnan(end) for end in cut(math.nan, math.nan))
 
 
 @settings(deadline=None, database=None)

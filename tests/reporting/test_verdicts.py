@@ -83,6 +83,22 @@ def test_intervals_of_every_test_by_hand() -> None:
     assert np.log(logs.interval()) == pytest.approx((2 - 12.7062, 2 + 12.7062), abs=1e-4)
 
 
+def test_intervals_of_shares_end_at_0_and_1_in_text_and_json() -> None:
+    wide = mean([0.8, 1.0])  # standard error 0.1, t = 12.7062
+    found = Part.mean_share("named", wide, SEEDS, above=0.5, form="z.1%")
+    assert found.interval() == (0.0, 1.0)
+    assert found.shown() == "named 90.0% [0.0%, 100.0%] (> 50.0%?)"
+    assert found.basis() == "t of shares over 2 training seeds"
+    assert Verdict("a", (found,)).as_json()["intervals"] == [[0.0, 1.0]]
+    assert Verdict.from_json(Verdict("a", (found,)).as_json()).parts == (found,)
+    low = Part.mean_up_to_1("earned", wide, SEEDS, above=0.5)
+    assert low.interval() == (pytest.approx(0.9 - 1.27062, abs=1e-5), 1.0)
+    gap = Part.mean("closed", wide, SEEDS, above=0.5)  # of a gap, of which more can be closed
+    assert gap.interval() == pytest.approx((0.9 - 1.27062, 0.9 + 1.27062), abs=1e-5)
+    inside = Part.mean_share("named", mean([0.5, 0.51]), SEEDS, above=0.4)
+    assert inside.interval() == Part.mean("named", mean([0.5, 0.51]), SEEDS).interval()
+
+
 def test_a_quantity_that_never_varies_shows_no_interval_of_zero_width() -> None:
     never = Part.mean("gain", mean([0.0] * 5), SEEDS, above=0.0, form="+z.1f")
     assert never.shown() == "gain +0.0 every time (> +0.0?)"

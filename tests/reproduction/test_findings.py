@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated_reports import report
+from simulated_reports import POOLS, report
 
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.exact.hidden_attention import rule_return, solve_belief
+from hmi_marl.experiments.latent_traits.divergence import estimated_kl, kl_matrix, kl_ratio_of
 from hmi_marl.paper import audit
 from hmi_marl.reporting.verdicts import Outcome, Part, Verdict
 from hmi_marl.reproduction import trait_findings
@@ -291,6 +292,65 @@ def test_the_use_of_z_is_in_doubt_where_few_pools_were_named() -> None:
     assert {part.outcome() for part in found.parts} == {
         OPEN
     }  # was certain, by intervals of no width
+
+
+def test_nothing_that_z_earns_is_more_than_all_however_few_pools() -> None:
+    found = trait_findings.representation_is_useful(report({"id apart": 1.0}))
+    for part in found.parts:
+        low, high = part.interval(0.9999)
+        assert high == 1.0
+        assert low < part.value == pytest.approx(1.0)
+
+
+def test_ratios_of_kl_keep_the_luck_of_the_pools() -> None:
+    found = trait_findings.supervision_counts(report(KL))
+    ratios = [part for part in found.parts if "KL" in part.what]
+    assert [part.luck for part in ratios] == pytest.approx([0.1 * math.sqrt(2)] * 2)
+    assert {part.luck_count for part in ratios} == {POOLS}
+
+
+def test_reports_that_have_the_kl_alone_are_judged_by_their_embeddings() -> None:
+    results = report({"id apart": 1.0})
+    settings = results["traits"]["supervisions"]
+    wanted = {}
+    for name in ("none", "id", "preference"):
+        wanted[name] = []
+        for seed in settings[name]["seeds"]:
+            embedding = seed["embedding"]
+            types = np.repeat(np.arange(4), len(embedding["drivers"]) // 4)
+            wanted[name].append(estimated_kl(embedding["means"], types))
+            for row in seed["identified"]:
+                row["types"]["average_kl"] = wanted[name][-1].mean
+    found = trait_findings.supervision_counts(results)
+    ratio = kl_ratio_of(wanted["id"], wanted["none"])
+    part = found.parts[0]
+    assert (part.value, part.error, part.luck) == pytest.approx(
+        (ratio.mean, ratio.error, ratio.luck)
+    )
+    assert part.luck > 0.05
+
+
+def test_the_distance_of_pairs_keeps_the_luck_of_the_pools() -> None:
+    results = report({})
+    (part,) = trait_findings.distraction_separates(results).parts
+
+    def log_ratio(means: Any, types: Any) -> float:
+        kl = kl_matrix(means, types)
+        lisa, marge, bart, homer = range(4)
+        high, low = kl[bart, homer] + kl[homer, bart], kl[lisa, marge] + kl[marge, lisa]
+        return math.log(high / low)
+
+    errors = []
+    for seed in results["traits"]["supervisions"]["preference"]["seeds"]:
+        means = np.array(seed["embedding"]["means"])
+        types = np.array([FOUR.index(name) for name in seed["embedding"]["drivers"]])
+        left = np.array(
+            [log_ratio(np.delete(means, k, axis=0), np.delete(types, k)) for k in range(len(means))]
+        )
+        variances = [(19 / 20) * 20 * left[types == kind].var() for kind in range(4)]
+        errors.append(math.sqrt(sum(variances)))
+    assert part.luck == pytest.approx(np.mean(errors), rel=1e-6)
+    assert part.luck_count == 80
 
 
 @pytest.mark.slow

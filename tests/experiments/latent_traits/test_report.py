@@ -43,13 +43,14 @@ from hmi_marl.reporting import statistics
 from hmi_marl.reporting.blocks import as_text
 from hmi_marl.reporting.report import PAGE, Stopwatch
 from hmi_marl.reporting.statistics import Estimate, share
-from hmi_marl.reporting.verdicts import judged_together
+from hmi_marl.reporting.verdicts import SEEDS, Part, Verdict, judged_together
 
 REPORT = TraitEvaluation((), Path())
 
 NOT_KNOWN = Estimate(math.nan, math.nan, math.nan)
 NAMES = ("lisa", "marge<b>", "bart", "homer")
 POOL = 8
+OPEN = Part.mean("x", statistics.mean([-1.0, 1.0]), SEEDS, above=0.0)
 
 
 def about(mean: float, half: float = 0.1) -> Estimate:
@@ -60,7 +61,7 @@ def identified(
     windows: int, hits: int, kl: float, likes: int | None = 90, best: tuple[int, int] | None = None
 ) -> Identified:
     def kept_apart(right: int, chance: float) -> Separability:
-        apart = statistics.by_logarithm(kl, 0.1, 100)
+        apart = statistics.by_logarithm(kl, 0.001, 100)
         return Separability(share(right, 100), share(right - 1, 100), chance, 0.5, 0.25, apart)
 
     return Identified(
@@ -140,19 +141,24 @@ def judged(found: TraitResults) -> dict[str, str]:
     return {claim: outcome for claim, outcome in verdicts.items() if "reward" not in claim}
 
 
-def kl_of(row: Identified, factor: float) -> Estimate:
+def kl_of(row: Identified, factor: float, error: float) -> Estimate:
     kl = row.types.average_kl
-    return statistics.by_logarithm(kl.mean * factor, kl.error, kl.count)
+    return statistics.by_logarithm(kl.mean * factor, error, kl.count)
 
 
-def seeds(found: Mapping[str, Sequence[Assessment]], count: int = 5) -> TraitResults:
-    """The same with as many training seeds, alike but for little."""
+def seeds(
+    found: Mapping[str, Sequence[Assessment]], count: int = 5, error: float = 0.001
+) -> TraitResults:
+    """The same with as many training seeds, alike but for little.
+
+    ``error`` is that of the logarithm of KL within a seed.
+    """
     spread = {
         name: [
             replace(
                 each,
                 identified=[
-                    replace(row, types=replace(row.types, average_kl=kl_of(row, factor)))
+                    replace(row, types=replace(row.types, average_kl=kl_of(row, factor, error)))
                     for row in each.identified
                 ],
             )
@@ -198,7 +204,9 @@ def test_kl_is_averaged_over_seeds() -> None:
     found = results(none=[one(kl=10.0)], id=[one(kl=10.0), one(kl=20.0)])
     assert found.average_kl("none", POOL).mean == 10.0
     assert math.isnan(found.average_kl("none", POOL).low)
-    assert found.average_kl("id", POOL).mean == 15.0
+    of_seeds = [statistics.by_logarithm(kl, 0.001, 100) for kl in (10.0, 20.0)]
+    assert found.average_kl("id", POOL) == statistics.mean_of_same(of_seeds)
+    assert found.average_kl("id", POOL).luck == pytest.approx(0.015, rel=0.02)  # nats: a thousandth
     assert found.average_kl("none", 1).mean == 1.0
 
 
@@ -266,6 +274,28 @@ def test_vectors_that_are_all_one_are_no_division_by_zero() -> None:
 
     assert kl(0.0, 5.0) == "supported"
     assert kl(0.0, 0.0) == "not supported"
+
+
+def test_ratios_of_kl_keep_the_luck_of_the_pools_that_all_seeds_share() -> None:
+    both = {"none": [one(kl=10.0)], "id": [one("id", kl=80.0)]}
+    claim = "by driver: KL 6 times the unsupervised one"
+    assert judged(seeds(both, error=0.01))[claim] == "supported"
+    assert judged(seeds(both, error=0.2))[claim] == "undetermined"
+    part = next(v for v in REPORT.judge(seeds(both, error=0.2)) if v.claim == claim).parts[0]
+    assert (part.luck, part.luck_count) == (pytest.approx(0.2 * math.sqrt(2)), 100)
+    assert "over what they share, 100 units" in part.basis()
+    content = seeds(both, error=0.2).as_json()["supervisions"]["id"]
+    kl = next(row for row in content["seeds"][0]["identified"] if row["windows"] == POOL)
+    assert kl["types"]["average_kl"]["error"] == 0.2
+    assert content["average_kl"]["luck"] == pytest.approx(0.2 * 80.0, rel=0.05)
+
+
+def test_intervals_of_accuracies_end_at_1_however_sure_they_have_to_be() -> None:
+    found = results(id=[one("id", hits=hits) for hits in (95, 99, 100, 98, 99)])
+    verdict = next(v for v in REPORT.judge(found) if v.claim.startswith("by driver: accuracy"))
+    together = judged_together([verdict, *[Verdict("x", (OPEN,))] * 50])[0]
+    assert together.as_json()["intervals"][0][1] == 1.0
+    assert "100.0%]" in together.summary
 
 
 def test_the_order_of_kl_takes_every_pair_of_neighbours() -> None:
