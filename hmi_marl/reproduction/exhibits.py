@@ -145,7 +145,7 @@ def hidden_attention(hidden: Mapping[str, Any]) -> Exhibit:
         f"{most[_WORTH]:+z.1f}, and least for {names[1]}, {least[_WORTH]:+z.1f}.",
         {"exact": most[_WORTH], "least": least[_WORTH]},
         (pointer("stages", "hidden", "rows", place, "bayes_own_minus_average"),),
-        "worth of knowing the driver, by driver: Bayes filters, learned, and exact, all over as many "
+        "worth of knowing the driver, by driver: Bayes filters, learned, and exact over as many "
         "steps",
         lambda: _draw_hidden(listed),
     )

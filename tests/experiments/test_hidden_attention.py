@@ -105,7 +105,7 @@ def played(share, play):
 def test_exact_values_are_over_the_lengths_that_each_hmi_played():
     # A car that stands crashes where it is told to: after 10 to 99 steps, whatever attention does.
     count, share, team = 3000, 0.4, BART
-    crash_at = {hmi: 10 + (np.arange(count) * step) % 90 for hmi, step in zip("ab", (7, 11))}
+    crash_at = {hmi: 10 + (np.arange(count) * step) % 90 for hmi, step in (("a", 7), ("b", 11))}
 
     class Crashing(StandingWorld):
         def __init__(self, at):
@@ -154,7 +154,7 @@ def test_with_the_rule_based_driver_what_is_played_is_exact_over_as_many_steps()
         assert abs(found.mean) < 4 * found.error, hmi
     none = row.attention_return[NONE]
     whole = oracle.evaluate(0.0, **exact_settings(BART)).total_return
-    assert none.mean - whole > 8 * none.error, "crashes make trips shorter"
+    assert none.mean - whole > 4 * none.error, "crashes make trips shorter"
     error = row.worth_minus_exact.error
     assert abs(row.worth_minus_exact.mean) < 4 * error
     assert row.exact_worth - row.exact_worth_same_steps > 5.0
