@@ -62,7 +62,7 @@ EXACT_NOTE = (
     "Exact: over the lengths that the episodes of the same HMI had, if each step reveals d "
     "independently with the share that was measured (except for NoHMI) and the length of an "
     "episode is independent of attention; that of a learned HMI is the Bayes filter's for the "
-    "driver that it was trained for. Whole trips do not end at a crash."
+    "driver that it was trained for. Whole trips have the whole number of steps and no crash."
 )
 """What exact values assume."""
 

@@ -98,9 +98,8 @@ def _hidden_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         shown.append(entries)
     head = ["driver", "Bayes filter, own", "Bayes filter, AvgHMI", "learned, own"]
     head += ["worth of knowing", *(f"{name}, whole trips" for name in ("own", "AvgHMI", "worth"))]
-    note = f"{EXACT_NOTE} These have {HORIZON} steps, and their values are exact alone."
     title = "The Bayes filter, attention hidden: attention returns, played and exact"
-    return Table(title, head, shown, note, sources=[pointer("stages", "hidden", "rows")])
+    return Table(title, head, shown, EXACT_NOTE, sources=[pointer("stages", "hidden", "rows")])
 
 
 def audit_blocks(cells: Sequence[AuditedCell]) -> list[Block]:
