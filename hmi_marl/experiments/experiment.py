@@ -131,6 +131,9 @@ class Experiment(Checked, ABC, Generic[R]):
     """Name of its page in the report of a reproduction; empty for its title."""
     paper: ClassVar[str] = ""
     """Text on what the paper shows of it, and how ours corresponds to it."""
+    results_format: ClassVar[int] = 1
+    """Raised when its numbers get other names or parts: a reproduction then makes its results again
+    from what it has learned, where they are of an earlier format."""
     uses_driver: ClassVar[bool] = False
     """Whether it plays with the driver policy that the experiments of a reproduction share."""
 
