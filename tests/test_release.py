@@ -108,5 +108,5 @@ def test_every_dependency_of_this_project_is_pinned_and_its_agents_are_whole():
 
 
 def test_what_a_comparison_lacks_is_to_do(tmp_path):
-    with pytest.raises(release.ToDoError, match="has no INDEX.json .*; ship the comparison anew"):
+    with pytest.raises(release.ToDoError, match=r"has no INDEX\.json .*; ship the comparison anew"):
         release.check_comparison(tmp_path)
