@@ -125,6 +125,8 @@ class Experiment(Checked, ABC, Generic[R]):
     """Name in the registry, and of its folder in a reproduction."""
     files: ClassVar[str] = ""
     """Name of its text and its JSON, where it is not the experiment's."""
+    indexed: ClassVar[bool] = False
+    """Whether its report has an index of checksums, with which it ships by itself."""
     title: ClassVar[str]
     """Heading of its report."""
     short: ClassVar[str] = ""
@@ -225,6 +227,8 @@ def _conduct(experiment: Experiment[Any], place: Place) -> Report:
         place.watch.seconds,
     )
     report.write(place.folder)
+    if experiment.indexed:
+        report.write_index(place.folder)
     return report
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,8 @@ from typing import Any
 import hmi_marl
 from hmi_marl.experiments.experiment import Experiment, Place, conduct, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS
-from hmi_marl.files import (
-    sha256_of,
-    with_checksum,
-    without_checksum,
-    write_json,
-)
+from hmi_marl.file_index import digests
+from hmi_marl.files import with_checksum, without_checksum, write_json
 from hmi_marl.ownership import owned
 from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Block, block_from
@@ -192,11 +188,6 @@ def read_timings(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path} is damaged; remove it, to have it made again")
     return content
-
-
-def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of files by their paths in a folder."""
-    return {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
 
 
 def _changed(

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.learned.cards import is_saved
+from hmi_marl.envs.config import AGENTS
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ends_of, mean_metrics
 from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
@@ -18,6 +20,7 @@ from hmi_marl.experiments.protocols.plan import ComparisonSettings
 from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.experiments.signalling import SITUATIONS
+from hmi_marl.files import sha256_of
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.many_runs import (
     over_runs,
@@ -40,12 +43,21 @@ class Training:
     """Steps of an optimiser, of all that learn."""
     seconds: float
     """Wall time of training, interruptions left out."""
+    weights: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of the weights that it learned, by seat."""
 
     @classmethod
     def of(cls, settings: TrainSettings, folder: Path) -> Training:
         """Read it from the folder of a finished run."""
         last = read_curve(folder)[-1]
-        return cls(int(last["steps"]), gradient_steps(settings), float(last["seconds"]))
+        cards = {seat: folder / f"{seat}.json" for seat in AGENTS}
+        weights = {
+            seat: sha256_of(card.with_suffix(".safetensors"))
+            for seat, card in cards.items()
+            if is_saved(card)
+        }
+        steps, seconds = int(last["steps"]), float(last["seconds"])
+        return cls(steps, gradient_steps(settings), seconds, weights)
 
 
 def gradient_steps(settings: TrainSettings) -> int:
