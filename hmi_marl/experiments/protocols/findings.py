@@ -41,7 +41,7 @@ SWEPT = ("divergence", "attention_return")
 
 @dataclass(frozen=True)
 class Compared:
-    """A protocol minus two-stage in one metric, paired by seed."""
+    """A protocol minus its reference, two-stage, in one metric, paired by seed."""
 
     task: str
     protocol: str
