@@ -26,6 +26,7 @@ from hmi_marl.reporting.many_runs import (
     over_runs,
     paired_differences,
     probability_of_improvement,
+    shared_error,
 )
 from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import UNKNOWN, Estimate
@@ -160,17 +161,21 @@ class TaskResults:
         """
         if not self.scored_drivers:
             return UNKNOWN
-        return statistics.widened(over_runs(self.scores(pairs)), *self.luck_of_scores(pairs))
+        scores, (errors, episodes) = self.scores(pairs), self.luck_of_scores(pairs)
+        return statistics.widened(over_runs(scores), shared_error(scores, errors), episodes)
 
-    def luck_of_scores(self, pairs: Sequence[Pair]) -> tuple[float, int]:
-        """Standard error of a pair's mean score over its episodes, and how many of a driver.
+    def luck_of_scores(self, pairs: Sequence[Pair]) -> tuple[NDArray[np.float64], int]:
+        """Standard errors of a pair's scores over its episodes, shape (scored drivers,).
 
         The references are exact and the episodes are the same for all runs, so their luck does not
-        average out over runs.
+        average out over runs. The second is the number of episodes of the driver with the fewest.
         """
-        names = self.scored_drivers
-        each = [[self.played[pair].scores[name].score for name in names] for pair in pairs]
-        return statistics.shared_luck([statistics.average(scores) for scores in each])
+        of_driver = [
+            statistics.shared_luck([self.played[pair].scores[name].score for pair in pairs])
+            for name in self.scored_drivers
+        ]
+        errors, episodes = zip(*of_driver, strict=True)
+        return np.array(errors), min(episodes)
 
     def mean_of(
         self,
