@@ -35,6 +35,8 @@ SMALL = ProtocolComparison(
 )
 NONE, FILTER, OPTIMUM = -400.0, 600.0, 800.0
 """Exact returns that every driver has."""
+SEEN = replace(SMALL, tasks=("seen",), protocols=("two-stage", "simultaneous"))
+OWN = {"two-stage": 600.0, "joint": 700.0, "simultaneous": 780.0}
 
 
 def sums(
@@ -143,3 +145,22 @@ def without(comparison: Comparison, driver: str) -> Comparison:
         }
         tasks[name] = replace(results, played=emptied)
     return replace(comparison, tasks=tasks)
+
+
+def signalling(pair: Pair) -> float:
+    """Attention return as the trial had it: pairs that learned together understand each other."""
+    driver, hmi = arm_of(pair.driver), arm_of(pair.hmi)
+    together = {"joint", "simultaneous"}
+    if pair.hmi.startswith("belief:average"):
+        return 536.0 + number_of(pair.driver)
+    if driver in together and hmi in together:
+        return 780.0 + number_of(pair.driver)
+    if driver == "two-stage" and hmi in together:
+        return 430.0 + number_of(pair.driver)
+    if "anchored" in driver or "anchored" in hmi:
+        return {"anchored-0.1": 760.0, "anchored-1": 602.0}[driver if "anch" in driver else hmi]
+    return 600.0 + number_of(pair.driver)
+
+
+def hidden(**more):
+    return comparison(SMALL, signalling, **more)

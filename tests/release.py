@@ -115,6 +115,17 @@ def check_agents(root: Path) -> str:
         raise ToDoError(f"ship the agents anew (hmi-marl reproduce ship): {error}") from None
 
 
+def check_comparison(root: Path) -> str:
+    """The shipped comparison is whole, and the shipped pairs are those that it shows."""
+    from hmi_marl.reproduction.comparison import check_shipped
+
+    try:
+        pairs = check_shipped(root / "docs" / "compare", root / "hmi_marl" / "trained")
+    except (OSError, ValueError) as error:
+        raise ToDoError(str(error)) from None
+    return f"the shipped comparison is whole, and shows {len(pairs)} of the shipped agents"
+
+
 def check_site(root: Path) -> str:
     """The site builds without a warning."""
     with tempfile.TemporaryDirectory() as folder:
@@ -164,6 +175,7 @@ QUICK: tuple[Callable[[Path], str], ...] = (
     check_clean,
     check_tag,
     check_agents,
+    check_comparison,
 )
 SLOW = (check_site, check_wheel)
 

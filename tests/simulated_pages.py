@@ -7,7 +7,7 @@ from typing import Any
 
 from simulated_reports import report
 
-from hmi_marl.experiments.hidden_attention import BAYES_OWN, LEARNED_OWN
+from hmi_marl.experiments.hidden_attention import BAYES_AVERAGE, BAYES_OWN, LEARNED_OWN
 from hmi_marl.reporting.blocks import Block, Figure, Table, Text, Verdicts
 from hmi_marl.reporting.drawing import COLOURS, canvas, png
 from hmi_marl.reporting.pages import PagedReport
@@ -25,7 +25,9 @@ def numbers() -> dict[str, dict[str, Any]]:
     stages = report({"id apart": 1.0}, spread=1.0)
     for row in stages["hidden"]["rows"]:
         row |= {"exact_own": 900.0, "exact_average": 890.0}
-        row["attention_return"] |= {hmi: {"mean": 895.0} for hmi in (BAYES_OWN, LEARNED_OWN)}
+        played = (BAYES_OWN, BAYES_AVERAGE, LEARNED_OWN)
+        row["attention_return"] |= {hmi: {"mean": 895.0} for hmi in played}
+        row["exact_same_steps"] = dict.fromkeys(played, 880.0)
     for setting in stages["traits"]["supervisions"].values():
         setting["average_kl"] = {"mean": 10.0}
         rows = [row for seed in setting["seeds"] for row in seed["identified"]]

@@ -120,7 +120,8 @@ def hidden(world: World) -> dict[str, Any]:
                 "own_minus_bayes_average": world.mean(f"{driver} hidden own - Bayes AvgHMI"),
                 "bayes_own_minus_average": world.mean(f"{driver} hidden Bayes own - AvgHMI"),
                 "own_minus_average": world.mean(f"{driver} hidden own - AvgHMI"),
-                "exact_worth": world.value(f"{driver} exact worth"),
+                "exact_worth": world.value(f"{driver} exact worth, whole trips"),
+                "exact_worth_same_steps": world.value(f"{driver} exact worth"),
             }
             for driver in (*PAPER_DRIVERS, "average")
         ]

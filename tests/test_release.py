@@ -38,7 +38,8 @@ def commit(folder):
     git(folder, "commit", "--quiet", "--message", "change")
 
 
-CHECKS = [check for check in release.QUICK if check is not release.check_agents]
+OF_AGENTS = release.check_agents, release.check_comparison
+CHECKS = [check for check in release.QUICK if check not in OF_AGENTS]
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -104,3 +105,8 @@ def test_the_contents_of_the_wheel_are_checked(checkout):
 def test_every_dependency_of_this_project_is_pinned_and_its_agents_are_whole():
     assert release.check_pins(ROOT)
     assert release.check_agents(ROOT)
+
+
+def test_what_a_comparison_lacks_is_to_do(tmp_path):
+    with pytest.raises(release.ToDoError, match=r"has no INDEX\.json .*; ship the comparison anew"):
+        release.check_comparison(tmp_path)

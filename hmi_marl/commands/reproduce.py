@@ -116,8 +116,8 @@ class ReproduceWithDriver(ReproduceOne):
 class ReproduceShip:
     """Copy the agents of a finished reproduction to where the package ships them from.
 
-    With --compare the trained pairs of a finished hmi-marl compare instead, with --only those of a
-    finished hmi-marl reproduce NAME, beside what is there.
+    With --compare the trained pairs and the report of a finished hmi-marl compare instead, with
+    --only the agents of a finished hmi-marl reproduce NAME, next to what is there.
 
     Example: hmi-marl reproduce ship --out hmi_marl/trained --report docs/report
     """
@@ -127,9 +127,10 @@ class ReproduceShip:
     run_folder: Annotated[Path, tyro.conf.arg(name="run")] = RUNS / "all"
     """Folder of the reproduction."""
     report: Path | None = None
-    """Folder to which the report is copied as well, in place of an earlier one."""
+    """Folder to which the report is copied as well, in place of an earlier one; with --compare its
+    text, JSON, figures and clips, and an index with their checksums."""
     compare: Path | None = None
-    """Folder of a comparison, of which the pairs of the first seed are added."""
+    """Folder of a finished comparison, of which the pairs of the first seed are added."""
     only: str | None = None
     """Experiment whose agents alone are added, from its folder (--run)."""
 
@@ -140,11 +141,15 @@ class ReproduceShip:
         from hmi_marl.reproduction.suite import full_suite, shared_driver
 
         check_free(self.out)
-        name, run_folder = self.only, self.run_folder
         if self.compare is not None:
-            if name is not None:
+            if self.only is not None:
                 raise ValueError("give --compare or --only, not both")
-            name, run_folder = "protocols", self.compare
+            from hmi_marl.reproduction.comparison import ship_comparison
+
+            for agent in ship_comparison(self.compare, self.out, self.report):
+                print(f"{agent.name:<28} {agent.what}")
+            return
+        name, run_folder = self.only, self.run_folder
         if name is not None:
             if self.report is not None:
                 raise ValueError("--report is copied with all agents: leave it out, or --only")

@@ -21,13 +21,14 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.checks import SHARE
 from hmi_marl.envs.attention import check_window, distraction_probability, next_acceptance
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import RewardWeights
 from hmi_marl.exact import bayes_filter
+from hmi_marl.exact.episode_lengths import sum_first
 from hmi_marl.exact.oracle import check_horizon, check_size
 from hmi_marl.exact.signalling import entropy
 
@@ -219,9 +220,15 @@ class RuleOutcome:
         """Information in each step after the first [bits]."""
         return float(self.information[1:].mean()) if len(self.information) > 1 else 0.0
 
-    def return_after(self, steps: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Attention return of the first ``steps`` steps, 0 to the horizon, of any shape."""
-        return np.concatenate(([0.0], np.cumsum(self.rewards)))[steps]
+    def return_after(self, steps: ArrayLike) -> NDArray[np.float64]:
+        """Attention return of the first ``steps`` steps, of any shape.
+
+        See :mod:`hmi_marl.exact.episode_lengths` for the lengths of episodes that crashes ended.
+
+        Raises:
+            ValueError: not whole numbers from 0 to the horizon.
+        """
+        return sum_first(self.rewards, steps)
 
 
 class _Paths(NamedTuple):

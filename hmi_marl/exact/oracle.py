@@ -32,6 +32,7 @@ from hmi_marl.envs.alerts import FULL, Alerts, Fatigue, check_strengths
 from hmi_marl.envs.attention import check_window, successors
 from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.envs.rewards import ATTENTION_TERMS, RewardWeights, attention_terms
+from hmi_marl.exact.episode_lengths import sum_first
 from hmi_marl.exact.identify import identify as identify  # part of the oracle's interface
 from hmi_marl.exact.trait_posterior import trait_posterior as trait_posterior  # this as well
 
@@ -76,15 +77,13 @@ class AlertReturns:
     ) -> NDArray[np.float64]:
         """Expected sum of some reward terms over the first ``steps`` steps, of any shape.
 
+        See :mod:`hmi_marl.exact.episode_lengths` for the lengths of episodes that crashes ended.
+
         Raises:
             ValueError: not whole numbers from 0 to the horizon.
         """
-        count = np.asarray(steps)
-        whole = np.issubdtype(count.dtype, np.integer)
-        if not whole or np.any((count < 0) | (count > self.horizon)):
-            raise ValueError(f"steps are whole numbers from 0 to {self.horizon}, but got {steps!r}")
         by_step = np.sum([self.rewards[term] for term in terms], axis=0)
-        return np.concatenate(([0.0], np.cumsum(by_step)))[count]
+        return sum_first(by_step, steps)
 
 
 @dataclass(frozen=True)

@@ -125,12 +125,17 @@ class Experiment(Checked, ABC, Generic[R]):
     """Name in the registry, and of its folder in a reproduction."""
     files: ClassVar[str] = ""
     """Name of its text and its JSON, where it is not the experiment's."""
+    indexed: ClassVar[bool] = False
+    """Whether its report has an index of checksums, with which it ships by itself."""
     title: ClassVar[str]
     """Heading of its report."""
     short: ClassVar[str] = ""
     """Name of its page in the report of a reproduction; empty for its title."""
     paper: ClassVar[str] = ""
     """Text on what the paper shows of it, and how ours corresponds to it."""
+    results_format: ClassVar[int] = 1
+    """Raised when its numbers get other names or parts: a reproduction then makes its results again
+    from what it has learned, where they are of an earlier format."""
     uses_driver: ClassVar[bool] = False
     """Whether it plays with the driver policy that the experiments of a reproduction share."""
 
@@ -222,6 +227,8 @@ def _conduct(experiment: Experiment[Any], place: Place) -> Report:
         place.watch.seconds,
     )
     report.write(place.folder)
+    if experiment.indexed:
+        report.write_index(place.folder)
     return report
 
 

@@ -2,23 +2,31 @@
 
 Here knowing the driver can be worth something. Every HMI plays the same episodes with the same
 driver, so that differences between them are paired.
+
+What is played may end at a crash, so each HMI has an exact value over the very lengths that its
+episodes had (:func:`hmi_marl.experiments.references.filter_returns`), next to that of whole trips.
+With attention hidden this assumes two things: a step reveals d independently, with the share that
+was measured, and the length of an episode is independent of attention. What is played less what is
+exact, paired by episode, shows how far they hold.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from hmi_marl.agents.learned.policy import find_policy
 from hmi_marl.checks import Count, Steps, Units
 from hmi_marl.envs.config import VEHICLE_AI, TeamConfig
-from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.envs.streams import Seed, part_seed
-from hmi_marl.exact.hidden_attention import rule_return, solve_belief
+from hmi_marl.exact import oracle
 from hmi_marl.experiments.criteria import BAYES_MARGIN
-from hmi_marl.experiments.episodes import evaluation_seeds, play_named
+from hmi_marl.experiments.episodes import Episodes, evaluation_seeds, exact_settings, play_named
 from hmi_marl.experiments.experiment import (
     HIDDEN_EXPERIMENT,
     HIDDEN_RUN,
@@ -27,6 +35,7 @@ from hmi_marl.experiments.experiment import (
     Place,
     driver_job,
 )
+from hmi_marl.experiments.references import filter_returns
 from hmi_marl.experiments.signalling import revealing_share
 from hmi_marl.experiments.training_seeds import SeededExperiment, learned_part
 from hmi_marl.files import json_value
@@ -49,6 +58,14 @@ LEARNED_OWN, LEARNED_AVERAGE, BAYES_OWN, BAYES_AVERAGE, NONE = (
     "NoHMI",
 )
 
+EXACT_NOTE = (
+    "Exact: over the lengths that the episodes of the same HMI had, if each step reveals d "
+    "independently with the share that was measured (except for NoHMI) and the length of an "
+    "episode is independent of attention; that of a learned HMI is the Bayes filter's for the "
+    "driver that it was trained for. Whole trips have the whole number of steps and no crash."
+)
+"""What exact values assume."""
+
 
 @dataclass(frozen=True)
 class HiddenRow:
@@ -59,24 +76,79 @@ class HiddenRow:
     """Share of steps, after the first, in which a^H differs from the last applied action."""
     attention_return: dict[str, Estimate]
     """Returns by HMI."""
+    steps: dict[str, Estimate]
+    """Lengths of the episodes by HMI, 100 steps unless a crash ended them."""
+    exact_same_steps: dict[str, float]
+    """Exact values by HMI over as many steps as its episodes had; of a learned HMI that of the
+    Bayes filter for the driver that it was trained for. See the module for what is assumed."""
+    played_minus_exact: dict[str, Estimate]
+    """Returns less the exact values over as many steps, by HMI, paired by episode."""
     learned_minus_bayes: Estimate
     """Own HMIs, paired by episode."""
     bayes_own_minus_average: Estimate
-    """Bayes filters, paired by episode: the worth of knowing the driver, by exact rules."""
+    """Bayes filters, paired by episode: the worth of knowing the driver, as it is played."""
+    worth_minus_exact: Estimate
+    """The same less :attr:`exact_worth_same_steps`, paired by episode."""
     own_minus_bayes_average: Estimate
     """Learned own HMI less the Bayes filter for the average driver, paired by episode."""
     own_minus_average: Estimate
     """Learned HMIs, paired by episode; large also where the learned AvgHMI is a poor one."""
     exact_own: float
-    """Expectation of the rule that is optimal on the belief, if steps reveal d independently with
-    that probability and the episode runs its whole time."""
+    """Exact value of the Bayes filter for this driver over a trip of the whole length."""
     exact_average: float
-    """The same of the rule that is optimal for the average driver, with this driver."""
+    """The same of the Bayes filter for the average driver, with this driver."""
+
+    @classmethod
+    def of(cls, team: TeamConfig, revealing: float, played: Mapping[str, Episodes]) -> HiddenRow:
+        """Compare episodes with one another and with exact values.
+
+        Args:
+            team: settings with one driver, attention hidden.
+            revealing: share of steps in which a^H reveals d, which the Bayes filters know.
+            played: episodes with each HMI, on the same seeds.
+
+        Raises:
+            ValueError: a population, or a share out of range.
+        """
+
+        def exact(hmi: str, steps: ArrayLike) -> NDArray[np.float64]:
+            if hmi == NONE:
+                return oracle.evaluate(0.0, **exact_settings(team)).return_after(steps)
+            model = "average" if hmi in (LEARNED_AVERAGE, BAYES_AVERAGE) else None
+            return filter_returns(team, steps, revealing, model=model)
+
+        returns = {hmi: episodes.attention_return() for hmi, episodes in played.items()}
+        same_steps = {hmi: exact(hmi, episodes.length) for hmi, episodes in played.items()}
+        beyond = {hmi: returns[hmi] - same_steps[hmi] for hmi in played}
+
+        def less(hmi: str, other: str) -> Estimate:
+            return statistics.mean(returns[hmi] - returns[other])
+
+        return cls(
+            driver=exact_settings(team)["driver"].name,
+            revealing=revealing,
+            attention_return={hmi: statistics.mean(values) for hmi, values in returns.items()},
+            steps={hmi: statistics.mean(each.length, lowest=0.0) for hmi, each in played.items()},
+            exact_same_steps={hmi: float(values.mean()) for hmi, values in same_steps.items()},
+            played_minus_exact={hmi: statistics.mean(values) for hmi, values in beyond.items()},
+            learned_minus_bayes=less(LEARNED_OWN, BAYES_OWN),
+            bayes_own_minus_average=less(BAYES_OWN, BAYES_AVERAGE),
+            worth_minus_exact=statistics.mean(beyond[BAYES_OWN] - beyond[BAYES_AVERAGE]),
+            own_minus_bayes_average=less(LEARNED_OWN, BAYES_AVERAGE),
+            own_minus_average=less(LEARNED_OWN, LEARNED_AVERAGE),
+            exact_own=float(exact(BAYES_OWN, team.horizon)),
+            exact_average=float(exact(BAYES_AVERAGE, team.horizon)),
+        )
 
     @property
     def exact_worth(self) -> float:
-        """Exact gain from knowing the driver, per episode."""
+        """Exact gain from knowing the driver, in a trip of the whole length."""
         return self.exact_own - self.exact_average
+
+    @property
+    def exact_worth_same_steps(self) -> float:
+        """Exact gain from knowing the driver, each rule over as many steps as its episodes had."""
+        return self.exact_same_steps[BAYES_OWN] - self.exact_same_steps[BAYES_AVERAGE]
 
     def as_good(self, seeds: int = 1) -> Part:
         """State that the learned HMI does as well as the Bayes filter, within a margin.
@@ -122,6 +194,7 @@ class HiddenAttention(SeededExperiment[list[HiddenRow]]):
         "something. The Bayes filter, which knows the traits, is the ceiling."
     )
     uses_driver = True
+    results_format = 2
 
     @classmethod
     def quick(cls) -> HiddenAttention:
@@ -174,29 +247,21 @@ class HiddenAttention(SeededExperiment[list[HiddenRow]]):
             BAYES_AVERAGE: f"belief:average:{share}",
             NONE: "never",
         }
-        returns = {
-            label: play_named(team, str(place.driver_run), hmi, self.episodes).attention_return()
+        played = {
+            label: play_named(team, str(place.driver_run), hmi, self.episodes)
             for label, hmi in hmis.items()
         }
-        game = team.alert_window, team.horizon, team.weights
-        own_rule, average_rule = (
-            solve_belief(DRIVERS[k], *game, share) for k in (model, "average")
-        )
-        return HiddenRow(
-            driver=model,
-            revealing=share,
-            attention_return={k: statistics.mean(values) for k, values in returns.items()},
-            learned_minus_bayes=statistics.mean(returns[LEARNED_OWN] - returns[BAYES_OWN]),
-            bayes_own_minus_average=statistics.mean(returns[BAYES_OWN] - returns[BAYES_AVERAGE]),
-            own_minus_bayes_average=statistics.mean(returns[LEARNED_OWN] - returns[BAYES_AVERAGE]),
-            own_minus_average=statistics.mean(returns[LEARNED_OWN] - returns[LEARNED_AVERAGE]),
-            exact_own=own_rule.total_return,
-            exact_average=rule_return(average_rule, model, team.weights),
-        )
+        return HiddenRow.of(team, share, played)
 
     def numbers_of(self, results: list[HiddenRow]) -> dict[str, Any]:
         """JSON content."""
-        return {"rows": [json_value(row) | {"exact_worth": row.exact_worth} for row in results]}
+        return {
+            "rows": [
+                json_value(row)
+                | {name: getattr(row, name) for name in ("exact_worth", "exact_worth_same_steps")}
+                for row in results
+            ]
+        }
 
     def judge_of(self, results: list[HiddenRow]) -> list[Verdict]:
         """Judge each learned HMI by the Bayes filter."""
@@ -210,34 +275,50 @@ class HiddenAttention(SeededExperiment[list[HiddenRow]]):
         ]
 
     def blocks_of(self, results: list[HiddenRow]) -> Sequence[Block]:
-        """Tables of returns and of paired differences."""
+        """Tables of returns, of what is played less what is exact, and of paired differences."""
+        hmis = results[0].attention_return
         returns = [
             [row.driver, f"{100 * row.revealing:.1f} %"]
+            + [
+                f"{row.attention_return[hmi].shown()}\nexact {row.exact_same_steps[hmi]:.1f}\n"
+                f"{row.steps[hmi].mean:.1f} steps"
+                for hmi in hmis
+            ]
+            for row in results
+        ]
+        from_exact = [
+            [row.driver, *(row.played_minus_exact[hmi].shown("+z.1f") for hmi in hmis)]
             + [f"{value:.1f}" for value in (row.exact_own, row.exact_average)]
-            + [estimate.shown() for estimate in row.attention_return.values()]
             for row in results
         ]
         differences: dict[str, Callable[[HiddenRow], str]] = {
             "driver": lambda row: row.driver,
-            "exact worth of knowing": lambda row: f"{row.exact_worth:+.1f}",
-            "own - AvgHMI, Bayes": lambda row: row.bayes_own_minus_average.shown("+.1f"),
-            "learned own - Bayes AvgHMI": lambda row: row.own_minus_bayes_average.shown("+.1f"),
-            "own - AvgHMI, learned": lambda row: row.own_minus_average.shown("+.1f"),
-            "learned - Bayes, own": lambda row: row.learned_minus_bayes.shown("+.1f"),
+            "exact worth of knowing": lambda row: f"{row.exact_worth_same_steps:+z.1f}",
+            "own - AvgHMI, Bayes": lambda row: row.bayes_own_minus_average.shown("+z.1f"),
+            "played - exact": lambda row: row.worth_minus_exact.shown("+z.1f"),
+            "learned own - Bayes AvgHMI": lambda row: row.own_minus_bayes_average.shown("+z.1f"),
+            "own - AvgHMI, learned": lambda row: row.own_minus_average.shown("+z.1f"),
+            "learned - Bayes, own": lambda row: row.learned_minus_bayes.shown("+z.1f"),
+            "exact worth, whole trips": lambda row: f"{row.exact_worth:+z.1f}",
         }
         return [
             Table(
-                "Attention return by HMI, attention hidden (exact: whole episodes, if steps reveal "
-                "d independently with the share that was measured)",
-                [
-                    *("driver", "revealing", "exact, own", "exact, AvgHMI"),
-                    *results[0].attention_return,
-                ],
+                "Attention return by HMI, attention hidden; exact over as many steps",
+                ["driver", "revealing", *hmis],
                 returns,
+                EXACT_NOTE,
+                sources=["/rows"],
+            ),
+            Table(
+                "Attention return less the exact one over as many steps, paired by episode; exact "
+                "over whole trips",
+                ["driver", *hmis, "exact own, whole trips", "exact AvgHMI, whole trips"],
+                from_exact,
                 sources=["/rows"],
             ),
             Table.of(
-                "Paired differences per episode, and the exact worth of knowing the driver",
+                "Paired differences per episode, and the exact worth of knowing the driver over "
+                "as many steps",
                 results,
                 differences,
                 sources=["/rows"],

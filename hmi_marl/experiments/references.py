@@ -10,8 +10,9 @@ where E[r_t] is the expected reward of step t of the rule made for the whole tim
 know when a crash will end the episode, so this is what the HMIs ``never``, ``belief`` and
 ``optimal`` earn on average over such lengths. It is no more than the optimum for a length known
 before, and equal to it where the rule is the same for every length: the paper's drivers are best
-alerted exactly when distracted, whatever the length. Lengths are taken as given: a crash that an
-alert would have prevented counts as driving.
+alerted exactly when distracted, whatever the length. Lengths are taken as given, as if they were
+independent of attention (:mod:`hmi_marl.exact.episode_lengths`): a crash that an alert would have
+prevented counts as driving.
 
 Parts of the regret, all per episode:
 
@@ -28,10 +29,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hmi_marl.agents.rollout import Observer
+from hmi_marl.envs.alerts import need_plain
 from hmi_marl.envs.config import TeamConfig
+from hmi_marl.envs.drivers import Driver
 from hmi_marl.envs.rewards import DRIVING_TERMS
 from hmi_marl.exact import oracle
 from hmi_marl.exact.hidden_attention import follow_rule, solve_belief
@@ -49,6 +52,39 @@ from hmi_marl.reporting.statistics import Estimate, number
 
 _NOTHING = 1e-6
 """Gain per episode below which alerts can gain nothing but rounding."""
+
+
+def filter_returns(
+    team: TeamConfig,
+    lengths: ArrayLike,
+    revealing: float,
+    sequential: bool = True,
+    model: str | Driver | None = None,
+) -> NDArray[np.float64]:
+    """Exact attention returns of a Bayes filter over episodes of these lengths, attention hidden.
+
+    Two assumptions: each step but the first reveals d independently with one probability, and the
+    length of an episode is independent of attention.
+
+    Args:
+        team: settings with one driver, who is at the wheel.
+        lengths: of the episodes, steps from 0 to the horizon, of any shape.
+        revealing: share of steps, after the first, in which a^H reveals d.
+        sequential: whether the filter sees a^H_t before its alert.
+        model: driver whose traits the filter assumes; by default the one at the wheel.
+
+    Returns:
+        Expected returns, of the shape of ``lengths``.
+
+    Raises:
+        ValueError, TypeError: a population, graded alerts, fatigue, lengths or a share out of
+            range.
+    """
+    driver = exact_settings(team)["driver"]
+    need_plain(team.alerts, "the Bayes filter")
+    game = team.alert_window, team.horizon, team.weights
+    rule = solve_belief(driver if model is None else model, *game, revealing, sequential)
+    return follow_rule(rule, driver, team.weights).return_after(lengths)
 
 
 @dataclass(frozen=True)
@@ -96,9 +132,7 @@ class ReferenceReturns:
         none = oracle.evaluate(0.0, **problem).return_after(lengths)
         if team.ai_sees_attention or not team.alerts.plain:
             return cls(none, None, optimum)
-        driver, game = problem["driver"], (team.alert_window, team.horizon, team.weights)
-        rule = solve_belief(driver, *game, revealing, sequential)
-        return cls(none, follow_rule(rule, driver, team.weights).return_after(lengths), optimum)
+        return cls(none, filter_returns(team, lengths, revealing, sequential), optimum)
 
     def means(self) -> References:
         """Average over the episodes."""

@@ -48,6 +48,34 @@ def over_runs(
     return _resampled([checked(scores)], lambda parts: statistic(parts[0]), confidence)
 
 
+def shared_error(
+    scores: ArrayLike, errors: ArrayLike, statistic: Statistic = interquartile_mean
+) -> float:
+    """Standard error of a statistic by what moves the scores of all runs alike, driver by driver.
+
+    An interquartile mean leans on the drivers in the middle, so that it has more of their errors
+    than the mean over drivers has: they are drawn from normal distributions.
+
+    Args:
+        scores: shape (runs, drivers).
+        errors: standard errors that all runs share, shape (drivers,).
+        statistic: of the scores.
+
+    Returns:
+        NaN if an error is not known.
+
+    Raises:
+        ValueError: as :func:`over_runs`.
+    """
+    values, apart = checked(scores), np.asarray(errors, np.float64)
+    if not np.isfinite(apart).all():
+        return math.nan
+    if not apart.any():
+        return 0.0
+    drawn = np.random.default_rng(_SEED).standard_normal((RESAMPLES, 1, len(apart)))
+    return float(statistic(values + drawn * apart).std())
+
+
 def probability_of_improvement(scores: ArrayLike, others: ArrayLike) -> Estimate:
     """Probability that a run of one kind scores higher than one of another, mean over drivers.
 

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import hmi_marl
+from hmi_marl.checks import shown
+from hmi_marl.file_index import INDEX, check_digests, digests, read_index, write_index
 from hmi_marl.files import json_value, write_bytes, write_json, write_text
 from hmi_marl.reporting.blocks import Block, Clip, Figure, Table, as_html, as_text
 from hmi_marl.reporting.html import contents, html_page, listed_settings
 from hmi_marl.reporting.sources import Citation
 from hmi_marl.text import in_html
+from hmi_marl.typed_json import read_value
 
 PAGE = "index.html"
+INDEX_FORMAT = "hmi-marl report 1"
+"""Format of an index of a report's files."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,13 @@ class Report:
         write_text(folder / f"{self.name}.txt", self.text + "\n")
         write_json(folder / f"{self.name}.json", self.content)
 
+    def write_index(self, folder: Path) -> None:
+        """Write the index of the files that :meth:`write` has written, which completes them."""
+        drawn = [block for block in self.blocks if isinstance(block, (Figure, Clip))]
+        names = [f"{self.name}.txt", f"{self.name}.json"]
+        names += [*(f"{block.name}.{block.suffix}" for block in drawn), PAGE]
+        index_report(folder, self.name, names)
+
     def _times(self) -> list[Block]:
         rows = [[part, f"{spent:.0f} s"] for part, spent in self.seconds.items()]
         return (
@@ -87,6 +99,39 @@ class Report:
             if rows
             else []
         )
+
+
+def index_report(folder: Path, name: str, files: Iterable[str]) -> None:
+    """Write the index of a report's files, which lie in ``folder``."""
+    checksums = digests((folder / file for file in files), folder)
+    about = {"version": hmi_marl.__version__, "report": name, "files": checksums}
+    write_index(folder, INDEX_FORMAT, about)
+
+
+def indexed_files(folder: Path, name: str, remedy: str) -> dict[str, str]:
+    """Return the checksums of a report's files by their names, as its index has them.
+
+    Args:
+        folder, name: where it is, and the name of the report that it has to be.
+        remedy: end of the messages, which says what to do.
+
+    Raises:
+        FileNotFoundError: there is no index.
+        ValueError: it is that of another report, or damaged.
+    """
+    try:
+        content = read_index(folder, INDEX_FORMAT, "a report", remedy)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{folder} has no {INDEX} of a whole report; {remedy}") from None
+    if content.get("report") != name:
+        found = shown(content.get("report"))
+        raise ValueError(f"{folder} holds the report {found}, not {name}; {remedy}")
+    try:
+        files: dict[str, str] = read_value(dict[str, str], content.get("files"), "files")
+        check_digests(files)
+    except ValueError as error:
+        raise ValueError(f"{folder / INDEX} is damaged ({error}); {remedy}") from None
+    return files
 
 
 def print_page(page: Path) -> None:

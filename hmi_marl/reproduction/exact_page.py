@@ -9,10 +9,16 @@ from hmi_marl.envs.drivers import DRIVERS
 from hmi_marl.exact import oracle
 from hmi_marl.experiments.alert_problem import audit_table
 from hmi_marl.experiments.criteria import ETA_1_TOLERANCE
-from hmi_marl.experiments.hidden_attention import BAYES_OWN, LEARNED_OWN
+from hmi_marl.experiments.hidden_attention import (
+    BAYES_AVERAGE,
+    BAYES_OWN,
+    EXACT_NOTE,
+    LEARNED_OWN,
+)
 from hmi_marl.paper.audit import AuditedCell
 from hmi_marl.reporting.blocks import Block, Table, Text
 from hmi_marl.reporting.sources import pointer
+from hmi_marl.reporting.statistics import Estimate
 
 HORIZON = 100
 EXACT = "/exact"
@@ -61,21 +67,7 @@ def exact_blocks(
         ),
     ]
     if "hidden" in results:
-        returns = [
-            [row["driver"]]
-            + [f"{row[name]:.1f}" for name in ("exact_own", "exact_average", "exact_worth")]
-            + [f"{row['attention_return'][hmi]['mean']:.1f}" for hmi in (BAYES_OWN, LEARNED_OWN)]
-            for row in results["hidden"]["rows"]
-        ]
-        head = ["driver", "exact, own rule", "exact, average rule", "worth of knowing"]
-        head += ["Bayes filter, played", "learned, played"]
-        title = "The Bayes filter, attention hidden: attention returns"
-        source = pointer("stages", "hidden", "rows")
-        note = (
-            f"Exact: trips of {HORIZON} steps, in which steps reveal d independently. Trips that "
-            "are played end at a crash, so that their returns are over fewer steps."
-        )
-        blocks.append(Table(title, head, returns, note, sources=[source]))
+        blocks.append(_hidden_table(results["hidden"]["rows"]))
     if "traits" in results:
         first, setting = next(iter(results["traits"]["supervisions"].items()))
         seeds = setting["seeds"]
@@ -90,6 +82,24 @@ def exact_blocks(
         title = "The Bayes classifier of held-out windows"
         blocks.append(Table(title, head, bayes, sources=[source]))
     return blocks
+
+
+def _hidden_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Show exact values and what was played over as many steps, attention hidden."""
+    shown = []
+    for row in rows:
+        entries = [row["driver"]]
+        for hmi in (BAYES_OWN, BAYES_AVERAGE, LEARNED_OWN):
+            exact = f"exact {row['exact_same_steps'][hmi]:.1f}"
+            entries.append(f"{row['attention_return'][hmi]['mean']:.1f}\n{exact}")
+        played = Estimate.from_json(row["bayes_own_minus_average"]).shown("z.1f")
+        entries.append(f"{played}\nexact {row['exact_worth_same_steps']:z.1f}")
+        entries += [f"{row[name]:z.1f}" for name in ("exact_own", "exact_average", "exact_worth")]
+        shown.append(entries)
+    head = ["driver", "Bayes filter, own", "Bayes filter, AvgHMI", "learned, own"]
+    head += ["worth of knowing", *(f"{name}, whole trips" for name in ("own", "AvgHMI", "worth"))]
+    title = "The Bayes filter, attention hidden: attention returns, played and exact"
+    return Table(title, head, shown, EXACT_NOTE, sources=[pointer("stages", "hidden", "rows")])
 
 
 def audit_blocks(cells: Sequence[AuditedCell]) -> list[Block]:

@@ -122,12 +122,16 @@ def _draw_table(cells: Mapping[tuple[str, str], Any]) -> bytes:
         return done()
 
 
+_WORTH = "exact_worth_same_steps"
+"""Exact worth of knowing the driver over as many steps as the episodes had."""
+
+
 def hidden_attention(hidden: Mapping[str, Any]) -> Exhibit:
     """Show what knowing the driver is worth for whom it is worth most, attention hidden."""
     rows = {row["driver"]: row for row in hidden["rows"]}
     listed = [rows[driver] for driver in PAPER_DRIVERS]
-    most = max(listed, key=lambda row: float(row["exact_worth"]))
-    least = min(listed, key=lambda row: float(row["exact_worth"]))
+    most = max(listed, key=lambda row: float(row[_WORTH]))
+    least = min(listed, key=lambda row: float(row[_WORTH]))
     value = Estimate.from_json(most["bayes_own_minus_average"])
     names = [row["driver"].title() for row in (most, least)]
     place = list(rows).index(most["driver"])
@@ -137,11 +141,12 @@ def hidden_attention(hidden: Mapping[str, Any]) -> Exhibit:
         value,
         value.shown("+z.1f"),
         f"Attention return per trip that a Bayes filter gains by knowing that {names[0]} drives, "
-        "over assuming the average driver. By exact rules in trips of the whole length: "
-        f"{most['exact_worth']:+z.1f}, and least for {names[1]}, {least['exact_worth']:+z.1f}.",
-        {"exact": most["exact_worth"], "least": least["exact_worth"]},
+        "over assuming the average driver. By exact rules over as many steps: "
+        f"{most[_WORTH]:+z.1f}, and least for {names[1]}, {least[_WORTH]:+z.1f}.",
+        {"exact": most[_WORTH], "least": least[_WORTH]},
         (pointer("stages", "hidden", "rows", place, "bayes_own_minus_average"),),
-        "worth of knowing the driver, by driver: Bayes filters, learned, and exact in whole trips",
+        "worth of knowing the driver, by driver: Bayes filters, learned, and exact over as many "
+        "steps",
         lambda: _draw_hidden(listed),
     )
 
@@ -167,8 +172,8 @@ def _draw_hidden(rows: list[Mapping[str, Any]]) -> bytes:
                 label=label,
                 error_kw=how,
             )
-        exact = [row["exact_worth"] for row in rows]
-        axes.plot(at, exact, "_", color=ink(), ms=20, label="exact, whole trips")
+        exact = [row[_WORTH] for row in rows]
+        axes.plot(at, exact, "_", color=ink(), ms=20, label="exact")
         axes.axhline(0.0, color=ink(), lw=0.6)
         axes.set_xticks(at, [row["driver"] for row in rows])
         return done()

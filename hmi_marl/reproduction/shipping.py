@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -13,7 +11,6 @@ from typing import Any
 import hmi_marl
 from hmi_marl.agents.adaptive.hmis import CONDITIONED, Trained, make_adaptive
 from hmi_marl.agents.learned.cards import (
-    INDEX,
     INDEX_FORMAT,
     MOST_WEIGHTS,
     PREFIX,
@@ -22,12 +19,13 @@ from hmi_marl.agents.learned.cards import (
 )
 from hmi_marl.envs.config import TeamConfig
 from hmi_marl.experiments.experiment import Agent, Place
+from hmi_marl.file_index import digests, put_back, replaced, write_index
 from hmi_marl.files import with_checksum, without_checksum, write_bytes, write_json
 from hmi_marl.ownership import check_free
 from hmi_marl.reading import read_bytes, read_json
 from hmi_marl.reporting.report import PAGE
 from hmi_marl.reproduction.report import NUMBERS
-from hmi_marl.reproduction.suite import Suite, digests, is_done
+from hmi_marl.reproduction.suite import Suite, is_done
 
 _OF_REPORT = (".html", ".json", ".txt")
 """Suffixes of a report's files."""
@@ -52,6 +50,7 @@ def ship(suite: Suite, run: Path, driver_run: Path, out: Path) -> list[Agent]:
             infer drivers would read another encoder than the one next to them.
     """
     before = {}
+    put_back(out)
     if out.exists() and any(out.iterdir()):
         try:
             before = shipped_agents(out)
@@ -78,6 +77,7 @@ def ship_more(agents: Sequence[Agent], out: Path) -> None:
     Raises:
         FileNotFoundError, ValueError: ``out`` holds no shipped agents, or a card is damaged.
     """
+    put_back(out)
     _write(agents, shipped_agents(out), out)
 
 
@@ -106,21 +106,23 @@ def write_report(folder: Path, files: Mapping[str, bytes]) -> None:
 
 def _write(agents: Sequence[Agent], before: Mapping[str, Shipped], out: Path) -> None:
     """Write agents, and those of other names that were in ``out``, in place of what is there."""
+    with replaced(out) as (folder,):
+        fill(folder, agents, before, out)
+
+
+def fill(folder: Path, agents: Sequence[Agent], before: Mapping[str, Shipped], out: Path) -> None:
+    """Write agents, those of other names that ``out`` has, and the index into an empty folder.
+
+    Raises:
+        ValueError: a card is damaged, or agents that infer drivers would read another encoder than
+            the one next to them.
+    """
     names = {agent.name for agent in agents}
     kept = {name: agent for name, agent in before.items() if name not in names}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made:
-        folder = Path(made) / out.name
-        index = {name: _keep(agent, out, folder) for name, agent in kept.items()}
-        index |= {agent.name: _copy(agent, folder) for agent in agents}
-        _check_adaptive(folder)
-        about = {"format": INDEX_FORMAT, "version": hmi_marl.__version__, "agents": index}
-        write_json(folder / INDEX, with_checksum(about))
-        aside = out.with_name(f".{out.name}-before")
-        if out.exists():
-            out.replace(aside)  # still there if what comes next is interrupted
-        folder.replace(out)
-        shutil.rmtree(aside, ignore_errors=True)
+    index = {name: _keep(agent, out, folder) for name, agent in kept.items()}
+    index |= {agent.name: _copy(agent, folder) for agent in agents}
+    _check_adaptive(folder)
+    write_index(folder, INDEX_FORMAT, {"version": hmi_marl.__version__, "agents": index})
 
 
 def _check_adaptive(folder: Path) -> None:

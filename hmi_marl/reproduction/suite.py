@@ -3,7 +3,8 @@
 :func:`run_suite` runs one experiment after the other (every training resumes by itself) and keeps
 what it found in ``stages/NAME.json``, together with the version, the settings and the checksums of
 everything learned or recorded that it depends on. An experiment whose record agrees with all of
-these is skipped; one whose weights have changed is run again; one with other settings is refused.
+these is skipped; one whose weights have changed, or whose results are of an earlier format, is run
+again from what is learned; one with other settings is refused.
 
 Durations are kept apart, in ``timings.json``: a record is the same whether its experiment ran
 through or was killed and taken up again. :mod:`hmi_marl.reproduction.shipping` makes agents that
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,8 @@ from typing import Any
 import hmi_marl
 from hmi_marl.experiments.experiment import Experiment, Place, conduct, with_seed
 from hmi_marl.experiments.registry import EXPERIMENTS
-from hmi_marl.files import (
-    sha256_of,
-    with_checksum,
-    without_checksum,
-    write_json,
-)
+from hmi_marl.file_index import digests
+from hmi_marl.files import with_checksum, without_checksum, write_json
 from hmi_marl.ownership import owned
 from hmi_marl.reading import read_json
 from hmi_marl.reporting.blocks import Block, block_from
@@ -118,7 +115,7 @@ def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> lis
         which = f"stage {number} of {len(suite)}, {experiment.name}"
         content = _read(path)
         if content is not None:
-            changed = _changed(content, experiment.inputs(place), folder)
+            changed = _changed(content, experiment, place, folder)
             if changed is not None:
                 say(f"{which}: once more, since {changed} has changed")
                 content = None
@@ -131,6 +128,7 @@ def _run_suite(suite: Suite, shared: Place, say: Callable[[str], object]) -> lis
             spent = time.monotonic() - began
             content = _about(experiment) | {
                 "format": RECORD_FORMAT,
+                "results_format": experiment.results_format,
                 "inputs": digests(experiment.inputs(place), folder),
                 "numbers": report.numbers,
                 "blocks": [block.as_json() for block in report.blocks],
@@ -155,7 +153,7 @@ def is_done(experiment: Experiment[Any], place: Place, folder: Path) -> bool:
     if content is None:
         return False
     check_same(content, _about(experiment), folder / experiment.name)
-    return _changed(content, experiment.inputs(place), folder) is None
+    return _changed(content, experiment, place, folder) is None
 
 
 def _record_of(experiment: Experiment[Any], folder: Path) -> Path:
@@ -192,18 +190,17 @@ def read_timings(path: Path) -> dict[str, Any]:
     return content
 
 
-def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of files by their paths in a folder."""
-    return {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
-
-
-def _changed(content: Mapping[str, Any], paths: Iterable[Path], folder: Path) -> str | None:
+def _changed(
+    content: Mapping[str, Any], experiment: Experiment[Any], place: Place, folder: Path
+) -> str | None:
     """Name the first input that is not as it was when the experiment was run; None if all are."""
     if content.get("format") != RECORD_FORMAT:
         return "the format of records"
+    if content.get("results_format", 1) != experiment.results_format:
+        return "the format of its results"
     before = content.get("inputs")
     if not isinstance(before, dict) or not {"numbers", "blocks"} <= set(content):
         return "its record"
-    now = digests((path for path in paths if path.is_file()), folder)
+    now = digests((path for path in experiment.inputs(place) if path.is_file()), folder)
     odd = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
     return odd[0] if odd else None

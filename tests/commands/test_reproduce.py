@@ -124,13 +124,12 @@ def test_agents_of_one_experiment_are_shipped_beside_the_others(
     assert len(added) == 4
 
 
-def test_pairs_of_a_comparison_are_shipped_beside_the_agents(
-    tmp_path: Path, monkeypatch, capsys
-) -> None:
-    added = []
-    monkeypatch.setattr(
-        "hmi_marl.reproduction.shipping.ship_more", lambda agents, out: added.extend(agents)
-    )
-    assert main(["reproduce", "ship", "--compare", str(tmp_path), "--out", "trained"]) == 2
-    assert "two-stage-run0" in capsys.readouterr().err
-    assert added == []
+@pytest.mark.parametrize("more", [[], ["--report", "docs"]])
+def test_only_a_finished_comparison_is_shipped(more, tmp_path: Path, monkeypatch, capsys) -> None:
+    """``tests/reproduction/test_comparison.py`` ships one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "compare").mkdir()
+    command = ["reproduce", "ship", "--compare", "compare", "--out", "trained", *more]
+    assert main(command) == 2
+    assert "compare has no INDEX.json of a whole report; run its hmi" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.rglob("*")] == ["compare"]

@@ -13,6 +13,7 @@ from hmi_marl.envs.drivers import DRIVERS, PAPER_DRIVERS, Driver, TraitDistribut
 from hmi_marl.envs.rewards import DRIVING_TERMS, TERMS
 from hmi_marl.envs.scene import Scene
 from hmi_marl.exact import oracle
+from hmi_marl.exact.hidden_attention import solve_belief
 from hmi_marl.experiments.episodes import (
     Episodes,
     evaluation_seeds,
@@ -23,6 +24,7 @@ from hmi_marl.experiments.references import (
     GivenUp,
     PairScore,
     ReferenceReturns,
+    filter_returns,
     mean_score,
     measure_pair,
     reference_returns,
@@ -164,6 +166,102 @@ def test_the_filter_earns_its_reference_in_play(sequential):
     spread = played.attention_return().std() / np.sqrt(count)
     assert abs(score.shortfall.mean) < 4 * spread
     assert score.hiding > 10 * spread
+
+
+def every_episode(rule, driver, ends):
+    """Probability, length and return of every episode that can happen.
+
+    Each step but the first reveals d with the rule's share; after step t the episode ends with
+    probability ``ends(t, d_t)``, and for sure after the last.
+    """
+    found = []
+
+    def go_on(t, d, i, c, b, probability, earned):
+        share = rule.revealing if t > 0 else 0.0
+        for reveals, chance in ((True, share), (False, 1.0 - share)):
+            arguments = (np.array([value]) for value in (t, reveals, b, i, c))
+            if alert := int(rule.alert(*arguments)[0]):
+                now = 1, 0
+            elif i:
+                now = int(c < rule.window - 1), (c + 1) % rule.window
+            else:
+                now = 0, 0
+            p, assumed = (
+                [
+                    1.0 - min(1.0, who.alpha + who.eta * now[0]),
+                    max(0.0, who.beta - who.eta * now[0]),
+                ]
+                for who in (driver, rule.driver)
+            )
+            for new, weight in ((1, p[1 - d]), (0, 1.0 - p[1 - d])):
+                here = probability * chance * weight
+                if here == 0.0:
+                    continue
+                reward = -10.0 * new
+                reward += 30.0 * (d == 1 and new == 0) if alert else 10.0 * (d == 0)
+                belief = float(new) if reveals else b * assumed[0] + (1.0 - b) * assumed[1]
+                end = ends(t, new) if t < rule.horizon - 1 else 1.0
+                if end > 0.0:
+                    found.append((here * end, t + 1, earned + reward))
+                if end < 1.0:
+                    go_on(t + 1, new, *now, belief, here * (1.0 - end), earned + reward)
+
+    go_on(0, 0, 0, 0, 0.0, 1.0, 0.0)
+    probability, length, earned = map(np.array, zip(*found, strict=True))
+    assert probability.sum() == pytest.approx(1.0)
+    return probability, length, earned
+
+
+SHORT = dataclasses.replace(TEAM, alert_window=2, duration=0.8)
+"""Four steps."""
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("model", ["average", "lisa", None])
+@pytest.mark.parametrize("name", ["bart", "homer"])
+def test_over_lengths_that_are_independent_of_attention_a_filter_has_its_expectation(
+    name, model, share
+):
+    team = dataclasses.replace(SHORT, driver=name)
+    rule = solve_belief(model or name, 2, team.horizon, team.weights, share)
+    ends = (0.2, 0.0, 0.5)
+    played = every_episode(rule, DRIVERS[name], lambda t, d: ends[t])
+    probability, length, earned = played
+    exact = filter_returns(team, length, share, model=model)
+    assert probability @ exact == pytest.approx(probability @ earned, abs=1e-9)
+    for steps in (1, 3, 4):  # and those of each length alone
+        of = length == steps
+        expected = probability[of] @ earned[of] / probability[of].sum()
+        assert filter_returns(team, steps, share, model=model) == pytest.approx(expected, abs=1e-9)
+
+
+def test_over_lengths_that_depend_on_attention_the_expectation_is_another():
+    # Episodes that end while the driver is distracted leave those in which the driver is not.
+    rule = solve_belief("bart", 2, SHORT.horizon, SHORT.weights, 0.4)
+    probability, length, earned = every_episode(rule, DRIVERS["bart"], lambda t, d: 0.5 * d)
+    exact = filter_returns(SHORT, length, 0.4)
+    assert abs(probability @ exact - probability @ earned) > 0.5
+
+
+def test_no_alerts_are_over_the_same_lengths_by_brute_force():
+    never = solve_belief("bart", 2, SHORT.horizon, SHORT.weights, 0.0)
+    silent = dataclasses.replace(never, advantage=-np.ones_like(never.advantage))
+    played = every_episode(silent, DRIVERS["bart"], lambda t, d: 0.3)
+    probability, length, earned = played
+    found = ReferenceReturns.of(SHORT, length, 0.0)
+    assert probability @ found.none == pytest.approx(probability @ earned, abs=1e-9)
+    assert probability @ found.filter <= probability @ found.optimum
+
+
+def test_what_a_filter_cannot_have_is_refused():
+    for lengths in (-1, 5, 1.5):
+        with pytest.raises(ValueError, match="whole numbers from 0 to 4"):
+            filter_returns(SHORT, lengths, 0.3)
+    graded = dataclasses.replace(SHORT, alert_strengths=(0.5, 1.0))
+    with pytest.raises(ValueError, match="the Bayes filter is for alerts of one strength"):
+        filter_returns(graded, 4, 0.3)
+    with pytest.raises(ValueError, match="not a population"):
+        filter_returns(dataclasses.replace(SHORT, driver=TraitDistributions()), 4, 0.3)
 
 
 def test_graded_alerts_have_no_filter():

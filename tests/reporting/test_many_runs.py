@@ -13,6 +13,7 @@ from hmi_marl.reporting.many_runs import (
     paired_differences,
     performance_profile,
     probability_of_improvement,
+    shared_error,
 )
 
 SCORES = np.random.default_rng(3).normal(size=(10, 4))
@@ -141,3 +142,14 @@ def test_more_pairs_than_comparisons_are_refused():
 def test_kinds_of_runs_share_their_drivers():
     with pytest.raises(ValueError, match="4 and with 2 drivers"):
         probability_of_improvement(SCORES, SCORES[:, :2])
+
+
+def test_errors_that_all_runs_share_count_for_drivers_in_the_middle() -> None:
+    scores = np.tile([0.1, 0.5, 0.6, 1.0], (5, 1)) + 0.001 * np.arange(5)[:, None]
+    alike = shared_error(scores, [0.01] * 4)
+    assert alike == pytest.approx(0.01 / math.sqrt(2), rel=0.05)  # of two drivers, not of four
+    every = shared_error(scores, [0.01] * 4, lambda part: part.mean(axis=(-2, -1)))
+    assert every == pytest.approx(0.005, rel=0.05)
+    assert shared_error(scores, [0.01, 0.0, 0.0, 0.01]) == pytest.approx(0.0, abs=1e-12)
+    assert shared_error(scores, [0.0] * 4) == 0.0
+    assert math.isnan(shared_error(scores, [0.01, 0.01, 0.01, math.nan]))

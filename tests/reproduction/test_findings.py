@@ -15,6 +15,7 @@ from hmi_marl.paper import audit
 from hmi_marl.reporting.verdicts import Outcome, Part, Verdict
 from hmi_marl.reproduction import trait_findings
 from hmi_marl.reproduction.claims import CLAIMS, Claim, claims_json, judge
+from hmi_marl.reproduction.findings import personal_rewards
 from hmi_marl.reproduction.trait_findings import earned_by_naming, nearest, share_apart
 
 SUPPORTED, NOT_SUPPORTED, OPEN = Outcome.SUPPORTED, Outcome.NOT_SUPPORTED, Outcome.UNDETERMINED
@@ -234,6 +235,15 @@ def test_the_exact_rival_is_quoted_before_the_learned_one() -> None:
     true = {"exact worth": 18.0, "hidden Bayes own - AvgHMI": 17.0, "hidden own - AvgHMI": 155.0}
     text = verdict(TURNS[-1], true).reason
     assert text.index("+18.0") < text.index("+17.0") < text.index("a poor one: lisa +155.0")
+    assert "by exact rules over as many steps as were played lisa +18.0" in text
+
+
+def test_a_worth_of_whole_trips_is_not_called_one_of_as_many_steps() -> None:
+    numbers = report({"exact worth": 18.0, "exact worth, whole trips": 20.0})
+    for row in numbers["hidden"]["rows"]:  # as earlier reproductions have it
+        del row["exact_worth_same_steps"]
+    text = personal_rewards(numbers).reason
+    assert "by exact rules lisa +20.0" in text
 
 
 # What the verdicts are made of.

@@ -19,7 +19,7 @@ from hmi_marl.reporting.statistics import Estimate, mean
 from hmi_marl.reporting.verdicts import EPISODES, Outcome, Part, Verdict
 from hmi_marl.reproduction.claims import CLAIMS, claims_json, judge
 from hmi_marl.reproduction.exact_page import exact_values
-from hmi_marl.reproduction.exhibits import personalisation
+from hmi_marl.reproduction.exhibits import hidden_attention, personalisation
 from hmi_marl.reproduction.paper_items import paper_items
 from hmi_marl.reproduction.report import NUMBERS, full_report
 from hmi_marl.reproduction.suite import TIMINGS, Record, full_suite, shared_driver
@@ -174,14 +174,28 @@ def test_the_first_exhibit_compares_returns_of_the_same_number_of_steps() -> Non
     assert "by the exact values of the best rules +15.0" in found.sentence
 
 
-def test_exact_values_of_whole_trips_say_that_played_ones_are_shorter(made: PagedReport) -> None:
+def test_the_second_exhibit_compares_worths_of_the_same_number_of_steps() -> None:
+    found = hidden_attention(
+        report({"bart exact worth": 139.0, "bart exact worth, whole trips": 700.0})["hidden"]
+    )
+    assert found.numbers == {"exact": 139.0, "least": 0.0}
+    assert "By exact rules over as many steps: +139.0, and least" in found.sentence
+
+
+def test_what_is_played_has_the_exact_value_of_as_many_steps_next_to_it(made: PagedReport) -> None:
     (page,) = (page for page in made.pages if page.name == "exact")
     (table,) = (
         block
         for block in page.blocks
-        if isinstance(block, Table) and block.head[-1] == "learned, played"
+        if isinstance(block, Table) and "worth of knowing" in block.head
     )
-    assert "over fewer steps" in table.note
+    for row in table.rows:
+        cells = dict(zip(table.head, row, strict=True))
+        assert cells["Bayes filter, own"] == "895.0\nexact 880.0"
+        assert re.fullmatch(r"[-\d.]+ \[.+\]\nexact 0\.0", cells["worth of knowing"])
+        assert cells["own, whole trips"] == "900.0"
+    assert "the lengths that the episodes" in table.note
+    assert "independent of attention" in table.note
 
 
 def test_a_gain_that_never_differs_has_no_interval_of_zero_width() -> None:

@@ -138,6 +138,28 @@ def test_a_record_of_an_earlier_format_is_made_again(tmp_path: Path) -> None:
     assert told[0] == "stage 1 of 2, one: once more, since the format of records has changed"
 
 
+def test_results_of_an_earlier_format_are_made_again_from_what_is_learned(tmp_path: Path) -> None:
+    first = reproduce(tmp_path)
+    learned = (tmp_path / "one" / "count.safetensors").stat().st_mtime_ns
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Counting, "results_format", 2)
+        assert not is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
+        told: list[str] = []
+        assert reproduce(tmp_path, told=told) == first
+        why = "once more, since the format of its results has changed"
+        assert told[0] == f"stage 1 of 2, one: {why}"
+        assert is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
+    assert (tmp_path / "one" / "count.safetensors").stat().st_mtime_ns == learned
+
+
+def test_a_record_without_a_format_of_results_has_the_first(tmp_path: Path) -> None:
+    reproduce(tmp_path)
+    record = tmp_path / "stages" / "one.json"
+    content = without_checksum(json.loads(record.read_text()))
+    write_json(record, with_checksum({n: content[n] for n in content if n != "results_format"}))
+    assert is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
+
+
 def test_a_damaged_record_is_told(tmp_path: Path) -> None:
     reproduce(tmp_path)
     record = tmp_path / "stages" / "one.json"

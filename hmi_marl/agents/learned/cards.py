@@ -23,9 +23,9 @@ from safetensors.numpy import save as save_tensors
 
 from hmi_marl.agents.learned.network import Weights
 from hmi_marl.checks import shown
+from hmi_marl.file_index import INDEX, check_digests, check_files, read_index
 from hmi_marl.files import (
     sha256,
-    sha256_of,
     with_checksum,
     without_checksum,
     write_bytes,
@@ -38,7 +38,6 @@ from hmi_marl.typed_json import read_as, read_value
 
 INDEX_FORMAT = "hmi-marl trained 2"
 PREFIX = "trained:"
-INDEX = "INDEX.json"
 FOLDER = Path(__file__).parents[2] / "trained"
 _WEIGHTS = "weights_sha256"
 """Name of the weights' checksum in a card."""
@@ -85,12 +84,7 @@ class _Entry:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.kind) or self.what != one_line(self.what, _LINE):
             raise ValueError(f"{shown(self.what)} ({shown(self.kind)}) describes no agent")
-        for path, digest in self.files.items():
-            parts = PurePosixPath(path).parts
-            if not parts or {"..", "/"} & set(parts) or "\\" in path or ":" in path:
-                raise ValueError(f"{shown(path)} is no file in the folder of trained agents")
-            if not re.fullmatch("[0-9a-f]{64}", digest):
-                raise ValueError(f"{shown(digest)} is no SHA-256 checksum")
+        check_digests(self.files)
         suffixes = sorted(PurePosixPath(path).suffix for path in self.files)
         if suffixes != [".json", ".safetensors"]:
             raise ValueError(f"an agent has a card and weights, not {shown(list(self.files))}")
@@ -110,18 +104,13 @@ def shipped_agents(folder: Path = FOLDER) -> dict[str, Shipped]:
     """
     path = folder / INDEX
     try:
-        content = read_json(path)
+        content = read_index(folder, INDEX_FORMAT, "trained agents", _REMEDY)
     except FileNotFoundError:
         raise FileNotFoundError(
             f"no trained agents came with this package: {path} is missing; {_REMEDY}"
         ) from None
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged ({error}); {_REMEDY}") from None
-    found = content.get("format") if isinstance(content, dict) else None
-    if found != INDEX_FORMAT:
-        raise ValueError(f"{path} is no index of trained agents: format {shown(found)}; {_REMEDY}")
     try:
-        agents = read_value(dict[str, _Entry], without_checksum(content).get("agents"), "agents")
+        agents = read_value(dict[str, _Entry], content.get("agents"), "agents")
         if odd := [name for name in agents if not _NAME.fullmatch(name)]:
             raise ValueError(f"{shown(odd[0])} is no name of an agent")
         return {name: Shipped(name, **vars(entry)) for name, entry in agents.items()}
@@ -163,16 +152,7 @@ def find_shipped(name: str | Path, kind: str, folder: Path = FOLDER) -> Path:
             f"{PREFIX}{wanted} is of kind {agent.kind} ({agent.what}), not {kind}; "
             f"{suggest(PREFIX + wanted, alike, where)}"
         )
-    for path, digest in agent.files.items():
-        try:
-            found = sha256_of(folder / path)
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{folder / path} is missing; {_REMEDY}") from None
-        if found != digest:
-            raise ValueError(
-                f"{folder / path} is not the file that came with the package (its checksum "
-                f"differs from that in {INDEX}); {_REMEDY}"
-            )
+    check_files(folder, agent.files, "that came with the package", _REMEDY)
     return folder / agent.card
 
 

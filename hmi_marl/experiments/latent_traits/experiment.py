@@ -58,6 +58,7 @@ class LatentTraits(TraitReport):
     """Size of the evaluation of each model."""
 
     uses_driver = True
+    results_format = 2
     paper = (
         "The paper's figure of latent embeddings (Sec. VIII-B) has three panels: unsupervised, "
         "supervised by driver, supervised by preference, each the embeddings of the four drivers. "

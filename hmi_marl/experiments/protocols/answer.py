@@ -64,9 +64,10 @@ def _seen(comparison: Comparison, results: TaskResults) -> str:
         return f"Task {name}: protocols earn {most}, by one run each. {left}"
     if apart:
         reasons = "; ".join(why(results, change) for change in known if change.difference.differs)
+        verb = "differs" if len(apart) == 1 else "differ"
         return (
-            f"Task {name}: {', '.join(apart)} differ from two-stage in attention return; {most}. "
-            f"The reason, {reasons}. {left}"
+            f"Task {name}: {', '.join(apart)} {verb} from two-stage in attention return; {most}. "
+            f"By cause: {reasons}. {left}"
         )
     return f"Task {name}: no protocol is found to differ in attention return; {most}. {left}"
 

@@ -75,6 +75,7 @@ def _task(results: TaskResults) -> dict[str, Any]:
                 "steps": training.steps,
                 "gradient_steps": training.gradient_steps,
                 "seconds": training.seconds,
+                "weights": dict(training.weights),
             }
             for name, training in results.training.items()
         },

@@ -1,4 +1,4 @@
-"""What drivers give up in driving against two-stage: speed, lanes, merging and crashes.
+"""Driving that drivers give up against two-stage: speed, lanes, merging and crashes.
 
 A driver who signals chooses actions for what they show, which can cost driving return, term by
 term. Differences are paired by seed, in what the pairs of one run earn.

@@ -8,11 +8,10 @@ from functools import partial
 from typing import Any
 
 from hmi_marl.agents.learned.policy import find_policy
-from hmi_marl.envs.config import DRIVER, VEHICLE_AI
 from hmi_marl.experiments.experiment import Agent, Experiment, Place
 from hmi_marl.experiments.protocols import tables
 from hmi_marl.experiments.protocols.answer import answer
-from hmi_marl.experiments.protocols.arms import MAIN, TWO_STAGE, PlannedRun
+from hmi_marl.experiments.protocols.arms import TWO_STAGE
 from hmi_marl.experiments.protocols.content import content_of
 from hmi_marl.experiments.protocols.equal_gradients import at_equal_gradients
 from hmi_marl.experiments.protocols.figures import (
@@ -32,6 +31,7 @@ from hmi_marl.experiments.protocols.results import (
     revealing,
 )
 from hmi_marl.experiments.protocols.same_reward import with_same_reward
+from hmi_marl.experiments.protocols.shippable import shippable
 from hmi_marl.experiments.protocols.signal_clip import signal_clips
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting.blocks import Block, Figure, Heading
@@ -49,6 +49,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
 
     name = "protocols"
     files = "compare"
+    indexed = True
     title = "Sequential or joint training?"
 
     @classmethod
@@ -93,6 +94,10 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         """Play all pairs of a task and the snapshots of its protocols."""
         folder, workers, pairs = place.folder, place.workers, all_pairs(plan)
         crossed = [run for arm in plan.protocols for run in plan.runs_of(arm)]
+        training = {
+            run.name: Training.of(plan.training(run, folder), run.folder(folder))
+            for run in plan.runs
+        }
         with place.playing(len(pairs), "pairs") as progress:
             played = play_all(plan, pairs, folder, workers, progress)
         rivals = self._average_hmis(plan, played)
@@ -100,10 +105,6 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             played |= play_all(plan, list(rivals.values()), folder, workers, progress)
         with place.playing(len(crossed) * self.snapshots, "snapshots") as progress:
             curves = play_curves(plan, crossed, folder, workers, progress)
-        training = {
-            run.name: Training.of(plan.training(run, folder), run.folder(folder))
-            for run in plan.runs
-        }
         return TaskResults(plan, played, training, curves, rivals, folder)
 
     @staticmethod
@@ -195,17 +196,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
 
     def agents(self, place: Place) -> list[Agent]:
         """Trained pairs of the first seed, of the tasks in which attention is hidden."""
-        found = []
-        for plan in self.plans():
-            if not plan.task.hidden or not plan.task.sequential:
-                continue
-            for protocol in (name for name in MAIN if name in plan.protocols):
-                run = PlannedRun(plan.name, protocol, 0).folder(place.folder)
-                for seat, role, what in (
-                    (DRIVER, "driver", "drives"),
-                    (VEHICLE_AI, "hmi", "alerts"),
-                ):
-                    about = f"{what}, attention {plan.name}, learned by {protocol}"
-                    name = f"{plan.name}-{protocol}-{role}"
-                    found.append(Agent(name, find_policy(run, seat), about))
-        return found
+        return [
+            Agent(one.name, find_policy(one.run.folder(place.folder), one.seat), one.what)
+            for one in shippable(self.plans())
+        ]

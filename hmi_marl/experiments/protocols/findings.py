@@ -41,7 +41,7 @@ SWEPT = ("divergence", "attention_return")
 
 @dataclass(frozen=True)
 class Compared:
-    """A protocol minus two-stage in one metric, paired by seed."""
+    """A protocol minus its reference, two-stage, in one metric, paired by seed."""
 
     task: str
     protocol: str
@@ -240,8 +240,8 @@ def way_to_optimum(results: TaskResults, protocol: str) -> Estimate:
     found = over_runs(np.stack([ours - theirs, 1.0 - theirs], axis=1), _ratio_of_means)
     (our_luck, units), (their_luck, _) = (results.luck_of_scores(pairs[:count]) for pairs in own)
     missing = 1.0 - theirs.mean()  # of which the way w = 1 - (1 - ours) / missing is left
-    luck = math.hypot(our_luck, (1.0 - found.mean) * their_luck) / float(missing)
-    return statistics.widened(found, luck, units)
+    parts = np.concatenate([our_luck, (1.0 - found.mean) * their_luck]) / len(our_luck)
+    return statistics.widened(found, math.hypot(*parts) / float(missing), units)
 
 
 def _ratio_of_means(parts: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -96,8 +96,9 @@ class ComparisonSettings(Checked):
                 raise ValueError(
                     f"drivers {first} and {driver.name} have the same traits; leave one out"
                 )
+        if len(set(self.budgets)) < len(self.budgets):
+            raise ValueError(f"budgets names a value twice: {self.budgets}")
         for values, what in (
-            (self.budgets, "budgets"),
             (self.anchor_kls, "anchor_kls"),
             (self.driver_shares, "driver_shares"),
         ):

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hmi_marl.agents.learned.cards import is_saved
+from hmi_marl.envs.config import AGENTS
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, ends_of, mean_metrics
 from hmi_marl.experiments.protocols.arms import SIMULTANEOUS, TWO_STAGE, Arm
 from hmi_marl.experiments.protocols.pairs import Pair, own_pair
@@ -18,11 +20,13 @@ from hmi_marl.experiments.protocols.plan import ComparisonSettings
 from hmi_marl.experiments.protocols.playing import Played
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.experiments.signalling import SITUATIONS
+from hmi_marl.files import sha256_of
 from hmi_marl.reporting import statistics
 from hmi_marl.reporting.many_runs import (
     over_runs,
     paired_differences,
     probability_of_improvement,
+    shared_error,
 )
 from hmi_marl.reporting.sources import pointer
 from hmi_marl.reporting.statistics import UNKNOWN, Estimate
@@ -40,12 +44,21 @@ class Training:
     """Steps of an optimiser, of all that learn."""
     seconds: float
     """Wall time of training, interruptions left out."""
+    weights: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of the weights that it learned, by seat."""
 
     @classmethod
     def of(cls, settings: TrainSettings, folder: Path) -> Training:
         """Read it from the folder of a finished run."""
         last = read_curve(folder)[-1]
-        return cls(int(last["steps"]), gradient_steps(settings), float(last["seconds"]))
+        cards = {seat: folder / f"{seat}.json" for seat in AGENTS}
+        weights = {
+            seat: sha256_of(card.with_suffix(".safetensors"))
+            for seat, card in cards.items()
+            if is_saved(card)
+        }
+        steps, seconds = int(last["steps"]), float(last["seconds"])
+        return cls(steps, gradient_steps(settings), seconds, weights)
 
 
 def gradient_steps(settings: TrainSettings) -> int:
@@ -148,17 +161,21 @@ class TaskResults:
         """
         if not self.scored_drivers:
             return UNKNOWN
-        return statistics.widened(over_runs(self.scores(pairs)), *self.luck_of_scores(pairs))
+        scores, (errors, episodes) = self.scores(pairs), self.luck_of_scores(pairs)
+        return statistics.widened(over_runs(scores), shared_error(scores, errors), episodes)
 
-    def luck_of_scores(self, pairs: Sequence[Pair]) -> tuple[float, int]:
-        """Standard error of a pair's mean score over its episodes, and how many of a driver.
+    def luck_of_scores(self, pairs: Sequence[Pair]) -> tuple[NDArray[np.float64], int]:
+        """Standard errors of a pair's scores over its episodes, shape (scored drivers,).
 
         The references are exact and the episodes are the same for all runs, so their luck does not
-        average out over runs.
+        average out over runs. The second is the number of episodes of the driver with the fewest.
         """
-        names = self.scored_drivers
-        each = [[self.played[pair].scores[name].score for name in names] for pair in pairs]
-        return statistics.shared_luck([statistics.average(scores) for scores in each])
+        of_driver = [
+            statistics.shared_luck([self.played[pair].scores[name].score for pair in pairs])
+            for name in self.scored_drivers
+        ]
+        errors, episodes = zip(*of_driver, strict=True)
+        return np.array(errors), min(episodes)
 
     def mean_of(
         self,

@@ -77,18 +77,21 @@ class TaskPlan:
     def check_steps(self) -> None:
         """Check that every arm has a batch for each seat in each round.
 
+        So have those that try out shares of the driver's stage, with half of the steps.
+
         Raises:
             ValueError: one has fewer steps; the message says how many are needed.
         """
         settings = self.settings
         least = 2 * settings.rounds * settings.num_teams * self.team().horizon
-        fewest = min((arm.steps for arm in self.arms.values()), default=least)
-        if fewest < least:
-            raise ValueError(
-                f"{fewest:,} steps of task {self.name} are fewer than a batch for each seat in "
-                f"{settings.rounds} rounds, {least:,}; raise steps and budgets, or lower rounds, "
-                "num_teams or duration"
-            )
+        for arm in (*self.arms.values(), *self.tuning_arms.values()):
+            if arm.steps < least:
+                one = ", or give one of driver_shares" if arm.name in self.tuning_arms else ""
+                raise ValueError(
+                    f"{arm.steps:,} steps of {arm.name} in task {self.name} are fewer than a batch "
+                    f"for each seat in {settings.rounds} rounds, {least:,}; raise steps and "
+                    f"budgets, or lower rounds, num_teams or duration{one}"
+                )
 
     def check_drivers(self) -> None:
         """Check that every driver has an episode among those that are played.

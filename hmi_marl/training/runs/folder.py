@@ -138,7 +138,7 @@ def partners_of(run: Path) -> tuple[str, ...] | None:
     mixed = policy.get(MIXTURE) if isinstance(policy, dict) else None
     if not isinstance(mixed, list):
         return None
-    return tuple(each["name"] if isinstance(each, dict) else str(each) for each in mixed)
+    return tuple(str(each.get("name") if isinstance(each, dict) else each) for each in mixed)
 
 
 def check_same(before: dict[str, Any], now: dict[str, Any], folder: Path) -> None:

@@ -224,7 +224,11 @@ def test_the_reward_is_the_same_for_all_that_learn_together():
         ({"anchor_kls": (0.0, 0.1)}, "anchor_kls are weights above 0"),
         ({"reward": "driving"}, "reward is one of default, team, individual"),
         ({"seed": -1}, "a seed lies in"),
-        ({"steps": 1_000}, "1,000 steps of task .* are fewer than .* rounds, "),
+        (
+            {"steps": 1_000},
+            "1,000 steps of two-stage in task seen are fewer than .* 2 rounds, 6,400",
+        ),
+        ({"steps": 12_000}, "6,000 steps of two-stage-share-0.5 .* or give one of driver_shares"),
         ({"rounds": 1_000_000}, "are fewer than a batch for each seat in 1000000 rounds"),
         ({"drivers": ()}, "at least one name"),
         ({"drivers": "homer"}, "a tuple of names"),
@@ -240,6 +244,10 @@ def test_the_reward_is_the_same_for_all_that_learn_together():
 def test_impossible_settings_are_refused(change: dict, message: str) -> None:
     with pytest.raises((ValueError, TypeError), match=message):
         replace(SMALL, **change)
+
+
+def test_budgets_differ_by_whole_steps_and_not_by_six_digits():
+    assert replace(SMALL, budgets=(100_000_000, 100_000_001)).budgets[1] == 100_000_001
 
 
 def test_a_small_comparison_keeps_the_seed_and_nothing_else_that_it_sets():

@@ -1,19 +1,27 @@
-"""What is said of made-up results: scores, differences, the sweep, cross-play, gaming, verdicts."""
+"""Differences, the sweep, cross-play, gaming and verdicts of made-up results."""
 
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from comparisons import FILTER, NONE, OPTIMUM, SMALL, arm_of, comparison, number_of, sums, without
+from comparisons import (
+    OPTIMUM,
+    SEEN,
+    SMALL,
+    arm_of,
+    comparison,
+    hidden,
+    number_of,
+    signalling,
+    sums,
+    without,
+)
 
 from hmi_marl.experiments.episode_sums import Sums
-from hmi_marl.experiments.protocols.answer import answer
 from hmi_marl.experiments.protocols.content import content_of
 from hmi_marl.experiments.protocols.cross_play import cell_of, cross_play, dependence_of
-from hmi_marl.experiments.protocols.driving_costs import driving_costs
 from hmi_marl.experiments.protocols.findings import (
     differences,
     judge,
@@ -21,62 +29,12 @@ from hmi_marl.experiments.protocols.findings import (
     way_to_optimum,
 )
 from hmi_marl.experiments.protocols.gaming import find, gaming_of, worst_finding
-from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.results import (
     UNKNOWN,
-    attainable,
-    attention,
-    bits,
-    given_up,
-    hiding,
-    regret,
-    revealing,
-    score,
-    shortfall,
 )
-from hmi_marl.experiments.protocols.same_reward import with_same_reward
-from hmi_marl.experiments.protocols.signal_clip import clips_of, signal_clips
 from hmi_marl.reporting.blocks import Verdicts, as_text
 from hmi_marl.reporting.statistics import Estimate
-from hmi_marl.reporting.verdicts import SEEDS, Outcome, Part
-
-SEEN = replace(SMALL, tasks=("seen",), protocols=("two-stage", "simultaneous"))
-OWN = {"two-stage": 600.0, "joint": 700.0, "simultaneous": 780.0}
-
-
-def signalling(pair: Pair) -> float:
-    """Attention return as the trial had it: pairs that learned together understand each other."""
-    driver, hmi = arm_of(pair.driver), arm_of(pair.hmi)
-    together = {"joint", "simultaneous"}
-    if pair.hmi.startswith("belief:average"):
-        return 536.0 + number_of(pair.driver)
-    if driver in together and hmi in together:
-        return 780.0 + number_of(pair.driver)
-    if driver == "two-stage" and hmi in together:
-        return 430.0 + number_of(pair.driver)
-    if "anchored" in driver or "anchored" in hmi:
-        return {"anchored-0.1": 760.0, "anchored-1": 602.0}[driver if "anch" in driver else hmi]
-    return 600.0 + number_of(pair.driver)
-
-
-def hidden(**more):
-    return comparison(SMALL, signalling, **more)
-
-
-def test_scores_lie_between_no_alerts_and_the_optimum():
-    results = comparison(SMALL, lambda pair: OPTIMUM).tasks["hidden"]
-    assert results.score(results.own("joint")) == Estimate(1.0, 1.0, 1.0)
-    results = comparison(SMALL, lambda pair: NONE).tasks["hidden"]
-    assert results.score(results.own("joint")).mean == 0.0
-    pair = results.own("joint")[0]
-    found = results.played[pair]
-    assert attention(found, "bart") == NONE
-    assert hiding(found, "bart") == OPTIMUM - FILTER
-    assert shortfall(found, "bart").mean == FILTER - NONE
-    assert attainable(found, "bart") == FILTER
-    assert hiding(found, "bart") + shortfall(found, "bart").mean == OPTIMUM - attention(
-        found, "bart"
-    )
+from hmi_marl.reporting.verdicts import Outcome
 
 
 def test_differences_are_paired_by_seed_and_corrected_together():
@@ -116,27 +74,6 @@ def test_the_sweep_goes_from_the_free_driver_to_the_natural_one():
     assert len(falls.parts) == 1 + 2 * 3  # the whole way, and two quantities from point to point
     alone = replace(SMALL, anchor_kls=())
     assert sweep(comparison(alone).tasks["hidden"]) == []
-
-
-def test_pairs_are_compared_by_the_episodes_that_all_of_them_play():
-    made = comparison(SMALL, lambda pair: 500.0)
-    results = made.tasks["hidden"]
-    lucky = {
-        pair: replace(played, sums=dict.fromkeys(played.sums, sums(600.0))) if pair.own else played
-        for pair, played in results.played.items()
-    }
-    for row in dependence_of(replace(results, played=lucky)):
-        assert {found.mean for found in (*row.on_protocol.values(), row.on_seed)} == {0.0}
-
-
-def test_every_driver_counts_the_same_however_often_it_was_drawn():
-    results = comparison(SMALL).tasks["hidden"]
-    pair = results.own("joint")[0]
-    drawn = {"bart": sums(100.0, episodes=10), "homer": sums(300.0, episodes=90)}
-    played = replace(results.played[pair], sums=drawn | {"all": Sums.join(drawn.values())})
-    results = replace(results, played={**results.played, pair: played})
-    assert results.values([pair], "attention_return").tolist() == [200.0]
-    assert results.mean_of([pair], attention).mean == 200.0
 
 
 def test_the_table_of_crashes_has_the_team_return_of_the_summary():
@@ -221,14 +158,6 @@ def test_one_run_has_no_next_one():
     (row,) = dependence_of(made.tasks["hidden"])
     assert math.isnan(row.on_seed.mean)
     assert row.on_protocol == {}
-
-
-def test_what_a_driver_gives_up_is_against_the_two_stage_pair_of_the_same_seed():
-    def driving(pair):
-        return 450.0 - (13.0 if arm_of(pair.driver) == "simultaneous" else 0.0)
-
-    found = given_up(hidden(driving=driving).tasks["hidden"], "simultaneous")
-    assert found == Estimate(13.0, 13.0, 13.0)
 
 
 @pytest.mark.parametrize(
@@ -354,64 +283,6 @@ def test_noise_supports_no_equality_and_no_threshold():
     assert way is Outcome.UNDETERMINED, "its mean is above the threshold, its interval is not"
 
 
-def test_luck_of_the_episodes_that_all_runs_share_widens_intervals_against_exact_values():
-    results = comparison(SEEN, lambda pair: OPTIMUM).tasks["seen"]
-    pairs = results.own("two-stage")
-    assert results.against_exact(pairs, regret) == Estimate(0.0, 0.0, 0.0)
-
-    def unlucky(played, name):
-        mean = regret(played, name).mean
-        return Estimate(mean, mean - 30.0, mean + 30.0, count=250)
-
-    found = results.against_exact(pairs, unlucky)
-    luck = 30.0 / math.sqrt(2) / 1.95996  # two drivers' episodes are independent
-    assert found.error == found.luck == pytest.approx(luck, rel=1e-5)
-    assert (found.count, found.luck_count) == (3, 250)
-    assert found.high == pytest.approx(1.96954 * luck, rel=1e-5)  # Student's t of 249 degrees
-
-    spread = comparison(SEEN, lambda pair: OPTIMUM + 9.0 * number_of(pair.driver)).tasks["seen"]
-    found = spread.against_exact(spread.own("two-stage"), unlucky)  # 0, -9 and -18
-    over_runs = 9.0 / math.sqrt(3)  # of two degrees of freedom, which luck does not share
-    half = math.hypot(4.30265 * over_runs, 1.96954 * luck)
-    assert (found.low, found.high) == pytest.approx((-9.0 - half, -9.0 + half), rel=1e-5)
-    part = Part.mean("a regret", found, SEEDS, below=0.0)
-    assert part.interval() == (found.low, found.high)
-    assert part.basis() == "t over 3 training seeds and over what they share, 250 units"
-
-
-def test_luck_of_the_episodes_widens_scores_and_the_way_to_the_optimum():
-    made = hidden()
-    results = made.tasks["hidden"]
-    spread = 0.02  # standard error of each driver's score
-
-    def unlucky(score):
-        mean = score.score.mean
-        return replace(score, score=Estimate(mean, mean - 0.04, mean + 0.04, spread, 250))
-
-    shaken = replace(
-        results,
-        played={
-            pair: replace(each, scores={n: unlucky(s) for n, s in each.scores.items()})
-            for pair, each in results.played.items()
-        },
-    )
-    own = shaken.own("simultaneous")
-    luck = 0.04 / math.sqrt(2) / 1.95996  # two drivers' episodes are independent
-    assert shaken.luck_of_scores(own) == (pytest.approx(luck, rel=1e-5), 250)
-    before, found = results.score(own), shaken.score(own)
-    assert found.mean == before.mean
-    half = 1.96954 * luck
-    assert found.high - found.mean == pytest.approx(
-        math.hypot(before.high - before.mean, half), rel=1e-5
-    )
-    assert found.luck_count == 250
-    # the two-stage score is 1001 / 1200, so 199 / 1200 are missing
-    way = way_to_optimum(shaken, "simultaneous")
-    whole = math.hypot(luck, (1.0 - way.mean) * luck) / (199.0 / 1200.0)
-    assert way.luck == pytest.approx(whole, rel=1e-4)
-    assert way.low < way.mean - 1.9 * whole
-
-
 def swept(returns):
     """Outcomes of the sweep for attention returns by arm, spread by the seed."""
 
@@ -445,109 +316,3 @@ def test_one_run_leaves_comparisons_open():
     open_ones = [claim for claim, outcome in found.items() if outcome is Outcome.UNDETERMINED]
     assert len(open_ones) == 8  # the way, two conventions, three of the sweep, two of crashes
     assert open_ones == list(found)
-
-
-def test_the_answer_says_when_by_how_much_through_what_and_what_is_left():
-    def share(pair):
-        return 0.97 if arm_of(pair.driver) in ("joint", "simultaneous") else 0.35
-
-    text = answer(hidden(share=share)).text
-    for words in (
-        "it helps: simultaneous learning earns 180.0",
-        "0.90 [0.90, 0.91] of the way",
-        "in 97 % of the steps (35 % with the two-stage driver)",
-        "With a driver that learned alone its HMI earns 431",
-        "that is surely less than the HMI for the average driver",
-        "two-stage's own 601",
-    ):
-        assert words in text
-    seen = answer(comparison(SEEN, lambda pair: 780.0)).text
-    assert "no protocol is found to differ" in seen
-
-
-def test_signals_are_those_that_were_measured():
-    results = hidden(share=lambda pair: 0.25).tasks["hidden"]
-    assert results.mean_of(results.own("joint"), revealing).mean == 0.25
-    assert results.mean_of(results.own("joint"), score).mean == pytest.approx(1181 / 1200)
-
-
-def test_intervals_of_shares_end_at_0_and_1_in_text_and_json():
-    def share(pair):
-        return (1.0, 1.0, 0.7)[number_of(pair.driver)]
-
-    def crashes(pair):
-        return (0, 0, 40)[number_of(pair.driver)]
-
-    made = hidden(share=share, crashes=crashes)
-    results = made.tasks["hidden"]
-    own = results.own("joint")
-    found = results.mean_of(own, revealing)
-    assert found.mean == pytest.approx(0.9)
-    assert found.high == 1.0
-    assert results.mean_of(own, bits).high == 1.0
-    assert results.over_runs(own, "crash_rate").low == 0.0
-    arm = content_of(made)["tasks"]["hidden"]["arms"]["joint"]
-    assert arm["mean_over_drivers"]["revealing"]["high"] == 1.0
-    crashing = [pair for pair in own for _ in range(2)]  # 0, 0, 0, 0, 1, 1
-    sure = {pair: replace(played, sums=played.sums) for pair, played in results.played.items()}
-    for pair in own[:2]:
-        sure[pair] = replace(sure[pair], sums=dict.fromkeys(sure[pair].sums, sums(crashes=100)))
-    many = replace(results, played=sure)
-    assert many.over_runs(crashing, "crash_rate").high == 1.0
-
-
-def test_costs_in_driving_worked_by_hand():
-    def driving(pair):
-        return 400.0 - (30.0 if arm_of(pair.driver) == "joint" else 0.0) + number_of(pair.driver)
-
-    def crashes(pair):
-        return 12 if arm_of(pair.driver) == "joint" else 10
-
-    costs = {
-        c.arm: c for c in driving_costs(hidden(driving=driving, crashes=crashes).tasks["hidden"])
-    }
-    joint = costs["joint"]
-    assert joint.driving.mean == joint.by_term["speed_reward"].mean == 30.0
-    assert joint.by_term["lane_change"].mean == 0.0
-    assert joint.crash_rate.mean == pytest.approx(0.02)
-    assert costs["two-stage"].driving == Estimate(0.0, 0.0, 0.0)
-    alone = replace(SMALL, protocols=("joint",), anchor_kls=())
-    assert driving_costs(comparison(alone).tasks["hidden"]) == []
-
-
-def test_with_the_same_reward_protocols_are_compared_with_two_stage_of_the_team():
-    def earns(pair):
-        own = OWN | {"two-stage-team": 550.0, "fine-tune": 650.0, "alternating": 640.0}
-        return own.get(arm_of(pair.driver), 0.0) + number_of(pair.driver)
-
-    wider = replace(SMALL, protocols=(*SMALL.protocols, "alternating", "fine-tune"))
-    found = {
-        (c.protocol, c.metric): c.difference for c in with_same_reward(comparison(wider, earns))
-    }
-    assert {protocol for protocol, _ in found} == {"joint", "simultaneous"}  # always at once
-    assert found["joint", "attention_return"].estimate.mean == pytest.approx(150.0)
-    assert found["simultaneous", "attention_return"].estimate.mean == pytest.approx(230.0)
-    assert found["joint", "attention_return"].pairs == SMALL.few_seeds
-    assert with_same_reward(comparison(replace(SMALL, reward="team"))) == []
-
-
-def test_captions_of_clips_say_what_was_measured():
-    results = hidden(share=lambda pair: 0.03).tasks["hidden"]
-    clips = signal_clips(replace(results, folder=Path("runs")))
-    assert len(clips) == 2
-    assert all("In 3 % of this run's steps with homer" in clip.caption for clip in clips)
-    assert clips_of(replace(results, folder=Path("runs")))["two-stage"]["revealing"] == 0.03
-
-
-def test_the_answer_says_that_learning_together_harms_where_it_does():
-    def worse(pair):
-        return 500.0 if arm_of(pair.hmi) == "simultaneous" else 600.0
-
-    assert "it harms: simultaneous learning earns -100.0" in answer(comparison(SMALL, worse)).text
-
-
-def test_the_answer_gives_the_reason_of_a_difference_with_attention_seen():
-    text = answer(comparison(SEEN, lambda p: 790.0 if "simul" in p.driver else 780.0)).text
-    assert "simultaneous differ from two-stage" in text
-    assert "simultaneous: of +10.0, +0.0 is the exact optimum over the lengths" in text
-    assert "Two-stage earns 20.0 [20.0, 20.0] less than the exact optimum" in text

@@ -231,7 +231,7 @@ def test_the_command_writes_everything(folder: Path, content: dict) -> None:
     files = {path.name for path in folder.iterdir() if path.is_file()}
     pictures = {f"hidden-{kind}.png" for kind in ("curves", "cross", "sweep", "profile")}
     clips = {"hidden-two-stage.gif", "hidden-simultaneous.gif"}
-    assert files == {"compare.txt", "compare.json", "index.html"} | pictures | clips
+    assert files == {"compare.txt", "compare.json", "index.html", "INDEX.json"} | pictures | clips
     assert content["command"].startswith("hmi-marl compare --tasks hidden")
     assert content["workers"] == 1
 

@@ -12,7 +12,9 @@ from hmi_marl.files import sha256_of
 from hmi_marl.training.evidence.settings import EvidenceSettings
 from hmi_marl.training.protocols.two_stage import TwoStage
 from hmi_marl.training.runs.folder import (
+    CHECKPOINT,
     check_same,
+    partners_of,
     read_curve,
     read_settings,
     run_settings,
@@ -127,3 +129,20 @@ def test_settings_are_those_of_a_run(tmp_path: Path, content: str) -> None:
     (tmp_path / "run.json").write_text(content)
     with pytest.raises(ValueError, match=r"run\.json does not contain the settings of a run"):
         read_settings(tmp_path / "run.json")
+
+
+@pytest.mark.parametrize(
+    ("policy", "names"),
+    [
+        (None, None),
+        ("rule", None),
+        ({"name": "a", "sha256": "0"}, None),
+        ({"mixture": [{"name": "a", "sha256": "0"}, "rule"]}, ("a", "rule")),
+        ({"mixture": [{}, {"name": 3}, 3]}, ("None", "3", "3")),  # damaged: other than any
+    ],
+)
+def test_partners_are_those_of_the_mixture(tmp_path: Path, policy: object, names: object) -> None:
+    (tmp_path / "run.json").write_text(json.dumps({"settings": {"driver_policy": policy}}))
+    assert partners_of(tmp_path) is None, "nothing was learned yet"
+    (tmp_path / CHECKPOINT).touch()
+    assert partners_of(tmp_path) == names
