@@ -243,21 +243,15 @@ def personal_rewards(results: Results) -> Verdict:
         what = f"{row['driver']}, attention hidden, learned own less exact rule for the average:"
         parts.append(_paired(results, what, estimate, "hidden", above=0.0, margin=margin))
 
-    def told(of: Callable[[Mapping[str, Any]], float]) -> str:
+    def by_driver(of: Callable[[Mapping[str, Any]], float]) -> str:
         return ", ".join(f"{row['driver']} {of(row):+.1f}" for row in rows)
 
-    # Numbers of earlier reproductions have the exact worth of whole trips alone.
-    over, worth = (
-        ("over as many steps as were played ", "exact_worth_same_steps")
-        if all("exact_worth_same_steps" in row for row in rows)
-        else ("", "exact_worth")
-    )
     return _found(
         *parts,
-        reason=f"attention hidden, knowing the driver is worth by exact rules {over}"
-        f"{told(lambda row: row[worth])} (played: "
-        f"{told(lambda row: row['bayes_own_minus_average']['mean'])}); own HMI less learned "
-        f"AvgHMI, a poor one: {told(lambda row: row['own_minus_average']['mean'])}",
+        reason="attention hidden, knowing the driver is worth by exact rules over as many steps "
+        f"as were played {by_driver(lambda row: row['exact_worth_same_steps'])} (played: "
+        f"{by_driver(lambda row: row['bayes_own_minus_average']['mean'])}); own HMI less learned "
+        f"AvgHMI, a poor one: {by_driver(lambda row: row['own_minus_average']['mean'])}",
     )
 
 

@@ -19,7 +19,6 @@ from hmi_marl.exact.hidden_attention import rule_return, solve_belief
 from hmi_marl.experiments import criteria
 from hmi_marl.experiments.adaptation.evaluation import AdaptSettings
 from hmi_marl.experiments.latent_traits.divergence import (
-    estimated_kl,
     kl_matrix,
     kl_ratio_of,
     log_error,
@@ -115,16 +114,8 @@ def kinds_apart(setting: str, one: Sequence[str], other: Sequence[str], title: s
 
 
 def _average_kl(results: Results, setting: str) -> list[Estimate]:
-    """Average KL with pools of the models' size, by seed.
-
-    Reports of earlier versions have the numbers alone; their errors follow from the embeddings.
-    """
-    found = []
-    for seed, row in zip(_seeds(results, setting), _pool(results, setting), strict=True):
-        kl = row["types"]["average_kl"]
-        known = isinstance(kl, Mapping)
-        found.append(Estimate.from_json(kl) if known else estimated_kl(*_labelled(seed)[:2]))
-    return found
+    """Average KL with pools of the models' size, by seed."""
+    return [Estimate.from_json(row["types"]["average_kl"]) for row in _pool(results, setting)]
 
 
 def _labelled(seed: Mapping[str, Any]) -> tuple[Means, NDArray[np.int64], list[str]]:
