@@ -15,7 +15,6 @@ from hmi_marl.paper import audit
 from hmi_marl.reporting.verdicts import Outcome, Part, Verdict
 from hmi_marl.reproduction import trait_findings
 from hmi_marl.reproduction.claims import CLAIMS, Claim, claims_json, judge
-from hmi_marl.reproduction.findings import personal_rewards
 from hmi_marl.reproduction.trait_findings import earned_by_naming, nearest, share_apart
 
 SUPPORTED, NOT_SUPPORTED, OPEN = Outcome.SUPPORTED, Outcome.NOT_SUPPORTED, Outcome.UNDETERMINED
