@@ -58,10 +58,14 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         return coarse(cls())
 
     def run(self, place: Place) -> Comparison:
-        """See :meth:`Experiment.run`. Tasks come one after the other, each trained in waves."""
+        """See :meth:`Experiment.run`. Tasks come one after the other, each trained in waves.
+
+        All are trained before any is played: trainings are kept when it is interrupted, and what
+        was played is not.
+        """
         shares: dict[str, Shares] = {}
         tried: dict[str, dict[str, float]] = {}
-        found = {}
+        trained = []
         for plan in self.plans():
             plan.check_partners(place.folder)
         for untuned in self.plans():
@@ -69,7 +73,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             plan = replace(untuned, shares=shares[untuned.name])
             for wave in plan.waves():
                 place.train(plan.jobs(place.folder, wave))
-            found[plan.name] = self._play(plan, place)
+            trained.append(plan)
+        found = {plan.name: self._play(plan, place) for plan in trained}
         return Comparison(self, found, shares, tried, place.workers)
 
     def _tune(self, plan: TaskPlan, place: Place) -> tuple[dict[str, float], Shares]:
