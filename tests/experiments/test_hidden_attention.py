@@ -103,7 +103,7 @@ def played(share, play):
 
 
 def test_exact_values_are_over_the_lengths_that_each_hmi_played():
-    # A car that stands crashes where it is told to: after 10 to 99 steps, whatever attention does.
+    # A car that stands crashes after 10 to 99 steps, whatever attention does.
     count, share, team = 3000, 0.4, BART
     crash_at = {hmi: 10 + (np.arange(count) * step) % 90 for hmi, step in (("a", 7), ("b", 11))}
 

@@ -2,16 +2,17 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from comparisons import SMALL
 from trait_models import save_driver
 
 from hmi_marl.agents.learned.cards import INDEX_FORMAT, find_shipped, shipped_agents
 from hmi_marl.agents.learned.policy import load_policy
 from hmi_marl.cli import main
 from hmi_marl.experiments.experiment import Agent, Place, conduct
-from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.file_index import INDEX, write_index
 from hmi_marl.files import sha256_of, write_json
 from hmi_marl.reporting.report import index_report
@@ -19,23 +20,18 @@ from hmi_marl.reproduction import comparison
 from hmi_marl.reproduction.comparison import check_shipped, find_comparison, ship_comparison
 from hmi_marl.reproduction.shipping import ship_more
 
-TINY = ProtocolComparison(
-    tasks=("hidden",),
+TINY = replace(
+    SMALL,
     protocols=("two-stage", "simultaneous"),
     steps=160,
-    budgets=(),
     rounds=1,
     seeds=1,
     few_seeds=1,
-    driver_shares=(0.5,),
     anchor_kls=(),
-    partners=False,
     crash_check=False,
     snapshots=1,
     episodes=8,
     cross_episodes=8,
-    drivers=("bart", "homer"),
-    num_teams=16,
     duration=0.4,
     vehicles=(1, 1),
 )

@@ -79,25 +79,25 @@ def written(folder: Path) -> dict[str, bytes]:
     return {name: content for name, content in found.items() if name not in varying}
 
 
-def reproduce(folder: Path, stages=(ONE, OTHER), told=None) -> dict[str, bytes]:
+def reproduce(folder: Path, stages=(ONE, OTHER), said=None) -> dict[str, bytes]:
     """As ``hmi-marl reproduce`` does; returns the report."""
-    line = str if told is None else told.append
+    line = str if said is None else said.append
     records = run_suite(stages, folder, folder, 1, "hmi-marl", line)
     timings = read_timings(folder / TIMINGS)
     full_report(records, "hmi-marl reproduce", timings).write(folder / REPORT)
     return written(folder)
 
 
-def test_what_is_done_is_skipped_and_told(tmp_path: Path) -> None:
-    told: list[str] = []
-    first = reproduce(tmp_path, told=told)
-    assert told[0] == "stage 1 of 2, one: Counting <to some number>"
-    assert told[1].startswith("stage 1 of 2, one: done in")
+def test_what_is_done_is_skipped_and_said(tmp_path: Path) -> None:
+    said: list[str] = []
+    first = reproduce(tmp_path, said=said)
+    assert said[0] == "stage 1 of 2, one: Counting <to some number>"
+    assert said[1].startswith("stage 1 of 2, one: done in")
     times = json.loads((tmp_path / TIMINGS).read_text())
     assert set(times["one"]) == {"this time", "counting"}
-    told.clear()
-    assert reproduce(tmp_path, told=told) == first
-    assert told == ["stage 1 of 2, one: done already", "stage 2 of 2, other: done already"]
+    said.clear()
+    assert reproduce(tmp_path, said=said) == first
+    assert said == ["stage 1 of 2, one: done already", "stage 2 of 2, other: done already"]
     assert json.loads((tmp_path / TIMINGS).read_text()) == times
 
 
@@ -121,10 +121,10 @@ def test_a_stage_whose_weights_changed_is_done_again(tmp_path: Path) -> None:
     assert is_done(ONE, place, tmp_path)
     (tmp_path / "one" / "count.safetensors").write_bytes(b"12")
     assert not is_done(ONE, place, tmp_path)
-    told: list[str] = []
-    assert reproduce(tmp_path, told=told) == first
-    assert told[0] == "stage 1 of 2, one: once more, since one/count.safetensors has changed"
-    assert told[-1] == "stage 2 of 2, other: done already"
+    said: list[str] = []
+    assert reproduce(tmp_path, said=said) == first
+    assert said[0] == "stage 1 of 2, one: once more, since one/count.safetensors has changed"
+    assert said[-1] == "stage 2 of 2, other: done already"
 
 
 def test_a_record_of_an_earlier_format_is_made_again(tmp_path: Path) -> None:
@@ -133,9 +133,9 @@ def test_a_record_of_an_earlier_format_is_made_again(tmp_path: Path) -> None:
     content = without_checksum(json.loads(record.read_text()))
     write_json(record, with_checksum({n: content[n] for n in content if n != "format"}))
     assert not is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
-    told: list[str] = []
-    assert reproduce(tmp_path, told=told) == first
-    assert told[0] == "stage 1 of 2, one: once more, since the format of records has changed"
+    said: list[str] = []
+    assert reproduce(tmp_path, said=said) == first
+    assert said[0] == "stage 1 of 2, one: once more, since the format of records has changed"
 
 
 def test_results_of_an_earlier_format_are_made_again_from_what_is_learned(tmp_path: Path) -> None:
@@ -144,10 +144,10 @@ def test_results_of_an_earlier_format_are_made_again_from_what_is_learned(tmp_pa
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Counting, "results_format", 2)
         assert not is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
-        told: list[str] = []
-        assert reproduce(tmp_path, told=told) == first
+        said: list[str] = []
+        assert reproduce(tmp_path, said=said) == first
         why = "once more, since the format of its results has changed"
-        assert told[0] == f"stage 1 of 2, one: {why}"
+        assert said[0] == f"stage 1 of 2, one: {why}"
         assert is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
     assert (tmp_path / "one" / "count.safetensors").stat().st_mtime_ns == learned
 
@@ -160,7 +160,7 @@ def test_a_record_without_a_format_of_results_has_the_first(tmp_path: Path) -> N
     assert is_done(ONE, Place(tmp_path / "one", tmp_path), tmp_path)
 
 
-def test_a_damaged_record_is_told(tmp_path: Path) -> None:
+def test_a_damaged_record_is_said(tmp_path: Path) -> None:
     reproduce(tmp_path)
     record = tmp_path / "stages" / "one.json"
     content = json.loads(record.read_text())

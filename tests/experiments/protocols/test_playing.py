@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cited import missing_in, reports_written
+from comparisons import SMALL
 
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import load_policy, read_policy
@@ -18,7 +19,6 @@ from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.episodes import Episodes, evaluation_seeds, play_episodes
 from hmi_marl.experiments.experiment import Place
 from hmi_marl.experiments.protocols.arms import PlannedRun
-from hmi_marl.experiments.protocols.experiment import ProtocolComparison
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs, own_pair
 from hmi_marl.experiments.protocols.playing import Divergence, episodes_of, play_all, play_pair
 from hmi_marl.experiments.protocols.results import hiding, shortfall
@@ -26,21 +26,16 @@ from hmi_marl.experiments.protocols.snapshots import points_of
 from hmi_marl.experiments.protocols.tasks import TASKS
 from hmi_marl.training.jobs import train_all
 
-TINY = ProtocolComparison(
-    tasks=("hidden",),
-    protocols=("two-stage", "joint", "simultaneous"),
+TINY = replace(
+    SMALL,
     steps=160,
-    budgets=(),
     rounds=1,
     seeds=2,
     few_seeds=1,
-    driver_shares=(0.5,),
     anchor_kls=(0.1,),
-    snapshots=2,
+    partners=True,
     episodes=16,
     cross_episodes=16,
-    drivers=("bart", "homer"),
-    num_teams=16,
     duration=1.0,
     vehicles=(1, 3),
 )
