@@ -11,9 +11,9 @@ from typing import Any, Protocol
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
-from rsl_rl.utils import unpad_trajectories  # type: ignore[import-untyped]
 
 from hmi_marl.agents.learned.policy import INTENTS
+from hmi_marl.training.ppo.gru import GRU
 from hmi_marl.training.ppo.models import TwoSeats
 
 _aten = torch.ops.aten
@@ -30,8 +30,6 @@ _ACTIVATIONS: dict[type[torch.nn.Module], tuple[Callable[..., object], Callable[
 
 Passed = Sequence[Any]
 """What a forward pass leaves for the backward pass: tensors, or those of each seat."""
-Padded = tuple[torch.Tensor, torch.Tensor]
-"""Inputs by episode, shape (T, episodes, columns), and which of them there are, (T, episodes)."""
 
 
 class Layers:
@@ -93,12 +91,18 @@ class Policy(Protocol):
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Return the logits in one step of N teams, and the new recurrent state.
 
-        ``memory``, shape (1, N, units), is None at the start of an episode.
+        ``memory``, shape (N, units), is None at the start of an episode.
         """
         ...
 
-    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
-        """Return the logits of recorded steps, and what :meth:`backward` needs."""
+    def forward(
+        self, inputs: torch.Tensor, kept: torch.Tensor | None
+    ) -> tuple[torch.Tensor, Passed]:
+        """Return the logits of recorded steps, and what :meth:`backward` needs.
+
+        ``kept``, shape (T, N), is 0 where a step begins another episode, else 1; only recurrent
+        policies need it.
+        """
         ...
 
     def backward(
@@ -131,7 +135,9 @@ class Feedforward:
         """See :meth:`Policy.act`."""
         return self._layers.forward(inputs)[-1], None
 
-    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
+    def forward(
+        self, inputs: torch.Tensor, kept: torch.Tensor | None
+    ) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
         passed = self._layers.forward(inputs.flatten(0, -2))
         return passed[-1].view(*inputs.shape[:-1], -1), passed
@@ -161,13 +167,13 @@ class Composite:
         alerts, memory = self._vehicle_ai.act(of_vehicle_ai, memory)
         return torch.cat([intents, alerts], dim=-1), memory
 
-    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
+    def forward(
+        self, inputs: torch.Tensor, kept: torch.Tensor | None
+    ) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
         of_driver, of_vehicle_ai = self._seats.split(inputs)
-        if padded is not None:
-            padded = self._seats.split(padded[0])[1], padded[1]
         intents, one = self._driver.forward(of_driver, None)
-        alerts, other = self._vehicle_ai.forward(of_vehicle_ai, padded)
+        alerts, other = self._vehicle_ai.forward(of_vehicle_ai, kept)
         return torch.cat([intents, alerts], dim=-1), (one, other)
 
     def backward(
@@ -181,39 +187,36 @@ class Composite:
 
 
 class Recurrent:
-    """:class:`Policy` of a seat with a GRU, which autograd differentiates."""
+    """:class:`Policy` of a seat with a GRU."""
 
     def __init__(self, layers: torch.nn.Module, gru: torch.nn.GRU) -> None:
-        self._layers, self._gru = Layers(layers), gru
+        self._layers, self._gru = Layers(layers), GRU(gru)
+        self._weights = len(list(layers.parameters()))
 
     def act(
         self, inputs: torch.Tensor, memory: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """See :meth:`Policy.act`."""
-        remembered, memory = self._gru(inputs.unsqueeze(0), memory)
-        together = torch.cat([remembered.squeeze(0), inputs], dim=-1)
-        return self._layers.forward(together)[-1], memory
+        memory = self._gru.step(inputs, memory)
+        return self._layers.forward(torch.cat([memory, inputs], dim=-1))[-1], memory
 
-    def forward(self, inputs: torch.Tensor, padded: Padded | None) -> tuple[torch.Tensor, Passed]:
+    def forward(
+        self, inputs: torch.Tensor, kept: torch.Tensor | None
+    ) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
-        assert padded is not None  # episodes are needed for the recurrent state
-        with torch.enable_grad():
-            remembered = unpad_trajectories(self._gru(padded[0])[0], padded[1])
-        together = torch.cat([remembered.detach(), inputs], dim=-1)
+        assert kept is not None
+        remembered, of_memory = self._gru.forward(inputs, kept)
+        together = torch.cat([remembered, inputs], dim=-1)
         passed = self._layers.forward(together.flatten(0, 1))
-        return torch.unflatten(passed[-1], 0, inputs.shape[:2]), (*passed, remembered)
+        return torch.unflatten(passed[-1], 0, inputs.shape[:2]), (passed, of_memory)
 
     def backward(
         self, passed: Passed, gradient: torch.Tensor, into: Sequence[torch.Tensor]
     ) -> None:
         """See :meth:`Policy.backward`."""
-        *layers, remembered = passed
-        weights = list(self._gru.parameters())
+        layers, of_memory = passed
         of_inputs = self._layers.backward(
-            layers, gradient.flatten(0, 1), into[: -len(weights)], of_inputs=True
+            layers, gradient.flatten(0, 1), into[: self._weights], of_inputs=True
         )
-        of_memory = of_inputs[:, : remembered.shape[-1]].reshape(remembered.shape)
-        for place, part in zip(
-            into[-len(weights) :], torch.autograd.grad(remembered, weights, of_memory), strict=True
-        ):
-            place.copy_(part)
+        of_hidden = of_inputs[:, : self._gru.units].view(*gradient.shape[:2], -1)
+        self._gru.backward(of_memory, of_hidden, into[self._weights :])

@@ -15,10 +15,9 @@ from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel  # type: ignore[import-untyped]
-from rsl_rl.utils import split_and_pad_trajectories  # type: ignore[import-untyped]
 
 from hmi_marl.agents.learned.policy import INTENTS
-from hmi_marl.training.ppo.layers import Layers, Padded, policy_of
+from hmi_marl.training.ppo.layers import Layers, policy_of
 from hmi_marl.training.ppo.models import Inputs
 from hmi_marl.training.protocols.settings import PPOSettings
 from hmi_marl.training.runs.processes import ALONE, Processes
@@ -158,13 +157,13 @@ class MiniBatch:
     advantages: torch.Tensor
     returns: torch.Tensor
     anchor: torch.Tensor
-    padded: Padded | None = None
-    """The actor's inputs by episode, of recurrent policies."""
+    kept: torch.Tensor | None = None
+    """0 where a step begins another episode, else 1, of recurrent policies."""
 
     @classmethod
     def values(cls, rollout: Rollout) -> list[torch.Tensor]:
         """Tensors of a rollout that it has parts of, in the order of the fields."""
-        return [getattr(rollout, part.name) for part in fields(cls) if part.name != "padded"]
+        return [getattr(rollout, part.name) for part in fields(cls) if part.name != "kept"]
 
 
 class Shard:
@@ -207,7 +206,7 @@ class Shard:
     def forget(self, dones: torch.Tensor) -> None:
         """Clear the recurrent state of teams that begin another episode, where ``dones`` is 1."""
         if self._memory is not None:
-            self._memory = self._memory * (dones == 0)[None, :, None]
+            self._memory = self._memory * (dones == 0)[:, None]
 
     def value(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return V, shape (m,), of the critic's inputs, shape (m, columns)."""
@@ -250,12 +249,13 @@ class Shard:
     def _whole_episodes(self) -> list[MiniBatch]:
         rollout, count = self.rollout, self._settings.num_mini_batches
         each = rollout.rewards.shape[1] // count
+        kept = torch.zeros_like(rollout.dones)
+        torch.sub(1.0, rollout.dones[:-1], out=kept[1:])
         batches = []
         for first in range(0, count * each, each):
             teams = slice(first, first + each)
             parts: list[Any] = [values[:, teams] for values in MiniBatch.values(rollout)]
-            padded = split_and_pad_trajectories(parts[0], rollout.dones[:, teams, None])
-            batches.append(MiniBatch(*[*parts, padded]))
+            batches.append(MiniBatch(*[*parts, kept[:, teams]]))
         return batches
 
     @torch.no_grad()
@@ -266,7 +266,7 @@ class Shard:
         the divergence from the anchor.
         """
         clip, rows = self._settings.clip_param, batch.advantages.numel()
-        logits, passed = self._policy.forward(batch.actor, batch.padded)
+        logits, passed = self._policy.forward(batch.actor, batch.kept)
         self._head.update(logits)
         ratio = (self._head.log_prob(batch.actions) - batch.log_prob).exp_()
         wanted = batch.advantages * ratio

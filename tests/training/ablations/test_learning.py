@@ -61,10 +61,11 @@ def test_the_default_learns_what_a_run_of_trait_models_learns(strangers, tmp_pat
     observed = read_observed(strangers)
     learned = LearnedEncoder(encoder, begun._units)
     sums, pools = learned.encode(strangers), np.arange(16).reshape(4, 4)
-    np.testing.assert_allclose(sums, model.encode(observed), rtol=1e-4, atol=1e-5)
+    # Sums of up to ten numbers of size 1, which processors round differently.
+    np.testing.assert_allclose(sums, model.encode(observed), rtol=1e-4, atol=1e-4)
     ours, theirs = learned.latents(sums, pools), model.latents(sums, pools)
     for one, other in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
 
 
 def test_it_learns_from_the_first_strangers_and_windows_alone(strangers, tmp_path):

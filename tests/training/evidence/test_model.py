@@ -82,7 +82,8 @@ def test_evidence_may_be_asked_for_in_some_turns_alone():
     with torch.no_grad():
         every, fourth = module(read, shown), module(read, shown, 4)
     assert every.shape == (2, 20, 3)
-    np.testing.assert_array_equal(fourth, every[:, [3, 7, 11, 15, 19]])
+    # Products of other shapes round in another way on some processors.
+    np.testing.assert_allclose(fourth, every[:, [3, 7, 11, 15, 19]], rtol=1e-5, atol=1e-6)
 
 
 def test_the_loss_by_hand():

@@ -5,6 +5,7 @@ import pytest
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.storage import RolloutStorage
+from rsl_rl.utils import split_and_pad_trajectories
 from standing_world import CrashingWorld, StandingWorld
 from tensordict import TensorDict
 
@@ -197,7 +198,7 @@ def test_a_memory_is_learned_from_as_it_was_when_it_acted(seat):
         shard.evaluate(learner.view(env.get_observations()).critic)
         for batch in shard.mini_batches():
             policy, head = policy_of(learner.actor), learner.actor.distribution
-            head.update(policy.forward(batch.actor, batch.padded)[0])
+            head.update(policy.forward(batch.actor, batch.kept)[0])
             torch.testing.assert_close(head.log_prob(batch.actions), batch.log_prob)
 
 
@@ -216,10 +217,12 @@ def test_written_passes_are_those_of_autograd(memory, seat):
     for batch in shard.mini_batches():
         policy, weights = policy_of(actor), list(actor.parameters())
         with torch.no_grad():
-            logits, passed = policy.forward(batch.actor, batch.padded)
+            logits, passed = policy.forward(batch.actor, batch.kept)
         inputs, masks, hidden = batch.actor, None, None
         if memory:
-            inputs, masks = batch.padded
+            ends = torch.zeros_like(batch.kept)
+            ends[:-1] = 1.0 - batch.kept[1:]
+            inputs, masks = split_and_pad_trajectories(inputs, ends[..., None])
             hidden = torch.zeros(1, masks.shape[1], memory)
         seen = TensorDict({"actor": inputs}, inputs.shape[:-1])
         known = actor.mlp(actor.get_latent(seen, masks, hidden))
