@@ -57,7 +57,10 @@ def wait_for(*places: Path) -> None:
 
 @pytest.mark.parametrize(
     ("number", "status", "told"),
-    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+    [
+        (signal.SIGINT, 130, "interrupted"),
+        pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.slow),
+    ],
 )
 def test_a_signal_ends_a_pool_in_one_line(number, status, told, tmp_path):
     program, places = tmp_path / "program.py", [tmp_path / "0", tmp_path / "1"]

@@ -14,7 +14,9 @@ from hmi_marl.people.store import Store
 pytestmark = pytest.mark.usefixtures("unmeasured")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_signal_ends_it_well(number, tmp_path):
     command = [sys.executable, "-m", "hmi_marl", "play", "--port", "0", "--duration", "1"]
     command += ["--seat", "driver", "--base-path", "/hmi", "--database", "people.db"]

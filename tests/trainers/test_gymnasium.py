@@ -36,18 +36,17 @@ def test_processes_give_what_one_gives() -> None:
     assert run("-c", ASYNC.format(seats=SEATS), **ALL_THREADS).count("equal") == 4
 
 
-ONE = [("MergeHMI", "batched", "async")]
 EVERY = list(product(("MergeDriver", "MergeHMI"), ("highway", "batched"), ("sync", "async")))
 
 
-@pytest.mark.parametrize("kinds", [ONE, pytest.param(EVERY, marks=pytest.mark.slow)])
-def test_cleanrls_manner(kinds: list[tuple[str, str, str]]) -> None:
+@pytest.mark.slow
+def test_cleanrls_manner() -> None:
     pytest.importorskip("torch")
     size = ["--cars", "2", "--batch", "16", "--steps", "64", "--duration", "2"]
     script = (ROOT / "examples" / "trainers" / "cleanrl_ppo").with_suffix(".py")
     every = [
         (script, ["--seat", seat, "--world", world, "--vector", vector, *size])
-        for seat, world, vector in kinds
+        for seat, world, vector in EVERY
     ]
     for printed in run_each(*every):
         assert printed.count("mean return") == 2

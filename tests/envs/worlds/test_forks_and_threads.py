@@ -115,19 +115,22 @@ def run_file(code, folder, **env):
     return ended.stdout.strip()
 
 
-def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(tmp_path):
+@pytest.mark.parametrize(
+    "methods", [("fork",), pytest.param(("spawn", "forkserver"), marks=pytest.mark.slow)]
+)
+def test_a_pool_of_workers_drives_many_teams_after_their_parent_did(methods, tmp_path):
     printed = run_file(
         "if __name__ == '__main__':\n"
         "    import multiprocessing\n"
         "    alone = drive(256)\n"
-        "    for method in ('fork', 'spawn', 'forkserver'):\n"
+        f"    for method in {methods}:\n"
         "        several = 2 if method == 'fork' else 1\n"  # others import everything again
         "        with multiprocessing.get_context(method).Pool(several) as pool:\n"
         "            same = pool.map(drive, [256, 256]) == [alone, alone]\n"
         "        print(method, same, drive(256) == alone)",
         tmp_path,
     )
-    told = [f"{method} True True" for method in ("fork", "spawn", "forkserver")]
+    told = [f"{method} True True" for method in methods]
     assert printed.splitlines() == told
 
 
@@ -264,12 +267,16 @@ ON_ONE_THREAD = (
 
 
 @pytest.mark.usefixtures("unmeasured")
-def test_thread_counts_stay_and_training_with_one_thread_learns_on_one_thread(tmp_path):
+def test_thread_counts_of_other_libraries_stay():
+    pytest.importorskip("torch")
+    assert run("import torch\n" + COUNTS).split() == ["True", "True"]
+
+
+@pytest.mark.slow
+def test_training_with_one_thread_learns_on_one_thread(tmp_path):
     pytest.importorskip("rsl_rl")
     training = ON_ONE_THREAD.replace("'run'", repr(str(tmp_path / "run")))
-    counts, on_one_thread = run_each(COUNTS, training, imports="import torch\n")
-    assert counts.split() == ["True", "True"]
-    assert on_one_thread == "{1} 4"
+    assert run("import torch\n" + training) == "{1} 4"
 
 
 @pytest.mark.slow

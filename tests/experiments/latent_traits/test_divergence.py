@@ -195,7 +195,7 @@ def true_kl(size, blur=0.0):
     return np.mean([gaussian_kl(m * ones, s * eye, n * ones, t * eye) for (m, s), (n, t) in pairs])
 
 
-@pytest.mark.parametrize(("count", "size"), [(75, 2), (300, 4)])
+@pytest.mark.parametrize(("count", "size"), [(75, 2), pytest.param(300, 4, marks=pytest.mark.slow)])
 def test_the_error_is_the_spread_over_samples_and_intervals_hold_the_true_kl(count, size):
     """Of 300 samples of Gaussians with a known KL."""
     rng, logs, errors, missed = np.random.default_rng(count), [], [], 0

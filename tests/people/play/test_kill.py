@@ -96,6 +96,7 @@ def killed(folder, times):
         server.kill()
 
 
+@pytest.mark.slow
 def test_a_kill_in_mid_trip_loses_nothing_that_was_acknowledged(tmp_path):
     killed(tmp_path, 1)
 

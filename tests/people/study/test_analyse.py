@@ -144,6 +144,7 @@ def test_needed_raters_lie_between_those_that_were_tried():
     assert Needed(None, 12.3, None).shown(40) == "> 40 [13, > 40]"
 
 
+@pytest.mark.slow
 def test_more_raters_have_more_power():
     settings = PowerSettings(raters=(10, 60), studies=20, plan=Plan(effect=0.9, clip=0.1))
     power = find_power(SETTINGS, settings)

@@ -84,7 +84,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_does_not(tmp_path, evi
     assert other[FILES[0]] != one[FILES[0]]
 
 
-@pytest.mark.parametrize("cut", [1, 2])
+@pytest.mark.parametrize("cut", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_that_is_cut_off_goes_on_as_if_nothing_had_happened(
     cut, tmp_path, evidence, monkeypatch
 ):
