@@ -61,7 +61,7 @@ from hmi_marl.envs.streams import check_seed, team_seed
 from hmi_marl.envs.team_arrays import Room
 from hmi_marl.envs.team_step import ALERTS, CRASHES, LENGTH, OF_BOTH, OF_DRIVER, OF_VEHICLE_AI
 from hmi_marl.envs.teaming import TRAITS, Teaming
-from hmi_marl.envs.vector_outcome import CPU, EpisodeLog, Outcome, on_device
+from hmi_marl.envs.vector_outcome import EpisodeLog, Outcome, groups_of, on_device
 from hmi_marl.envs.worlds import VEHICLE_ACTIONS
 from hmi_marl.files import json_value
 
@@ -337,10 +337,10 @@ class TeamVecEnv(VecEnv):  # type: ignore[misc]  # rsl_rl has no types
 
     def _extras_of(self, ended: EndedTeams) -> dict[str, Any]:
         """``extras`` about the episodes that ended."""
-        last = {each: torch.from_numpy(ended.views[name]) for each, name in self._groups.items()}
+        last = {group: ended.views[name] for group, name in self._groups.items()}
         return {
             "final_teams": torch.from_numpy(ended.teams),
-            "final_observation": TensorDict(last, batch_size=[len(ended.teams)], device=CPU),
+            "final_observation": groups_of(last, len(ended.teams)),
             "log": EpisodeLog(ended.totals, self._logged),
         }
 

@@ -13,6 +13,15 @@ from tensordict import TensorDict
 from hmi_marl.envs.team_arrays import Room
 
 CPU = torch.device("cpu")
+_unchecked: Any = getattr(TensorDict, "_new_unsafe", TensorDict)
+"""Makes a TensorDict, where there is such a way, without checks that each group is of one batch."""
+
+
+def groups_of(arrays: Mapping[str, NDArray[np.float32]], count: int) -> TensorDict:
+    """Return groups of observations of so many teams, over arrays of shape (count, size)."""
+    tensors = {group: torch.from_numpy(rows) for group, rows in arrays.items()}
+    made: TensorDict = _unchecked(tensors, batch_size=torch.Size((count,)), device=CPU)
+    return made
 
 
 class EpisodeLog(Mapping[str, torch.Tensor]):
@@ -50,9 +59,8 @@ class Outcome:
 
     def __init__(self, room: Room, names: Mapping[str, str], rewards: Sequence[str]) -> None:
         _, own, dones, time_outs = room.scores
-        tensors = {group: torch.from_numpy(room.groups[name].rows) for group, name in names.items()}
-        size = torch.Size((len(dones),))
-        self.observations = TensorDict(tensors, batch_size=size, device=CPU)
+        arrays = {group: room.groups[name].rows for group, name in names.items()}
+        self.observations = groups_of(arrays, len(dones))
         """Groups of shape (N, size)."""
         self.rewards = {name: torch.from_numpy(own[k]) for k, name in enumerate(rewards)}
         """Rewards by name, float32 of shape (N,)."""

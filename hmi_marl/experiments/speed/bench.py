@@ -6,6 +6,7 @@ over, after a warm-up, and the median round counts. numba is imported only then.
 
 A vector environment is compared with the world that carries it: the world alone takes the same
 actions in the same episodes, traces the lidars that the environment reads, and does nothing else.
+The two alternate within each turn, so that both meet the same machine.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ DEFAULT_TRAFFIC = 512
 """Teams of the vector environment with the default traffic."""
 DRIVE = 150
 """Steps of a drive that is repeated."""
+PARTS = 10
+"""Times that a vector environment and its world alternate in a turn."""
 
 
 Vehicles = Annotated[int, Whole(1, 50)]
@@ -108,19 +111,36 @@ def bench(config: BenchConfig, progress: Callable[[int], Any] = id) -> list[Meas
         for contestant in every:
             contestant.run(0.1)
         for turn in range(config.rounds):
-            for k, contestant in enumerate(every):
-                speeds[turn, k] = contestant.run(config.seconds)
-                progress(1)
+            for together in _in_turn(every):
+                parts = PARTS if len(together) > 1 else 1
+                each = [
+                    [every[k].run(config.seconds / parts) for k in together] for _ in range(parts)
+                ]
+                speeds[turn, together] = np.mean(each, axis=0)
+                progress(len(together))
     ratios = np.median(speeds / speeds[:, :1], axis=0)
     medians = np.median(speeds, axis=0)
     rows = []
     for k, one in enumerate(every):
-        carried = one.name.startswith(VECTOR)  # its world comes next
+        carried = _is_carried(one)
         of_world = float(np.median(speeds[:, k] / speeds[:, k + 1])) if carried else None
         speed, ratio = float(medians[k]), float(ratios[k])
         place = one.teams, one.threads, one.vehicles
         rows.append(Measured(one.name, *place, speed, ratio, one.bytes_per_team, of_world))
     return rows
+
+
+def _is_carried(one: _Contestant) -> bool:
+    """Whether this is a vector environment: the contestant after it is its world."""
+    return one.name.startswith(VECTOR)
+
+
+def _in_turn(every: list[_Contestant]) -> Iterator[list[int]]:
+    """Numbers of contestants that are measured together: a vector environment and its world."""
+    worlds = {k + 1 for k, one in enumerate(every) if _is_carried(one)}
+    for k, one in enumerate(every):
+        if k not in worlds:
+            yield [k, k + 1] if _is_carried(one) else [k]
 
 
 def measurements(config: BenchConfig) -> int:
