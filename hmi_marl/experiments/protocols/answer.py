@@ -57,7 +57,7 @@ def _seen(comparison: Comparison, results: TaskResults) -> str:
     best = max(changes, key=lambda change: change.difference.estimate.mean)
     known = [change for change in changes if change.difference.differs is not None]
     apart = [change.protocol for change in known if change.difference.differs]
-    most = f"at most {_amount(best.difference.estimate)} more than two-stage ({best.protocol})"
+    most = f"at best {_more(best.difference.estimate)} than two-stage ({best.protocol})"
     missing = results.against_exact(results.own(TWO_STAGE), regret)
     left = f"Two-stage earns {_amount(missing)} less than the exact optimum over its own episodes."
     if not known:
@@ -86,8 +86,8 @@ def _hidden(comparison: Comparison, results: TaskResults) -> str:
     shares = [results.mean_of(own(arm), revealing) for arm in (SIMULTANEOUS, TWO_STAGE)]
     cost = given_up(results, SIMULTANEOUS)
     return (
-        f"Task {name}: it {verb}: simultaneous learning earns {_amount(gained.estimate)} more "
-        f"attention return than two-stage, {way.shown('z.2f')} of the way to the optimum that sees "
+        f"Task {name}: it {verb}: simultaneous learning earns {_more(gained.estimate)} attention "
+        f"return than two-stage, {way.shown('z.2f')} of the way to the optimum that sees "
         f"attention. Its driver's action reveals whether it is distracted in {_percent(shares[0])} "
         f"of the steps ({_percent(shares[1])} with the two-stage driver), and it gives up "
         f"{_amount(cost)} in driving. {_left(results)}"
@@ -110,6 +110,13 @@ def _left(results: TaskResults) -> str:
     less = "surely less" if change.estimate.high < 0.0 else "not surely less"
     amount = change.estimate.shown("+z.0f")
     return f"{text}; that is {less} than the HMI for the average driver earns ({amount})."
+
+
+def _more(difference: Estimate) -> str:
+    """Write a difference as so much more or less."""
+    if difference.mean < 0.0:
+        return f"{_amount(-difference)} less"
+    return f"{_amount(difference)} more"
 
 
 def _amount(estimate: Estimate) -> str:

@@ -23,11 +23,17 @@ def test_the_answer_says_when_by_how_much_through_what_and_what_is_left():
     assert "no protocol is found to differ" in seen
 
 
+def test_the_answer_says_less_where_every_protocol_earns_less():
+    text = answer(comparison(SEEN, lambda p: 790.0 if "two-stage" in p.driver else 780.0)).text
+    assert "at best 10.0 [10.0, 10.0] less than two-stage" in text
+
+
 def test_the_answer_says_that_learning_together_harms_where_it_does():
     def worse(pair):
         return 500.0 if arm_of(pair.hmi) == "simultaneous" else 600.0
 
-    assert "it harms: simultaneous learning earns -100.0" in answer(comparison(SMALL, worse)).text
+    text = answer(comparison(SMALL, worse)).text
+    assert "it harms: simultaneous learning earns 100.0 [100.0, 100.0] less attention return" in text
 
 
 def test_the_answer_gives_the_reason_of_a_difference_with_attention_seen():
