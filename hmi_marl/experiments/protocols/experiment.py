@@ -23,7 +23,7 @@ from hmi_marl.experiments.protocols.figures import (
 from hmi_marl.experiments.protocols.findings import differences, judge, sweep
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings, coarse
-from hmi_marl.experiments.protocols.playing import play_all, play_curves, tuning_return
+from hmi_marl.experiments.protocols.playing import play_all, play_curves, play_tuning
 from hmi_marl.experiments.protocols.results import (
     Comparison,
     TaskResults,
@@ -36,7 +36,6 @@ from hmi_marl.experiments.protocols.signal_clip import signal_clips
 from hmi_marl.experiments.protocols.task_plan import Shares, TaskPlan
 from hmi_marl.reporting.blocks import Block, Figure, Heading
 from hmi_marl.reporting.verdicts import Verdict
-from hmi_marl.workers import results
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,8 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
     def run(self, place: Place) -> Comparison:
         """See :meth:`Experiment.run`. Tasks come one after the other, each trained in waves.
 
-        All are trained before any is played: trainings are kept when it is interrupted, and what
-        was played is not.
+        All are trained before any is played, since that takes longest. What is trained and what is
+        played is kept when it is interrupted.
         """
         shares: dict[str, Shares] = {}
         tried: dict[str, dict[str, float]] = {}
@@ -84,9 +83,9 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
             return {}, {}
         place.train(plan.jobs(place.folder, runs))
         returns = {}
-        play = partial(tuning_return, plan, place.folder)
         with place.playing(len(runs), "runs") as progress:
-            for arm, found in zip(arms, results(play, runs, place.workers), strict=True):
+            played = play_tuning(plan, place.folder, place.workers)
+            for arm, found in zip(arms, played, strict=True):
                 returns[arm.name] = found
                 progress(1)
         best: dict[str, float] = {}

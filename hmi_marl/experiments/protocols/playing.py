@@ -6,7 +6,7 @@ drawn from the population.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hmi_marl.agents.catalogue import make_driver_policy, make_hmi
 from hmi_marl.agents.learned.policy import LearnedPolicy, load_policy
 from hmi_marl.agents.rollout import Observer
-from hmi_marl.envs.config import DRIVER, TeamConfig
+from hmi_marl.envs.config import DRIVER, VEHICLE_AI, TeamConfig
 from hmi_marl.envs.streams import part_seed
 from hmi_marl.envs.teaming import Teaming
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums, mean_metrics, ratio
@@ -28,12 +28,13 @@ from hmi_marl.experiments.episodes import (
     play_named,
 )
 from hmi_marl.experiments.protocols.arms import TWO_STAGE, PlannedRun, is_run
+from hmi_marl.experiments.protocols.kept import FOLDER, Kept, Key, play_once, weights_key
 from hmi_marl.experiments.protocols.pairs import Pair
 from hmi_marl.experiments.protocols.snapshots import Point, points_of
 from hmi_marl.experiments.protocols.task_plan import TaskPlan
 from hmi_marl.experiments.references import PairScore, measure_pair
 from hmi_marl.experiments.signalling import Signalling
-from hmi_marl.workers import results
+from hmi_marl.files import json_value
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     """Play a pair's episodes; sum them up for each driver and for ``ALL_DRIVERS``."""
     team, count = plan.team(pair.end_at_crash), episodes_of(plan, pair)
     driver, hmi = (_place(plan, folder, name) for name in (pair.driver, pair.hmi))
-    divergence = _divergence(plan, folder, pair, team) if pair.own else None
+    divergence = _divergence(plan, folder, pair, team)
     observers = [] if divergence is None else [divergence]
     sequential = plan.task.sequential
     found = measure_pair(team, driver, hmi, count, sequential=sequential, observers=observers)
@@ -118,13 +119,20 @@ def play_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Played:
     )
 
 
-def _divergence(plan: TaskPlan, folder: Path, pair: Pair, team: TeamConfig) -> Divergence | None:
-    """Observer of the divergence from the two-stage driver of the same number, if there is one."""
+def _natural(plan: TaskPlan, pair: Pair) -> str | None:
+    """Name of the two-stage run of the same number as an own pair's, if there is one."""
     number = next((run.number for run in plan.runs if run.name == pair.driver), None)
     arm = plan.arms.get(TWO_STAGE)
-    if number is None or arm is None or number >= arm.seeds:
+    if not pair.own or number is None or arm is None or number >= arm.seeds:
         return None
-    natural = PlannedRun(plan.name, TWO_STAGE, number).name
+    return PlannedRun(plan.name, TWO_STAGE, number).name
+
+
+def _divergence(plan: TaskPlan, folder: Path, pair: Pair, team: TeamConfig) -> Divergence | None:
+    """Observer of the divergence from the two-stage driver of the same number, if there is one."""
+    natural = _natural(plan, pair)
+    if natural is None:
+        return None
     return Divergence(
         *(load_policy(_place(plan, folder, name), DRIVER, team) for name in (pair.driver, natural))
     )
@@ -144,14 +152,42 @@ def play_all(
 ) -> dict[Pair, Played]:
     """Play pairs of the runs in ``folder``; the result does not depend on ``workers``.
 
-    ``progress`` is called with the number of pairs that have just finished.
+    A pair that was played before, with the same weights, is not played again. ``progress`` is
+    called with the number of pairs that have just finished.
     """
     played = {}
-    play_one = partial(play_pair, plan, folder)
-    for pair, result in zip(pairs, results(play_one, pairs, workers), strict=True):
+    keys = [_key_of_pair(plan, folder, pair) for pair in pairs]
+    kept, play = Kept(folder / FOLDER, Played), partial(play_pair, plan, folder)
+    for pair, result in zip(pairs, play_once(kept, play, pairs, keys, workers), strict=True):
         played[pair] = result
         progress(1)
     return played
+
+
+def _key_of_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Key:
+    natural = _natural(plan, pair)
+    return {
+        "team": json_value(plan.team(pair.end_at_crash)),
+        "sequential": plan.task.sequential,
+        "episodes": [episodes_of(plan, pair), shared_episodes(plan)],
+        "own": pair.own,
+        "driver": weights_key(_place(plan, folder, pair.driver), DRIVER),
+        "hmi": weights_key(_place(plan, folder, pair.hmi), VEHICLE_AI),
+        "natural": natural and weights_key(_place(plan, folder, natural), DRIVER),
+    }
+
+
+def play_tuning(plan: TaskPlan, folder: Path, workers: int) -> Iterator[float]:
+    """Yield the team return of each run that tries out a share; see :func:`play_all`."""
+    runs = plan.tuning_runs
+    keys = [
+        {"tuning": json_value(plan.team()), "sequential": plan.task.sequential}
+        | {"episodes": plan.settings.episodes}
+        | {seat: weights_key(str(run.folder(folder)), seat) for seat in (DRIVER, VEHICLE_AI)}
+        for run in runs
+    ]
+    play = partial(tuning_return, plan, folder)
+    return play_once(Kept(folder / FOLDER, float), play, runs, keys, workers)
 
 
 def tuning_return(plan: TaskPlan, folder: Path, run: PlannedRun) -> float:
@@ -189,10 +225,19 @@ def play_curves(
     """
     points = {run.name: points_of(run.folder(folder), plan.settings.snapshots) for run in runs}
     tasks = [point for each in points.values() for point in each]
+    keys = [
+        {
+            "curve": json_value(plan.team()),
+            "sequential": plan.task.sequential,
+            "episodes": shared_episodes(plan),
+            "driver": weights_key(point.driver, DRIVER),
+            "hmi": weights_key(point.hmi, VEHICLE_AI),
+        }
+        for point in tasks
+    ]
+    kept, play = Kept(folder / FOLDER, dict[str, float]), partial(play_point, plan, folder)
     played: dict[Point, dict[str, float]] = {}
-    for point, metrics in zip(
-        tasks, results(partial(play_point, plan, folder), tasks, workers), strict=True
-    ):
+    for point, metrics in zip(tasks, play_once(kept, play, tasks, keys, workers), strict=True):
         played[point] = metrics
         progress(1)
     return {name: [(p.steps, played[p]) for p in each] for name, each in points.items()}

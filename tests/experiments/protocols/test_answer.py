@@ -33,7 +33,9 @@ def test_the_answer_says_that_learning_together_harms_where_it_does():
         return 500.0 if arm_of(pair.hmi) == "simultaneous" else 600.0
 
     text = answer(comparison(SMALL, worse)).text
-    assert "it harms: simultaneous learning earns 100.0 [100.0, 100.0] less attention return" in text
+    assert (
+        "it harms: simultaneous learning earns 100.0 [100.0, 100.0] less attention return" in text
+    )
 
 
 def test_the_answer_gives_the_reason_of_a_difference_with_attention_seen():

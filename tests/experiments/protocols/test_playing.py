@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,17 @@ from hmi_marl.envs.rewards import TERMS
 from hmi_marl.experiments.episode_sums import ALL_DRIVERS, Sums
 from hmi_marl.experiments.episodes import Episodes, evaluation_seeds, play_episodes
 from hmi_marl.experiments.experiment import Place
+from hmi_marl.experiments.protocols import playing
 from hmi_marl.experiments.protocols.arms import PlannedRun
+from hmi_marl.experiments.protocols.kept import FOLDER
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs, own_pair
-from hmi_marl.experiments.protocols.playing import Divergence, episodes_of, play_all, play_pair
+from hmi_marl.experiments.protocols.playing import (
+    Divergence,
+    episodes_of,
+    play_all,
+    play_curves,
+    play_pair,
+)
 from hmi_marl.experiments.protocols.results import hiding, shortfall
 from hmi_marl.experiments.protocols.snapshots import points_of
 from hmi_marl.experiments.protocols.tasks import TASKS
@@ -174,10 +183,36 @@ def test_the_divergence_is_that_of_the_probabilities(folder: Path) -> None:
 def test_results_do_not_depend_on_the_workers(folder: Path) -> None:
     pairs = all_pairs(PLAN)[:6]
     heard: list[int] = []
+    shutil.rmtree(folder / FOLDER)
     together = play_all(PLAN, pairs, folder, 2, heard.append)
     assert heard == [1] * 6
     assert list(together) == pairs
+    shutil.rmtree(folder / FOLDER)
     assert str(together) == str(play_all(PLAN, pairs, folder, 1))  # NaN equals no other
+
+
+def test_a_pair_or_snapshot_that_was_played_is_not_played_again(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    pairs, runs = all_pairs(PLAN)[:3], PLAN.runs_of("joint")
+    known = play_all(PLAN, pairs, folder, 1), play_curves(PLAN, runs, folder, 1)
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("played again")
+
+    for name in ("play_pair", "play_point", "tuning_return"):
+        monkeypatch.setattr(playing, name, refuse)
+    again = play_all(PLAN, pairs, copy, 1), play_curves(PLAN, runs, copy, 1)
+    assert str(again) == str(known)
+    weights = PLAN.runs_of("joint")[0].folder(copy) / "vehicle_ai.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1] + b"?")
+    own = own_pair(PLAN.runs_of("joint")[0])
+    with pytest.raises(AssertionError, match="played again"):
+        play_all(PLAN, [own], copy, 1)
+    (other,) = replace(TINY, episodes=15).plans()
+    with pytest.raises(AssertionError, match="played again"):
+        play_all(other, pairs, copy, 1)
 
 
 def test_runs_are_trained_as_the_plan_says(folder: Path) -> None:
