@@ -59,7 +59,7 @@ def _seen(comparison: Comparison, results: TaskResults) -> str:
     apart = [change.protocol for change in known if change.difference.differs]
     most = f"at best {_more(best.difference.estimate)} than two-stage ({best.protocol})"
     missing = results.against_exact(results.own(TWO_STAGE), regret)
-    left = f"Two-stage earns {_amount(missing)} less than the exact optimum over its own episodes."
+    left = f"Two-stage earns {_more(-missing)} than the exact optimum over its own episodes."
     if not known:
         return f"Task {name}: protocols earn {most}, by one run each. {left}"
     if apart:
@@ -89,8 +89,8 @@ def _hidden(comparison: Comparison, results: TaskResults) -> str:
         f"Task {name}: it {verb}: simultaneous learning earns {_more(gained.estimate)} attention "
         f"return than two-stage, {way.shown('z.2f')} of the way to the optimum that sees "
         f"attention. Its driver's action reveals whether it is distracted in {_percent(shares[0])} "
-        f"of the steps ({_percent(shares[1])} with the two-stage driver), and it gives up "
-        f"{_amount(cost)} in driving. {_left(results)}"
+        f"of the steps ({_percent(shares[1])} with the two-stage driver), and it "
+        f"{_given_up(cost)} in driving. {_left(results)}"
     )
 
 
@@ -117,6 +117,10 @@ def _more(difference: Estimate) -> str:
     if difference.mean < 0.0:
         return f"{_amount(-difference)} less"
     return f"{_amount(difference)} more"
+
+
+def _given_up(cost: Estimate) -> str:
+    return f"gains {_amount(-cost)}" if cost.mean < 0.0 else f"gives up {_amount(cost)}"
 
 
 def _amount(estimate: Estimate) -> str:

@@ -21,6 +21,7 @@ from hmi_marl.experiments.protocols.figures import (
     sweep_figure,
 )
 from hmi_marl.experiments.protocols.findings import differences, judge, sweep
+from hmi_marl.experiments.protocols.kept import code_digest
 from hmi_marl.experiments.protocols.pairs import Pair, all_pairs, own_pair
 from hmi_marl.experiments.protocols.plan import ComparisonSettings, coarse
 from hmi_marl.experiments.protocols.playing import play_all, play_curves, play_tuning
@@ -62,6 +63,7 @@ class ProtocolComparison(ComparisonSettings, Experiment[Comparison]):
         All are trained before any is played, since that takes longest. What is trained and what is
         played is kept when it is interrupted.
         """
+        code_digest()  # of the code that will play, before anybody edits it
         shares: dict[str, Shares] = {}
         tried: dict[str, dict[str, float]] = {}
         trained = []

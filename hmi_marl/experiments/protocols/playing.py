@@ -152,8 +152,8 @@ def play_all(
 ) -> dict[Pair, Played]:
     """Play pairs of the runs in ``folder``; the result does not depend on ``workers``.
 
-    A pair that was played before, with the same weights, is not played again. ``progress`` is
-    called with the number of pairs that have just finished.
+    A pair that was played before, with the same weights, settings and code, is not played again.
+    ``progress`` is called with the number of pairs that have just finished.
     """
     played = {}
     keys = [_key_of_pair(plan, folder, pair) for pair in pairs]

@@ -1,9 +1,11 @@
 """Results of playing that are kept, and found again as long as nothing they depend on changes."""
 
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,24 +64,71 @@ def test_nothing_is_found_where_anything_has_changed(
     place.keep(KEY, RESULT)
     assert place.find(KEY | {"episodes": [3, 2]}) is None
     assert place.find({"driver": "a"}) is None
-    monkeypatch.setattr(kept, "code_digest", lambda: "other code")
+    monkeypatch.setattr(kept, "code_digest", lambda: "0" * 64)
     assert place.find(KEY) is None
 
 
-@pytest.mark.parametrize("damage", [b"", b"{}", None])
-def test_a_damaged_file_is_as_none(damage: bytes | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", [b"", b"{}", "cut", "changed"])
+def test_a_damaged_file_is_as_none(damage: bytes | str, tmp_path: Path) -> None:
     place = Kept(tmp_path, Whole)
     place.keep(KEY, RESULT)
-    (file,) = tmp_path.iterdir()
-    file.write_bytes(file.read_bytes()[:-3] if damage is None else damage)
+    (file,) = tmp_path.rglob("*.played")
+    content = file.read_bytes()
+    others = {"cut": content[:-3], "changed": content.replace(b"0.1", b"0.7")}
+    file.write_bytes(others[damage] if isinstance(damage, str) else damage)
+    assert file.read_bytes() != content
     assert place.find(KEY) is None
     place.keep(KEY, RESULT)
     assert str(place.find(KEY)) == str(RESULT)
 
 
-def test_a_file_of_another_kind_is_as_none(tmp_path: Path) -> None:
-    Kept(tmp_path, float).keep(KEY, 1.5)
-    assert Kept(tmp_path, Whole).find(KEY) is None
+def test_a_file_of_another_key_is_as_none(tmp_path: Path) -> None:
+    place, other = Kept(tmp_path, float), {"driver": "b"}
+    place.keep(KEY, 1.0)
+    (file,) = tmp_path.rglob("*.played")
+    place.keep(other, 2.0)
+    (place_of_other,) = set(tmp_path.rglob("*.played")) - {file}
+    shutil.copy(file, place_of_other)
+    assert place.find(other) is None
+    with pytest.raises(ValueError, match="is of another key"):
+        place.read(other)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "other"),
+    [
+        (float, 1.5, Whole),
+        (float, 1.5, dict[str, float]),
+        (float, 1.5, int),
+        (int, 1, float),
+        (dict[str, float], {"a": 1.0}, float),
+        (dict[str, float], {"a": 1.0}, Part),
+        (Part, Part(1, 2.0, None), Whole),
+        (str, "a", float),
+        (str, "a", NDArray[np.int64]),
+    ],
+)
+def test_a_file_of_another_kind_is_as_none(kind: Any, value: Any, other: Any, tmp_path: Path):
+    Kept(tmp_path, kind).keep(KEY, value)
+    assert Kept(tmp_path, kind).find(KEY) == value
+    assert Kept(tmp_path, other).find(KEY) is None
+
+
+@pytest.mark.parametrize("value", [[1.0], (1, 2), {1: 2.0}, True, {1.0}, Path("a")])
+def test_what_could_not_be_read_again_is_not_kept(value: Any, tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="is not kept"):
+        Kept(tmp_path, Any).keep(KEY, value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_kept_by_code_that_was_edited_since_it_was_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = Kept(tmp_path, float)
+    place.keep(KEY, 1.0)
+    monkeypatch.setattr(kept, "_digest_of_code", lambda: "edited")
+    place.keep(KEY, 2.0)
+    assert place.find(KEY) == 1.0
 
 
 def half(number: int) -> float:
@@ -115,4 +164,9 @@ def test_weights_are_known_by_their_content(tmp_path: Path) -> None:
         weights_key(str(tmp_path / name), "driver") for name in ("one", "same", "other")
     )
     assert one == same != other
+    assert weights_key("trained:driver", "driver") != "trained:driver"
     assert weights_key("belief:average:0.214", "vehicle_ai") == "belief:average:0.214"
+    with pytest.raises(ValueError, match="several files"):
+        weights_key("mixture:rule,random", "driver")
+    with pytest.raises(FileNotFoundError):
+        weights_key(str(tmp_path / "none"), "driver")

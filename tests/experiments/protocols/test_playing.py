@@ -3,7 +3,8 @@
 import json
 import math
 import shutil
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,9 @@ from hmi_marl.experiments.protocols.playing import (
     play_all,
     play_curves,
     play_pair,
+    play_point,
+    play_tuning,
+    tuning_return,
 )
 from hmi_marl.experiments.protocols.results import hiding, shortfall
 from hmi_marl.experiments.protocols.snapshots import points_of
@@ -180,39 +184,79 @@ def test_the_divergence_is_that_of_the_probabilities(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
-def test_results_do_not_depend_on_the_workers(folder: Path) -> None:
+def test_results_do_not_depend_on_the_workers(folder: Path, tmp_path: Path) -> None:
     pairs = all_pairs(PLAN)[:6]
     heard: list[int] = []
-    shutil.rmtree(folder / FOLDER)
-    together = play_all(PLAN, pairs, folder, 2, heard.append)
+    one, other = (shutil.copytree(folder, tmp_path / name) for name in ("one", "other"))
+    for each in (one, other):
+        shutil.rmtree(each / FOLDER)
+    together = play_all(PLAN, pairs, one, 2, heard.append)
     assert heard == [1] * 6
     assert list(together) == pairs
-    shutil.rmtree(folder / FOLDER)
-    assert str(together) == str(play_all(PLAN, pairs, folder, 1))  # NaN equals no other
+    assert to_the_byte(together) == to_the_byte(play_all(PLAN, pairs, other, 1))
 
 
-def test_a_pair_or_snapshot_that_was_played_is_not_played_again(
+def to_the_byte(result: Any) -> Any:
+    """A result with arrays as bytes, by which it can be compared; NaN equals itself."""
+    if is_dataclass(result):
+        named = {each.name: to_the_byte(getattr(result, each.name)) for each in fields(result)}
+        return type(result).__name__, named
+    if isinstance(result, Mapping):
+        return {name: to_the_byte(value) for name, value in result.items()}
+    if isinstance(result, np.ndarray):
+        return result.dtype, result.shape, result.tobytes()
+    return type(result), repr(result)
+
+
+def test_what_is_kept_is_what_was_played(folder: Path) -> None:
+    pairs = [own_pair(PLAN.runs_of("joint")[0]), *all_pairs(PLAN)[-3:]]
+    known = play_all(PLAN, pairs, folder, 1)  # kept by the comparison that wrote the folder
+    for pair in pairs:
+        assert to_the_byte(known[pair]) == to_the_byte(play_pair(PLAN, folder, pair))
+    point = points_of(PLAN.runs_of("joint")[0].folder(folder), PLAN.settings.snapshots)[0]
+    (curve, *_) = play_curves(PLAN, PLAN.runs_of("joint"), folder, 1).values()
+    assert to_the_byte(curve[0][1]) == to_the_byte(play_point(PLAN, folder, point))
+
+
+def test_what_was_played_is_not_played_again_unless_weights_or_settings_change(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copy = shutil.copytree(folder, tmp_path / "copy")
     pairs, runs = all_pairs(PLAN)[:3], PLAN.runs_of("joint")
-    known = play_all(PLAN, pairs, folder, 1), play_curves(PLAN, runs, folder, 1)
 
     def refuse(*_: object) -> None:
         raise AssertionError("played again")
 
-    for name in ("play_pair", "play_point", "tuning_return"):
+    for name in ("play_pair", "play_point"):
         monkeypatch.setattr(playing, name, refuse)
+    known = play_all(PLAN, pairs, folder, 1), play_curves(PLAN, runs, folder, 1)
     again = play_all(PLAN, pairs, copy, 1), play_curves(PLAN, runs, copy, 1)
-    assert str(again) == str(known)
-    weights = PLAN.runs_of("joint")[0].folder(copy) / "vehicle_ai.safetensors"
-    weights.write_bytes(weights.read_bytes()[:-1] + b"?")
-    own = own_pair(PLAN.runs_of("joint")[0])
-    with pytest.raises(AssertionError, match="played again"):
-        play_all(PLAN, [own], copy, 1)
+    assert to_the_byte(again[0]) == to_the_byte(known[0])
+    assert again[1] == known[1]
     (other,) = replace(TINY, episodes=15).plans()
     with pytest.raises(AssertionError, match="played again"):
         play_all(other, pairs, copy, 1)
+    snapshot = next(runs[0].folder(copy).glob("snapshots/*/driver.safetensors"))
+    for weights in (snapshot, runs[0].folder(copy) / "vehicle_ai.safetensors"):
+        weights.write_bytes(weights.read_bytes()[:-1] + b"?")
+    with pytest.raises(AssertionError, match="played again"):
+        play_all(PLAN, [own_pair(runs[0])], copy, 1)
+    with pytest.raises(AssertionError, match="played again"):
+        play_curves(PLAN, runs, copy, 1)
+
+
+def test_what_tried_out_a_share_is_played_once(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = replace(TINY, driver_shares=(0.25, 0.75), steps=320)
+    (plan,) = tried.plans()
+    trained = PLAN.runs_of("two-stage")
+    for run, one in zip(plan.tuning_runs, trained, strict=True):
+        shutil.copytree(one.folder(folder), run.folder(tmp_path))
+    known = list(play_tuning(plan, tmp_path, 1))
+    assert known == [tuning_return(plan, tmp_path, run) for run in plan.tuning_runs]
+    monkeypatch.setattr(playing, "tuning_return", lambda *_: math.nan)
+    assert list(play_tuning(plan, tmp_path, 1)) == known
 
 
 def test_runs_are_trained_as_the_plan_says(folder: Path) -> None:
