@@ -40,19 +40,19 @@ def main() -> None:
     module = torch.nn.GRU(args.inputs, args.units)
     weights = list(module.parameters())
     inputs = torch.randn(args.steps, args.teams, args.inputs)
-    kept = torch.ones(args.steps, args.teams)
-    kept[0] = 0.0
+    carried = torch.ones(args.steps, args.teams)
+    carried[0] = 0.0
     gradient = torch.randn(args.steps, args.teams, args.units)
     gru, into = GRU(module), [torch.empty_like(weight) for weight in weights]
 
     def written() -> None:
         with torch.no_grad():
-            gru.backward(gru.forward(inputs, kept)[1], gradient, into)
+            gru.backward(gru.forward(inputs, carried)[1], gradient, into)
 
     def by_autograd() -> None:
         torch.autograd.grad(module(inputs)[0], weights, gradient)
 
-    times = np.array([(seconds(by_autograd), seconds(written)) for _ in range(args.pairs)])[1:]
+    times = np.array([(seconds(by_autograd), seconds(written)) for _ in range(args.pairs + 1)])[1:]
     low, ratio, high = np.quantile(times[:, 0] / times[:, 1], [0.25, 0.5, 0.75])
     autograd, ours = np.median(times, axis=0) * 1000
     print(f"torch's layer with autograd {autograd:.2f} ms, written passes {ours:.2f} ms")

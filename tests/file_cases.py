@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -43,6 +44,8 @@ from hmi_marl.envs.drivers import Driver, get_driver
 from hmi_marl.experiments.driver_map.cases import Case as MapCase
 from hmi_marl.experiments.driver_map.cases import CaseResult, Grid, Integral, Loss
 from hmi_marl.experiments.driver_map.experiment import read_result
+from hmi_marl.experiments.episode_sums import Sums
+from hmi_marl.experiments.protocols.kept import Kept
 from hmi_marl.files import json_value, with_checksum, without_checksum
 from hmi_marl.people.measure.trip_files import measurable, read_trips
 from hmi_marl.people.record import TripRecord
@@ -480,6 +483,30 @@ def study_answers(folder: Path) -> Case:
     return Case(path, lambda: read_ratings(path, study), mutate)
 
 
+def kept_result(folder: Path) -> Case:
+    place, key = Kept(folder, Sums), {"driver": "a"}
+    place.keep(key, Sums(3, 1, 20, 0.1, 4, math.nan, {"speed_reward": 0.5}))
+    (path,) = folder.rglob("*.played")
+    return bytes_of(path, lambda: place.read(key), checked=True)
+
+
+def signed_kept_result(folder: Path) -> Case:
+    """Mutate a kept result, with the right checksum of what it is now."""
+    case = kept_result(folder)
+    content = case.path.read_bytes()[64:]
+
+    def mutate(seed: int) -> None:
+        way = seed % 3
+        changed = (
+            hostile(content, seed)
+            if way == 0
+            else hostile_header(content, seed, "result" if way == 1 else None)
+        )
+        case.path.write_bytes(hashlib.sha256(changed).hexdigest().encode() + changed)
+
+    return Case(case.path, case.read, mutate)
+
+
 CASES = {
     case.__name__: case
     for case in (
@@ -515,5 +542,7 @@ CASES = {
         study_manifest,
         signed_study_manifest,
         study_answers,
+        kept_result,
+        signed_kept_result,
     )
 }

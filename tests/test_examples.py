@@ -151,6 +151,11 @@ def test_the_benchmark_of_the_highway_world_runs(tmp_path):
     assert (tmp_path / "runs" / "benchmarks" / "highway_world.json").exists()
 
 
+def test_the_benchmark_of_recurrent_layers_runs(tmp_path):
+    done = run_benchmark("recurrent", "--steps 3 --teams 2 --units 2 --pairs 1", tmp_path)
+    assert "of 1 pairs" in done.stdout
+
+
 @pytest.mark.slow
 def test_the_benchmark_of_training_shows_where_time_goes(tmp_path):
     ours = "--rounds 1 --steps 2 --num-teams 32 --vehicles 2"

@@ -168,15 +168,14 @@ NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": "", "SDL_VIDEODRIVER": ""}
 pytestmark = pytest.mark.usefixtures("unmeasured")
 
 
-def test_environments_leave_no_mark() -> None:
+def test_environments_and_learning_leave_no_mark(tmp_path: Path) -> None:
     worlds = [f"WORLD = {world!r}\n{ENVIRONMENTS}" for world in ("highway", "batched")]
-    run("-c", "".join([MARKS, *worlds]), **NO_DISPLAY)
+    run("-c", "".join([MARKS, *worlds, LEARNING]), tmp_path, **NO_DISPLAY)
 
 
 @pytest.mark.slow
-def test_tables_figures_clips_datasets_and_learning_leave_no_mark(tmp_path: Path) -> None:
-    code = "".join([MARKS, PAGES, LEARNING])
-    run("-c", code, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
+def test_tables_figures_clips_and_datasets_leave_no_mark(tmp_path: Path) -> None:
+    run("-c", MARKS + PAGES, tmp_path, **NO_DISPLAY, MINARI_DATASETS_PATH="")
 
 
 @pytest.mark.slow

@@ -1,9 +1,10 @@
 """Forward and backward passes of a recurrent layer (GRU), written out.
 
-For layers of 32 units over episodes of a hundred steps autograd spends most of its time on
+For layers of some 32 units over episodes of a hundred steps a large part of autograd's time is
 bookkeeping (``benchmarks/recurrent.py`` compares). Here a step back through time is four calls,
-since the derivatives of the gates are computed for all steps at once. Arrays have the teams last,
-so that the gates of a step lie side by side in memory.
+since the derivatives of the gates are computed for all steps at once. With 64 units and 256 teams
+in a mini-batch, or more, torch's own layer is the faster one. Arrays have the teams last, so that
+the gates of a step lie side by side in memory.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class PassedMemory:
     """Candidate n for the state after the step."""
     new_by_memory: torch.Tensor
     """U_n h + c_n, the candidate's part that r weighs."""
-    kept: Sequence[torch.Tensor | None]
+    carried: Sequence[torch.Tensor | None]
     """For each step 1 for teams whose state it was given, 0 for those that began another episode,
     shape (N,); None where all went on."""
 
@@ -50,7 +51,7 @@ class GRU:
 
     def __init__(self, module: torch.nn.GRU) -> None:
         weights = [weight.detach() for weight in module.parameters()]
-        self._by_inputs, self._by_memory, input_bias, memory_bias = weights
+        self._input_weight, self._memory_weight, input_bias, memory_bias = weights
         self._input_bias, self._memory_bias = input_bias[:, None], memory_bias[:, None]
         self.units = module.hidden_size
 
@@ -59,8 +60,8 @@ class GRU:
         if memory is None:
             memory = inputs.new_zeros(len(inputs), self.units)
         before = memory.t()
-        given = torch.addmm(self._input_bias, self._by_inputs, inputs.t())
-        known = torch.addmm(self._memory_bias, self._by_memory, before)
+        given = torch.addmm(self._input_bias, self._input_weight, inputs.t())
+        known = torch.addmm(self._memory_bias, self._memory_weight, before)
         return self._advance(self._parts(given), self._parts(known), before).t()
 
     def _parts(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -86,45 +87,48 @@ class GRU:
         return torch.lerp(new, before, gates[self.units :], out=into)
 
     def forward(
-        self, inputs: torch.Tensor, kept: torch.Tensor
+        self, inputs: torch.Tensor, carried: torch.Tensor
     ) -> tuple[torch.Tensor, PassedMemory]:
         """Go through T steps of N teams, and return the states after them, (T, N, units).
 
         Args:
             inputs: shape (T, N, columns).
-            kept: shape (T, N), 0 where a step begins with a state of 0, as every episode's first
+            carried: shape (T, N), 0 where a step begins with a state of 0, as every episode's first
                 does, and else 1.
         """
         steps, teams = inputs.shape[:2]
-        by_inputs = self._by_inputs.expand(steps, -1, -1)
-        given = torch.baddbmm(self._input_bias, by_inputs, inputs.transpose(1, 2))
-        known = self._memory_bias.expand(steps, -1, teams).contiguous()
+        weights = self._input_weight.expand(steps, -1, -1)
+        given = torch.baddbmm(self._input_bias, weights, inputs.transpose(1, 2))
+        known = self._memory_bias.expand(steps, -1, teams)
+        known = known.clone(memory_format=torch.contiguous_format)  # which products are added to
         hidden = given.new_empty(steps, self.units, teams)
-        whole = (kept != 0).all(1).tolist()
-        keeps = [None if all_go_on else keep for all_go_on, keep in zip(whole, kept, strict=True)]
+        whole = (carried != 0).all(1).tolist()
+        carries = [
+            None if all_go_on else carry for all_go_on, carry in zip(whole, carried, strict=True)
+        ]
         before = torch.zeros_like(hidden[0])
         each = zip(
             zip(*(part.unbind() for part in self._parts(given)), strict=True),
             zip(*(part.unbind() for part in self._parts(known)), strict=True),
             known.unbind(),
             hidden.unbind(),
-            keeps,
+            carries,
             strict=True,
         )
-        for of_inputs, of_memory, product, after, keep in each:
-            if keep is not None:
-                before = before * keep
-            product.addmm_(self._by_memory, before)
+        for of_inputs, of_memory, product, after, carry in each:
+            if carry is not None:
+                before = before * carry
+            product.addmm_(self._memory_weight, before)
             before = self._advance(of_inputs, of_memory, before, after)
         units, first = self.units, torch.zeros_like(hidden[:1])
         passed = PassedMemory(
             inputs=inputs,
-            before=torch.cat([first, hidden[:-1]]).mul_(kept[:, None]),
+            before=torch.cat([first, hidden[:-1]]).mul_(carried[:, None]),
             reset=given[:, :units],
             update=given[:, units : 2 * units],
             new=given[:, 2 * units :],
             new_by_memory=known[:, 2 * units :],
-            kept=keeps,
+            carried=carries,
         )
         return hidden.transpose(1, 2), passed
 
@@ -142,37 +146,37 @@ class GRU:
         reset, update, new = passed.reset, passed.update, passed.new
         # Derivatives of the state after a step with respect to what enters tanh, the reset gate,
         # the update gate, and U_n h + c_n.
-        slopes = new.new_empty(steps, 4, units, teams)
-        by_new, by_reset, by_update, by_known = slopes.unbind(1)
+        derivatives = new.new_empty(4, units, steps, teams)
+        by_new, by_reset, by_update, by_memory = derivatives.transpose(1, 2).unbind()
         torch.mul(1.0 - update, 1.0 - new.square(), out=by_new)
         torch.mul(by_new, passed.new_by_memory * reset * (1.0 - reset), out=by_reset)
         torch.mul(passed.before - new, update * (1.0 - update), out=by_update)
-        torch.mul(by_new, reset, out=by_known)
-        found = torch.empty_like(slopes)
-        of_memory = found.view(steps, 4 * units, teams)[:, units:]
-        back, flow = self._by_memory.t(), torch.zeros_like(new[0])
+        torch.mul(by_new, reset, out=by_memory)
+        # Gradients of the loss with respect to the same.
+        gradients = torch.empty_like(derivatives)
+        of_memory = gradients.view(4 * units, steps, teams)[units:]
+        back, of_state = self._memory_weight.t(), torch.zeros_like(new[0])
         each = zip(
             of_hidden.transpose(1, 2).contiguous().unbind(),
-            slopes.unbind(),
-            found.unbind(),
-            of_memory.unbind(),
+            derivatives.unbind(2),
+            gradients.unbind(2),
+            of_memory.unbind(1),
             update.unbind(),
-            passed.kept,
+            passed.carried,
             strict=True,
         )
-        for read, slope, its, parts, z, keep in reversed(list(each)):
-            flow += read
-            torch.mul(flow, slope, out=its)
-            flow.mul_(z).addmm_(back, parts)
-            if keep is not None:
-                flow.mul_(keep)
-        # Rows of gates, candidate and what r weighs, for all steps of all teams.
-        rows = found.transpose(0, 1).transpose(1, 2).reshape(4 * units, -1)
-        new_rows, gates, memory_rows = rows[:units], rows[units : 3 * units], rows[units:]
+        for of_output, derivative, gradient, through_memory, z, carry in reversed(list(each)):
+            of_state += of_output
+            torch.mul(of_state, derivative, out=gradient)
+            of_state.mul_(z).addmm_(back, through_memory)
+            if carry is not None:
+                of_state.mul_(carry)
+        rows = gradients.view(4 * units, -1)
+        new_rows, gate_rows, memory_rows = rows[:units], rows[units : 3 * units], rows[units:]
         inputs, before = passed.inputs.flatten(0, 1), passed.before.transpose(0, 1)
-        by_inputs, by_memory, input_bias, memory_bias = into
-        for part, of in ((gates, slice(0, 2 * units)), (new_rows, slice(2 * units, None))):
-            torch.mm(part, inputs, out=by_inputs[of])
-            torch.sum(part, 1, out=input_bias[of])
-        torch.mm(memory_rows, before.reshape(units, -1).t(), out=by_memory)
-        torch.sum(memory_rows, 1, out=memory_bias)
+        of_input_weight, of_memory_weight, of_input_bias, of_memory_bias = into
+        for part, of in ((gate_rows, slice(0, 2 * units)), (new_rows, slice(2 * units, None))):
+            torch.mm(part, inputs, out=of_input_weight[of])
+            torch.sum(part, 1, out=of_input_bias[of])
+        torch.mm(memory_rows, before.reshape(units, -1).t(), out=of_memory_weight)
+        torch.sum(memory_rows, 1, out=of_memory_bias)

@@ -29,7 +29,7 @@ _ACTIVATIONS: dict[type[torch.nn.Module], tuple[Callable[..., object], Callable[
 
 
 Passed = Sequence[Any]
-"""What a forward pass leaves for the backward pass: tensors, or those of each seat."""
+"""What a forward pass leaves for the backward pass: tensors, or what each part leaves."""
 
 
 class Layers:
@@ -96,11 +96,11 @@ class Policy(Protocol):
         ...
 
     def forward(
-        self, inputs: torch.Tensor, kept: torch.Tensor | None
+        self, inputs: torch.Tensor, carried: torch.Tensor | None
     ) -> tuple[torch.Tensor, Passed]:
         """Return the logits of recorded steps, and what :meth:`backward` needs.
 
-        ``kept``, shape (T, N), is 0 where a step begins another episode, else 1; only recurrent
+        ``carried``, shape (T, N), is 0 where a step begins another episode, else 1; only recurrent
         policies need it.
         """
         ...
@@ -136,7 +136,7 @@ class Feedforward:
         return self._layers.forward(inputs)[-1], None
 
     def forward(
-        self, inputs: torch.Tensor, kept: torch.Tensor | None
+        self, inputs: torch.Tensor, carried: torch.Tensor | None
     ) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
         passed = self._layers.forward(inputs.flatten(0, -2))
@@ -168,12 +168,12 @@ class Composite:
         return torch.cat([intents, alerts], dim=-1), memory
 
     def forward(
-        self, inputs: torch.Tensor, kept: torch.Tensor | None
+        self, inputs: torch.Tensor, carried: torch.Tensor | None
     ) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
         of_driver, of_vehicle_ai = self._seats.split(inputs)
         intents, one = self._driver.forward(of_driver, None)
-        alerts, other = self._vehicle_ai.forward(of_vehicle_ai, kept)
+        alerts, other = self._vehicle_ai.forward(of_vehicle_ai, carried)
         return torch.cat([intents, alerts], dim=-1), (one, other)
 
     def backward(
@@ -201,11 +201,11 @@ class Recurrent:
         return self._layers.forward(torch.cat([memory, inputs], dim=-1))[-1], memory
 
     def forward(
-        self, inputs: torch.Tensor, kept: torch.Tensor | None
+        self, inputs: torch.Tensor, carried: torch.Tensor | None
     ) -> tuple[torch.Tensor, Passed]:
         """See :meth:`Policy.forward`."""
-        assert kept is not None
-        remembered, of_memory = self._gru.forward(inputs, kept)
+        assert carried is not None
+        remembered, of_memory = self._gru.forward(inputs, carried)
         together = torch.cat([remembered, inputs], dim=-1)
         passed = self._layers.forward(together.flatten(0, 1))
         return torch.unflatten(passed[-1], 0, inputs.shape[:2]), (passed, of_memory)

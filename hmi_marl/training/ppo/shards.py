@@ -157,13 +157,13 @@ class MiniBatch:
     advantages: torch.Tensor
     returns: torch.Tensor
     anchor: torch.Tensor
-    kept: torch.Tensor | None = None
+    carried: torch.Tensor | None = None
     """0 where a step begins another episode, else 1, of recurrent policies."""
 
     @classmethod
     def values(cls, rollout: Rollout) -> list[torch.Tensor]:
         """Tensors of a rollout that it has parts of, in the order of the fields."""
-        return [getattr(rollout, part.name) for part in fields(cls) if part.name != "kept"]
+        return [getattr(rollout, part.name) for part in fields(cls) if part.name != "carried"]
 
 
 class Shard:
@@ -249,13 +249,13 @@ class Shard:
     def _whole_episodes(self) -> list[MiniBatch]:
         rollout, count = self.rollout, self._settings.num_mini_batches
         each = rollout.rewards.shape[1] // count
-        kept = torch.zeros_like(rollout.dones)
-        torch.sub(1.0, rollout.dones[:-1], out=kept[1:])
+        carried = torch.zeros_like(rollout.dones)
+        torch.sub(1.0, rollout.dones[:-1], out=carried[1:])
         batches = []
         for first in range(0, count * each, each):
             teams = slice(first, first + each)
             parts: list[Any] = [values[:, teams] for values in MiniBatch.values(rollout)]
-            batches.append(MiniBatch(*[*parts, kept[:, teams]]))
+            batches.append(MiniBatch(*[*parts, carried[:, teams]]))
         return batches
 
     @torch.no_grad()
@@ -266,7 +266,7 @@ class Shard:
         the divergence from the anchor.
         """
         clip, rows = self._settings.clip_param, batch.advantages.numel()
-        logits, passed = self._policy.forward(batch.actor, batch.kept)
+        logits, passed = self._policy.forward(batch.actor, batch.carried)
         self._head.update(logits)
         ratio = (self._head.log_prob(batch.actions) - batch.log_prob).exp_()
         wanted = batch.advantages * ratio

@@ -5,8 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 TESTS = Path(__file__).parents[2]
 CODE = (
     "from parity import *\n"
@@ -38,7 +36,6 @@ STEPS = (
 )
 
 
-@pytest.mark.slow
 def test_as_plain_python_steps_of_teams_are_the_same_and_it_follows_highway_env_too():
     env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(TESTS)}
     command = [sys.executable, "-W", "ignore", "-c", f"{STEPS}\n{CODE}"]

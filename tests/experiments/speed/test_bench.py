@@ -1,4 +1,6 @@
 import json
+import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +12,8 @@ from hmi_marl import Scene, TeamConfig, make_vec
 from hmi_marl.envs.worlds.batched import BatchedWorld
 from hmi_marl.experiments.speed import BenchConfig, bench, make_report, measurements
 from hmi_marl.experiments.speed.contestants import MIX, vector_environment
+
+measuring = sys.modules[BenchConfig.__module__]
 
 TINY = BenchConfig(
     teams=(3,),
@@ -50,6 +54,30 @@ def test_everybody_is_measured_beside_highway_env():
     assert all(name in report.text for name in by_name)
     assert len(json.loads(json.dumps(report.numbers))["rows"]) == len(rows)
     assert not missing(report.blocks, report.numbers)
+
+
+def test_a_vector_environment_and_its_world_alternate_within_a_turn(monkeypatch):
+    order = []
+
+    def contestant(name, speed):
+        def run(seconds):
+            order.append((name, seconds))
+            return speed
+
+        return measuring._Contestant(name, 1, 1, "2", run)
+
+    names = ["highway-env", "vector environment, a", "its world", "vector environment, b", "its"]
+    every = [contestant(name, 10.0 * (k + 1)) for k, name in enumerate(names)]
+    monkeypatch.setattr(measuring, "_contestants", lambda *_: every)
+    told = []
+    rows = bench(replace(TINY, rounds=2), told.append)
+    assert told == [1, 2, 2] * 2
+    assert [row.steps_per_s for row in rows] == [10.0, 20.0, 30.0, 40.0, 50.0]
+    assert [row.of_world for row in rows] == [None, 20.0 / 30.0, None, 40.0 / 50.0, None]
+    turn = [("highway-env", 0.05)]
+    for pair in (names[1:3], names[3:]):
+        turn += [(name, 0.005) for _ in range(10) for name in pair]
+    assert order == [(name, 0.1) for name in names] + 2 * turn
 
 
 @pytest.mark.parametrize(

@@ -198,7 +198,7 @@ def test_a_memory_is_learned_from_as_it_was_when_it_acted(seat):
         shard.evaluate(learner.view(env.get_observations()).critic)
         for batch in shard.mini_batches():
             policy, head = policy_of(learner.actor), learner.actor.distribution
-            head.update(policy.forward(batch.actor, batch.kept)[0])
+            head.update(policy.forward(batch.actor, batch.carried)[0])
             torch.testing.assert_close(head.log_prob(batch.actions), batch.log_prob)
 
 
@@ -217,11 +217,11 @@ def test_written_passes_are_those_of_autograd(memory, seat):
     for batch in shard.mini_batches():
         policy, weights = policy_of(actor), list(actor.parameters())
         with torch.no_grad():
-            logits, passed = policy.forward(batch.actor, batch.kept)
+            logits, passed = policy.forward(batch.actor, batch.carried)
         inputs, masks, hidden = batch.actor, None, None
         if memory:
-            ends = torch.zeros_like(batch.kept)
-            ends[:-1] = 1.0 - batch.kept[1:]
+            ends = torch.zeros_like(batch.carried)
+            ends[:-1] = 1.0 - batch.carried[1:]
             inputs, masks = split_and_pad_trajectories(inputs, ends[..., None])
             hidden = torch.zeros(1, masks.shape[1], memory)
         seen = TensorDict({"actor": inputs}, inputs.shape[:-1])
@@ -398,7 +398,7 @@ def test_the_composite_policy_learns_to_remember_what_an_alert_needs(memory):
 
 
 def rule_of(policy, env):
-    """Whether a policy alerts in each [t, d, i, c], beside a driver who keeps speed."""
+    """Whether a policy alerts in each [t, d, i, c], beside a driver who carries speed."""
     config = env.teaming.config
     layout, window = env.layouts["vehicle_ai"], config.alert_window
     env.reset(0)
