@@ -17,10 +17,10 @@ import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load, save
@@ -161,7 +161,7 @@ def _digest_of_code() -> str:
     return json_digest(
         {
             "modules": {name: sha256(path.read_bytes()) for name, path in modules.items()},
-            "libraries": [np.__version__, numba.__version__],
+            "libraries": [np.__version__, version("numba")],  # which is slow to import
             "python": [platform.python_version(), platform.machine()],
         }
     )
