@@ -10,7 +10,12 @@ from typing import Any
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-RUN = ("report/reproduce.json", "unsupervised/full.json", "map/map.json")
+RUN = (
+    "report/reproduce.json",
+    "unsupervised/full.json",
+    "ablations/ablations.json",
+    "map/map.json",
+)
 """What the page's sections are written from, but for the comparison."""
 COMPARISON = "## Sequential or joint training"
 PRINTED = ("### Traits under shifts", "## Speed")
