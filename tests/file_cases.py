@@ -149,6 +149,14 @@ def hostile_header(content: bytes, seed: int, inner: str | None = None) -> bytes
     return len(text).to_bytes(8, "little") + text + content[8 + size :]
 
 
+def hostile_tensors(content: bytes, seed: int, inner: str) -> bytes:
+    """Change a safetensors file: its bytes, its header, or the JSON in its metadata."""
+    way = seed % 3
+    if way == 0:
+        return hostile(content, seed)
+    return hostile_header(content, seed, inner if way == 1 else None)
+
+
 def driver_card(folder: Path) -> Path:
     save_driver(folder)
     return folder / "driver.json"
@@ -259,12 +267,7 @@ def signed_checkpoint(folder: Path) -> Case:
     digest = content[at : at + 64]
 
     def mutate(seed: int) -> None:
-        way = seed % 3
-        changed = (
-            hostile(content, seed)
-            if way == 0
-            else hostile_header(content, seed, "hmi_marl" if way == 1 else None)
-        )
+        changed = hostile_tensors(content, seed, "hmi_marl")
         found = hashlib.sha256(changed.replace(digest, b"0" * 64, 1)).hexdigest().encode()
         path.write_bytes(changed.replace(digest, found, 1))
 
@@ -496,12 +499,7 @@ def signed_kept_result(folder: Path) -> Case:
     content = case.path.read_bytes()[64:]
 
     def mutate(seed: int) -> None:
-        way = seed % 3
-        changed = (
-            hostile(content, seed)
-            if way == 0
-            else hostile_header(content, seed, "result" if way == 1 else None)
-        )
+        changed = hostile_tensors(content, seed, "result")
         case.path.write_bytes(hashlib.sha256(changed).hexdigest().encode() + changed)
 
     return Case(case.path, case.read, mutate)

@@ -2,8 +2,8 @@
 
 What policies earn depends on their weights, the episodes, the settings of the teams, the code, and
 the libraries that it calls. A file is named by a digest of all of these (its key), so a result is
-found again exactly as long as none of them has changed. Kinds of processors are not told apart,
-though the last bit of a network's outputs may depend on them.
+found again exactly as long as none of them has changed. The kind of processor is no part of
+it, though the last bit of a network's outputs may depend on them.
 
 Files of other code, which nothing reads any more, lie in a folder of their own. All may be deleted.
 """
@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import load, save
 
 import hmi_marl
-from hmi_marl.agents.catalogue import is_learned, mixed_names
-from hmi_marl.agents.learned.policy import find_policy
+from hmi_marl.agents.catalogue import learned_file, mixed_names
 from hmi_marl.files import json_digest, make_folder, sha256, sha256_of, write_bytes
 from hmi_marl.reading import parse_json, parse_tensors, read_bytes
 from hmi_marl.workers import results
@@ -87,8 +86,8 @@ class Kept:
     def keep(self, key: Key, result: Any) -> None:
         """Keep a result, in place of an earlier one.
 
-        Where the code has been edited since it was loaded, nothing is kept: nobody knows by which
-        code the result was played.
+        Nothing is kept where the code has been edited since it was loaded: by which code the result
+        was played is not known then.
         """
         if _digest_of_code() != code_digest():
             return
@@ -143,10 +142,10 @@ def weights_key(name: str, seat: str) -> str:
     """
     if mixed_names(name):
         raise ValueError(f"what {name} earns is not kept: it depends on several files")
-    if not is_learned(name, seat):
+    weights = learned_file(name, seat)
+    if weights is None:
         return name
-    card = find_policy(name, seat)
-    return sha256_of(card) + sha256_of(card.with_suffix(".safetensors"))
+    return sha256_of(weights.with_suffix(".json")) + sha256_of(weights)
 
 
 @cache

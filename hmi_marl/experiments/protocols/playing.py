@@ -167,25 +167,34 @@ def play_all(
 def _key_of_pair(plan: TaskPlan, folder: Path, pair: Pair) -> Key:
     natural = _natural(plan, pair)
     return {
-        "team": json_value(plan.team(pair.end_at_crash)),
-        "sequential": plan.task.sequential,
+        "kind": "pair",
         "episodes": [episodes_of(plan, pair), shared_episodes(plan)],
         "own": pair.own,
-        "driver": weights_key(_place(plan, folder, pair.driver), DRIVER),
-        "hmi": weights_key(_place(plan, folder, pair.hmi), VEHICLE_AI),
         "natural": natural and weights_key(_place(plan, folder, natural), DRIVER),
+        **_key_of_seats(
+            plan,
+            _place(plan, folder, pair.driver),
+            _place(plan, folder, pair.hmi),
+            pair.end_at_crash,
+        ),
+    }
+
+
+def _key_of_seats(plan: TaskPlan, driver: str, hmi: str, end_at_crash: bool = True) -> Key:
+    """What any result depends on: the settings of the teams, and the policies in both seats."""
+    return {
+        "team": json_value(plan.team(end_at_crash)),
+        "sequential": plan.task.sequential,
+        DRIVER: weights_key(driver, DRIVER),
+        VEHICLE_AI: weights_key(hmi, VEHICLE_AI),
     }
 
 
 def play_tuning(plan: TaskPlan, folder: Path, workers: int) -> Iterator[float]:
     """Yield the team return of each run that tries out a share; see :func:`play_all`."""
-    runs = plan.tuning_runs
-    keys = [
-        {"tuning": json_value(plan.team()), "sequential": plan.task.sequential}
-        | {"episodes": plan.settings.episodes}
-        | {seat: weights_key(str(run.folder(folder)), seat) for seat in (DRIVER, VEHICLE_AI)}
-        for run in runs
-    ]
+    runs, about = plan.tuning_runs, {"kind": "tuning", "episodes": plan.settings.episodes}
+    places = [str(run.folder(folder)) for run in runs]
+    keys = [{**about, **_key_of_seats(plan, place, place)} for place in places]
     play = partial(tuning_return, plan, folder)
     return play_once(Kept(folder / FOLDER, float), play, runs, keys, workers)
 
@@ -225,16 +234,8 @@ def play_curves(
     """
     points = {run.name: points_of(run.folder(folder), plan.settings.snapshots) for run in runs}
     tasks = [point for each in points.values() for point in each]
-    keys = [
-        {
-            "curve": json_value(plan.team()),
-            "sequential": plan.task.sequential,
-            "episodes": shared_episodes(plan),
-            "driver": weights_key(point.driver, DRIVER),
-            "hmi": weights_key(point.hmi, VEHICLE_AI),
-        }
-        for point in tasks
-    ]
+    about = {"kind": "curve", "episodes": shared_episodes(plan)}
+    keys = [{**about, **_key_of_seats(plan, point.driver, point.hmi)} for point in tasks]
     kept, play = Kept(folder / FOLDER, dict[str, float]), partial(play_point, plan, folder)
     played: dict[Point, dict[str, float]] = {}
     for point, metrics in zip(tasks, play_once(kept, play, tasks, keys, workers), strict=True):

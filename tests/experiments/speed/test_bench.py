@@ -69,9 +69,9 @@ def test_a_vector_environment_and_its_world_alternate_within_a_turn(monkeypatch)
     names = ["highway-env", "vector environment, a", "its world", "vector environment, b", "its"]
     every = [contestant(name, 10.0 * (k + 1)) for k, name in enumerate(names)]
     monkeypatch.setattr(measuring, "_contestants", lambda *_: every)
-    told = []
-    rows = bench(replace(TINY, rounds=2), told.append)
-    assert told == [1, 2, 2] * 2
+    counted = []
+    rows = bench(replace(TINY, rounds=2), counted.append)
+    assert counted == [1, 2, 2] * 2
     assert [row.steps_per_s for row in rows] == [10.0, 20.0, 30.0, 40.0, 50.0]
     assert [row.of_world for row in rows] == [None, 20.0 / 30.0, None, 40.0 / 50.0, None]
     turn = [("highway-env", 0.05)]
