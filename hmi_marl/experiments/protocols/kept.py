@@ -27,6 +27,7 @@ from safetensors.numpy import load, save
 
 import hmi_marl
 from hmi_marl.agents.catalogue import learned_file, mixed_names
+from hmi_marl.checks import shown
 from hmi_marl.files import json_digest, make_folder, sha256, sha256_of, write_bytes
 from hmi_marl.reading import parse_json, parse_tensors, read_bytes
 from hmi_marl.workers import results
@@ -208,7 +209,7 @@ def _decoded(hint: Any, content: Any, arrays: Mapping[str, NDArray[Any]]) -> Any
         return float(content)
     if hint in (int, str) and type(content) is hint:
         return content
-    raise TypeError(f"{content!r} is not of type {hint}")
+    raise TypeError(f"{shown(content)} is not of type {hint}")
 
 
 _NOT_FINITE = ("nan", "inf", "-inf")
